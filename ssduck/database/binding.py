@@ -30,8 +30,8 @@ Poses: TypeAlias = dict[int, tuple[float | None, ...]]
 # The approximate number of poses that are cached.
 MAX_POSES = 100_000
 _NO_SHAPES = (
-    "the shapes of {!r} are known of its tick {} only: its ticks are not recorded, so that rows of "
-    "another one cannot be compared"
+    "only the shapes of tick {1} of {0!r} are known: its ticks are not recorded, so that rows of "
+    "another tick cannot be compared"
 )
 
 
@@ -43,13 +43,13 @@ class WorldHistory:
         store: the store that holds them.
         record: the record, which reads them.
         recorder: the recorder that adds ticks; None if they are only read.
-        shown: the rows that DuckDB reads in place, by table.
+        visible_rows: the rows that DuckDB reads in place, by table.
     """
 
     store: TickArchive
     record: Record
     recorder: Recorder | None = None
-    shown: tuple[Mapping[str, VisibleRows], ...] = ()
+    visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
 
 @dataclass
@@ -57,13 +57,13 @@ class BoundWorld:
     """A world that is bound to a database.
 
     Attributes:
-        reference: a weak reference to the world; it gives None when no one else holds the world.
+        reference: a weak reference to the world; None when nothing else refers to the world.
         key: the prefix of its buffers' names among DuckDB's temporary views.
         schemas: its names; ssduck's own statements use the first.
         versions: the versions of the tables that DuckDB has registered.
         planned_margins: the margins, m, that DuckDB's plans assume.
         history: its recorded ticks; None if they are not recorded.
-        held: the world, if the user named it, so that it stays.
+        named_world: the world, if the user named it; it keeps the world alive.
     """
 
     reference: weakref.ref[World]
@@ -71,14 +71,14 @@ class BoundWorld:
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
     history: WorldHistory | None = None
-    held: World | None = None
+    named_world: World | None = None
     planned_margins: float = 0.0
     _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
 
     @property
     def world(self) -> World:
-        """The world, while anyone holds it."""
+        """The world, while anything refers to it."""
         world = self.reference()
         if world is None:
             raise EvaluationError(f"the world {', '.join(self.schemas)} is gone")
@@ -99,34 +99,34 @@ class BoundWorld:
             EvaluationError: the run is not that of this world, the pose not that of the tick, or
                 there is no such entity.
         """
-        own = self.world.snapshot.run
-        if run != own:
+        run_number = self.world.snapshot.run
+        if run != run_number:
             raise EvaluationError(
-                f"a row (id {id}, tick {tick}) is of the run {run}, and {self.world.name!r} is of "
-                f"the run {own}: its shapes are not known here; open the record of that run, or "
-                "write the name of its world before the relation"
+                f"a row (id {id}, tick {tick}) belongs to the run {run}, and {self.world.name!r} "
+                f"to the run {run_number}: its shapes are not known here; open the record of "
+                "that run, or write the name of its world before the relation"
             )
         poses = self._poses_at(tick)
         if id not in poses:
             raise EvaluationError(
-                f"a row (id {id}, tick {tick}) is of no entity: {self.world.name!r} has none of "
-                "that id at that tick"
+                f"a row (id {id}, tick {tick}) belongs to no entity: {self.world.name!r} has "
+                "none of that id at that tick"
             )
-        known = poses[id]
-        if known != pose:
+        recorded_pose = poses[id]
+        if recorded_pose != pose:
             raise EvaluationError(
-                f"a row (id {id}, tick {tick}) is not as it was recorded: its pose is "
-                f"{_pose_text(pose)}, and was {_pose_text(known)}; relations of shapes are of what "
-                f"was: ask what_if for {self.world.name!r} with other poses"
+                f"a row (id {id}, tick {tick}) differs from the record: its pose is "
+                f"{_pose_text(pose)}, the recorded one {_pose_text(recorded_pose)}; relations "
+                "of shapes use recorded poses; what_if makes a world with other poses"
             )
 
     def _poses_at(self, tick: int) -> Poses:
         """Returns the poses of the entities at a tick, by id, from a cache if possible."""
         if tick not in self._poses:
-            told = self._read_poses(tick)
-            while self._poses and (len(self._poses) + 1) * len(told) > MAX_POSES:
+            poses = self._read_poses(tick)
+            while self._poses and (len(self._poses) + 1) * len(poses) > MAX_POSES:
                 self._poses.popitem(last=False)
-            self._poses[tick] = told
+            self._poses[tick] = poses
         return self._poses[tick]
 
     def _read_poses(self, tick: int) -> Poses:
@@ -140,28 +140,29 @@ class BoundWorld:
         else:
             rows = self.history.record.rows("entities", tick)
             ids, columns = rows["id"], np.array([rows[name] for name in POSE])
-        told = columns.T.tolist()
+        poses = columns.T.tolist()
         if np.isnan(columns).any():
-            told = [[None if math.isnan(one) else one for one in pose] for pose in told]
-        return dict(zip(ids.tolist(), map(tuple, told), strict=True))
+            poses = [[None if math.isnan(number) else number for number in pose] for pose in poses]
+        return dict(zip(ids.tolist(), map(tuple, poses), strict=True))
 
     def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
         """Returns the rows that DuckDB reads in place, each with its table and its name."""
-        found: list[tuple[str, str, LiveTable | VisibleRows]] = [
-            (table, self.live(table), live) for table, live in self.world.snapshot.tables.items()
+        buffers: list[tuple[str, str, LiveTable | VisibleRows]] = [
+            (table, self.live_view(table), live)
+            for table, live in self.world.snapshot.tables.items()
         ]
-        for part, tables in enumerate(self.history.shown if self.history is not None else ()):
+        for part, tables in enumerate(self.history.visible_rows if self.history else ()):
             for table, rows in tables.items():
-                found.append((RECORDED[table].history_view, self.waiting(table)[part], rows))
-        return found
+                buffers.append((RECORDED[table].history_view, self.buffer_views(table)[part], rows))
+        return buffers
 
-    def live(self, table: str) -> str:
+    def live_view(self, table: str) -> str:
         """Returns the name of a table's buffers among DuckDB's temporary views."""
         return f"{self.key}: {table}"
 
-    def waiting(self, table: str) -> list[str]:
+    def buffer_views(self, table: str) -> list[str]:
         """Returns the names of the rows that are not stored yet, among DuckDB's temporary views."""
-        parts = len(self.history.shown) if self.history is not None else 0
+        parts = len(self.history.visible_rows) if self.history is not None else 0
         return [f"{self.key}: {table} that wait, {part}" for part in range(parts)]
 
     def shapes(self, tick: int | None, ids: Sequence[int] | None) -> ShapeQueries:
@@ -188,8 +189,8 @@ class BoundWorld:
         now = self.world.snapshot.margins
         return now if self.history is None else max(now, self.history.record.margins)
 
-    def note_margins(self, tick: int | None) -> None:
-        """Warns, once of each entity, if recorded ticks have other margins than the present one.
+    def warn_of_changed_margins(self, tick: int | None) -> None:
+        """Warns, once for each entity, if recorded ticks have other margins than the current one.
 
         Args:
             tick: the number of the tick; None for the present one.
@@ -206,8 +207,8 @@ class BoundWorld:
             self._changed_margins.update(new)
             warn(
                 f"{self.world.name!r}: the collision margins of {joined_names(new)} were changed; "
-                "recorded ticks go by those that a body came with, so that on, touching and "
-                "their like may differ there from what the simulator did",
+                "recorded ticks have the margins with which a body was first recorded, so that on, "
+                "touching and similar relations may differ there from the simulator",
             )
 
     def joints(self, tick: int, id: int) -> EntityJoints:
@@ -219,24 +220,26 @@ class BoundWorld:
         snapshot = self.world.snapshot
         if tick == snapshot.number and "joints" not in snapshot.unavailable:
             member, rows = snapshot.entities[snapshot.rows[id]], snapshot.tables["joints"]
-            own: Mapping[str, Any] = {name: rows[name] for name in ("entity", "position")}
+            columns: Mapping[str, Any] = {name: rows[name] for name in ("entity", "position")}
         else:
-            own = self._recorded("joints", tick)
+            columns = self._recorded("joints", tick)
             assert self.history is not None
             member = self.history.record.members[id]
         joints = () if member.body is None else member.body.joints
-        return EntityJoints(member.name, joints, own["position"][own["entity"] == id].tolist())
+        return EntityJoints(
+            member.name, joints, columns["position"][columns["entity"] == id].tolist()
+        )
 
     def joint_owners(self) -> dict[str, set[int]]:
         """Returns the ids of the entities that have a joint of each name, at any tick."""
         members = {member.id: member for member in self.world.snapshot.entities}
         if self.history is not None:
             members.update(self.history.record.members)
-        found: dict[str, set[int]] = {}
+        owners: dict[str, set[int]] = {}
         for id, member in members.items():
             for joint in () if member.body is None else member.body.joints:
-                found.setdefault(joint.name, set()).add(id)
-        return found
+                owners.setdefault(joint.name, set()).add(id)
+        return owners
 
     def _recorded(self, table: str, tick: int) -> Mapping[str, Any]:
         """Returns the columns of a table at a recorded tick.
@@ -251,13 +254,13 @@ class BoundWorld:
             raise UnsupportedError(not_recorded_message(table, self.world.name))
         return record.rows(table, tick)
 
-    def told(self, what: str, tick: int, a: int, b: int) -> list[float]:
+    def recorded_numbers(self, kind: str, tick: int, a: int, b: int) -> list[float]:
         """Returns the values of contacts or sensors at a recorded tick.
 
         Raises:
             UnsupportedError: they are not recorded.
         """
-        return LOOKUPS[what](partial(self._recorded, tick=tick), a, b)
+        return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)
 
 
 def _pose_text(pose: Sequence[float | None]) -> str:

@@ -41,9 +41,9 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # The time between two interrupts of a statement whose time is up, s.
 INTERRUPT_INTERVAL = 0.02
-# So many rows are fetch one by one.
+# The largest number of rows that are fetched as tuples.
 _BY_ROW = 100
-# The types whose values are the same by column; NumPy lacks those of other types.
+# The types whose columns NumPy represents exactly.
 _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
 # The path of a database in memory.
 MEMORY = ":memory:"
@@ -76,7 +76,7 @@ class Connection:
             self._connection = duckdb.connect(self._path)
         except duckdb.Error as error:
             raise SqlError(_open_error_text(path, error)) from error
-        # Left open until Python ends, it would print complaints there.
+        # A connection that is open when Python ends prints errors.
         self._finalizer = weakref.finalize(self, _finish, self._connection, recorders, os.getpid())
         self._tracer = tracer
         self.meter = UsageMeter(limits)
@@ -84,25 +84,25 @@ class Connection:
         self._at_start: dict[str, Callable[[], None]] = {}
         # The exception of a function that SQL called: DuckDB keeps its text only.
         self._raised: list[BaseException] = []
-        # The data are small and the queries many: a second thread costs more than it gives.
+        # For small data and many queries, a second thread costs more time than it saves.
         self.run("SET threads = 1")
-        # In DuckDB 2.0.0 a range join of a prepared statement ends the database at its second run,
-        # from 1,000 rows on, where it is a merge join; a nested loop is right.
+        # In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
+        # invalidates the database at its second run. A nested loop is correct.
         self.run("SET merge_join_threshold = 1000000000")
-        # It would be drawn on standard output, amid what a program prints there.
+        # DuckDB would draw it on standard output.
         self.run("SET enable_progress_bar = false")
-        # A name that no table has is an error, not a variable of the caller's.
+        # The name of an unknown table is an error, not a Python variable of the caller.
         self.run("SET python_enable_replacements = false")
         if self.is_file:
             self.run("SET wal_autocheckpoint = '1TB'")  # see WriterConnection.checkpoint
 
-    def confine(self) -> None:
+    def apply_limits(self) -> None:
         """Applies the limits of memory and files to all later statements."""
         limits = self.meter.limits
         if limits.memory is not None:
             memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
             self.run(f"SET memory_limit = {memory}")
-            # What does not fit is an error, and no file in the working directory.
+            # A query that exceeds the limit fails instead of writing to the working directory.
             self.run("SET temp_directory = ''")
         if not limits.files:
             self.run("SET enable_external_access = false")
@@ -122,7 +122,7 @@ class Connection:
         """Stores the waiting ticks, and closes the connection.
 
         Raises:
-            SqlError: the ticks cannot be stored, as the disk is full, say; the connection is
+            SqlError: the ticks cannot be stored, for example on a full disk; the connection is
                 closed.
         """
         self._finalizer()
@@ -160,11 +160,11 @@ class Connection:
         self,
         name: str,
         function: Callable[..., Any],
-        takes: Sequence[str],
-        gives: str,
+        parameter_types: Sequence[str],
+        result_type: str,
         *,
         at_start: Callable[[], None] | None = None,
-        **how: Any,
+        **options: Any,
     ) -> None:
         """Registers a Python function with SQL; replaces one of that name.
 
@@ -173,10 +173,10 @@ class Connection:
         Args:
             name: the name of the function.
             function: the function; it must not keep this object alive.
-            takes: the SQL types of its arguments.
-            gives: the SQL type of its result.
+            parameter_types: the SQL types of its arguments.
+            result_type: the SQL type of its result.
             at_start: a function that is called before each statement.
-            how: other options of DuckDB.
+            options: other options of DuckDB.
         """
         if name in self._functions:
             self._connection.remove_function(name)
@@ -189,10 +189,10 @@ class Connection:
                 raised[:] = [error]
                 raise
 
-        _give_arity(call, len(takes))
-        types: list[Any] = list(takes)
-        result: Any = gives
-        self._connection.create_function(name, call, types, result, **how)
+        _give_arity(call, len(parameter_types))
+        types: list[Any] = list(parameter_types)
+        result: Any = result_type
+        self._connection.create_function(name, call, types, result, **options)
         self._functions.add(name)
         if at_start is not None:
             self._at_start[name] = at_start
@@ -200,26 +200,26 @@ class Connection:
     # -- statements -----------------------------------------------------------------------
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
-        """Returns all rows of a statement from the translator; the caller holds the worlds."""
-        most = self.meter.limits.rows
+        """Returns all rows of a statement from the translator; the caller pins the worlds."""
+        max_rows = self.meter.limits.rows
 
         def fetch() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
-            return _all_rows(result) if most is None else result.fetchmany(most + 1)
+            return _all_rows(result) if max_rows is None else result.fetchmany(max_rows + 1)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
         return rows
 
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
-        """Returns all rows of a user's statement; the caller holds the worlds."""
-        most = self.meter.limits.rows
+        """Returns all rows of a user's statement; the caller pins the worlds."""
+        max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
-            return (relation if most is None else relation.limit(most + 1)).to_arrow_table()
+            return (relation if max_rows is None else relation.limit(max_rows + 1)).to_arrow_table()
 
         table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)
@@ -229,7 +229,7 @@ class Connection:
         """Runs a statement of ssduck's own, which no limit cuts off unless `timed` is set."""
         self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=timed)
 
-    def own_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
+    def internal_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """Returns all rows of a statement of ssduck's own, which no time limit ends."""
         work = partial(self._connection.execute, sql, parameters)
         return self._execute(sql, lambda: work().fetchall(), timed=False)
@@ -270,7 +270,7 @@ class Connection:
         finally:
             try:
                 _end(listener, timer)
-            except KeyboardInterrupt:  # it may have come before the end
+            except KeyboardInterrupt:  # it may have come before `_end` was done
                 _end(listener, timer)
                 raise
         return result
@@ -281,7 +281,7 @@ class Connection:
             return None
 
         def interrupt() -> None:
-            # A statement that has not begun yet does not notice.
+            # DuckDB ignores an interrupt before the statement begins, so it is repeated.
             self._interrupt()
             while not timer.finished.wait(INTERRUPT_INTERVAL):
                 self._interrupt()
@@ -308,7 +308,7 @@ class Connection:
         if isinstance(error, RuntimeError | duckdb.InterruptException):
             raise KeyboardInterrupt from error
         if isinstance(error, duckdb.OutOfMemoryException):
-            raise LimitError(f"the query takes more memory than there is: {error}") from error
+            raise LimitError(f"the query needs more memory than available: {error}") from error
         refused = isinstance(error, _REFUSAL_ERRORS)
         raise SqlError(str(error).strip() + _hint(error), is_refused=refused) from error
 
@@ -318,18 +318,18 @@ _MISSING_FIELD = re.compile('Could not find key "(\\w+)" in struct')
 
 def _hint(error: Exception) -> str:
     """Returns a hint for a row that lacks a column which a relation of shapes reads."""
-    found = _MISSING_FIELD.search(str(error))
-    if found is None or found.group(1) not in IDENTIFYING_COLUMNS:
+    match = _MISSING_FIELD.search(str(error))
+    if match is None or match.group(1) not in IDENTIFYING_COLUMNS:
         return ""
     return (
-        f"\nRelations look at {', '.join(IDENTIFYING_COLUMNS)} of a row, to know whose it is: "
-        "give them whole rows of entities (SELECT *); a record that is older than the column run "
-        "is to be opened"
+        f"\nRelations identify an entity by {', '.join(IDENTIFYING_COLUMNS)} of its row: "
+        "select whole rows of entities (SELECT *), and open a record that lacks the column run "
+        "with ssduck.open"
     )
 
 
 def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
-    """Returns all rows of a result: many of them by column, which takes a quarter of the time."""
+    """Returns all rows of a result; many rows are fetched by column, in a quarter of the time."""
     rows: list[tuple[Any, ...]] = result.fetchmany(_BY_ROW)
     if len(rows) == _BY_ROW:
         if all(str(column[1]) in _BY_COLUMN for column in result.description):
@@ -341,7 +341,7 @@ def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
 
 
 def _is_duckdb_error(error: Exception) -> bool:
-    """Tells whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
+    """Checks whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
     if isinstance(error, RuntimeError):
         return "interrupted" in str(error).lower()
     return isinstance(error, duckdb.Error)
@@ -356,39 +356,39 @@ def _end(listener: ctrl_c.InterruptListener, timer: threading.Timer | None) -> N
 
 
 def _absolute_path(path: str, *, is_written: bool = False) -> str:
-    """Returns the path of a file for DuckDB: absolute, as `md:x` would name a service.
+    """Returns the absolute path of a file, because `md:x` would name a service for DuckDB.
 
     Raises:
-        SqlError: the path has a character that DuckDB does not read as such.
+        SqlError: DuckDB would misread a character of the path.
     """
     try:
-        place = str(expand_path(path).absolute())
-        place.encode()
+        absolute = str(expand_path(path).absolute())
+        absolute.encode()
     except (OSError, RuntimeError, ValueError) as error:
-        raise SqlError(f"{short_repr(path)} is no path of a file: {error}") from error
-    if "\0" in place or ("\\" in place and os.sep != "\\"):
+        raise SqlError(f"{short_repr(path)} is not the path of a file: {error}") from error
+    if "\0" in absolute or ("\\" in absolute and os.sep != "\\"):
         raise SqlError(
-            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB takes a backslash "
-            "for a "
-            "slash, and knows no null character"
+            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB reads a backslash "
+            "as a slash, and allows no null character"
         )
-    if is_written and "?" in str(Path(place).parent):  # its log would be in a folder without it
+    if is_written and "?" in str(
+        Path(absolute).parent
+    ):  # DuckDB would write its log to another folder
         raise SqlError(
-            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB takes what is "
-            "behind a "
-            "question mark in the name of a folder for no part of it; rename the folder"
+            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB ignores the "
+            "part of a folder's name from a question mark on; rename the folder"
         )
-    return place
+    return absolute
 
 
 def _open_error_text(path: str, error: Exception) -> str:
     """Returns the message about a file that cannot be opened."""
     if "already attached" in str(error):
-        return f"{path} is open in this process: close it first, or ask the interpreter that has it"
+        return f"{path} is open in this process: close it first, or use the interpreter that has it"
     if "lock" in str(error).lower():
         return (
-            f"{path} is in use by another process, and DuckDB lets one at a time: close it there, "
-            f"or export it there as Parquet, which any number can read: {str(error).strip()}"
+            f"{path} is in use by another process, and DuckDB allows one at a time: close it "
+            f"there, or export it there as Parquet, which any number can read: {str(error).strip()}"
         )
     return f"{path} cannot be opened: {str(error).strip()}"
 
@@ -397,7 +397,9 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
     """Stores the waiting ticks and closes; in a forked process, leaves that to the parent."""
     if os.getpid() != process:
         return
-    if any(recorder.is_writer_thread for recorder in recorders):  # what collects garbage
+    if any(
+        recorder.is_writer_thread for recorder in recorders
+    ):  # in its own thread, by garbage collection
         threading.Thread(target=_finish, args=(connection, recorders, process)).start()
         return
     failed = None
@@ -407,7 +409,7 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
                 recorder.flush()
             except SelectScriptError as error:
                 failed = failed or error
-    finally:  # else its functions, which may refer to it, would keep it until Python ends
+    finally:  # its functions may refer to it, and would keep it open until Python ends
         connection.close()
     if failed is not None:
         raise failed

@@ -1,7 +1,8 @@
 """The one door to DuckDB: worlds as schemas, statements, and the tick that they run on.
 
-A `Database` is a `Connection` on which statements run, and the `WorldRegistry` that they are about,
-each a schema of views that look into its buffers. Nothing outside this folder imports `duckdb`.
+A `Database` is a `Connection` on which statements run, and the `WorldRegistry` of the worlds that
+they read. Each world is a schema of views on its buffers. Nothing outside this folder imports
+`duckdb`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from ssduck.database.connection import Connection, Parameters
-from ssduck.database.functions import add_own, add_users, converter_of
+from ssduck.database.functions import add_geometry_functions, add_user_function, converter_of
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import ReferencedTables, check_length, reads_recorded_masses
 from ssduck.database.schemas import Schemas
@@ -68,14 +69,15 @@ class Database:
         )
         if self.connection.is_file:
             self._schemas.drop_stale_views()
-        add_own(self.connection, self._worlds.by_schema)
-        self.connection.confine()
+        add_geometry_functions(self.connection, self._worlds.by_schema)
+        self.connection.apply_limits()
 
     def close(self) -> None:
-        """Close the connection; a file is_recorded no views or macros on worlds that are gone.
+        """Closes the connection; in a file, it drops the views and macros on live worlds.
 
         Raises:
-            SqlError: what waits cannot be stored, for the disk is full, say; it is closed then.
+            SqlError: waiting ticks cannot be stored, for example on a full disk; the connection is
+                closed nevertheless.
         """
         with self._lock:
             if not self.connection.is_open:
@@ -105,7 +107,7 @@ class Database:
         if self.connection.meter.limits.seconds is not None:
             check_length(sql)
         tables = self._references.tables(sql)
-        with self.held(tables, self._references.worlds(sql, self._worlds.bound)):
+        with self.pinned(tables, self._references.worlds(sql, self._worlds.bound)):
             schemas = list(self._worlds.by_schema)
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)
@@ -117,12 +119,12 @@ class Database:
             return self.connection.table(sql, parameters)
 
     @contextmanager
-    def held(
+    def pinned(
         self,
         tables: set[str] | frozenset[str] = frozenset(),
         worlds: Collection[World] | None = None,
     ) -> Iterator[None]:
-        """Holds all worlds at their tick while statements run.
+        """Pins all worlds at their tick while statements run.
 
         Args:
             tables: the tables to read, from the simulators if need be.
@@ -130,24 +132,24 @@ class Database:
         """
         with ExitStack() as stack:
             stack.enter_context(self._lock)
-            # In one order in all databases, so that no two wait for each other.
-            there = [
+            # In the same order in all databases, so that there is no deadlock.
+            present = [
                 (world, bound)
                 for bound in self._worlds.bound
                 if (world := bound.reference()) is not None
             ]
-            for world, _ in sorted(there, key=lambda each: each[0].serial):
-                asked = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.pinned(tables if asked else ()))
-            for _, bound in there:
+            for world, _ in sorted(present, key=lambda item: item[0].serial):
+                reads = worlds is None or any(world is other for other in worlds)
+                stack.enter_context(world.pinned(tables if reads else ()))
+            for _, bound in present:
                 if bound.history is not None and bound.history.recorder is not None:
                     stack.enter_context(bound.history.recorder.read_lock)
-                self._worlds.show(bound)
+                self._worlds.register(bound)
             yield
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""
-        add_users(self.connection, signature, function, self._worlds.by_schema)
+        add_user_function(self.connection, signature, function, self._worlds.by_schema)
 
     def converter(self, sql_type: SqlType) -> Converter | None:
         """Returns the function from values of SQL to Python's; None if they are the same."""
@@ -166,7 +168,7 @@ class Database:
             self._worlds.bind(name, world)
 
     def sweep(self) -> bool:
-        """Drops worlds that no one else holds; tells whether there were any.
+        """Drops worlds to which nothing else refers; returns whether there were any.
 
         No statement may be running, and no plan may be used after that.
         """
@@ -211,7 +213,7 @@ class Database:
             self._worlds.record(bound, recording)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
-        """Also writes the ticks of a world to a folder from now on."""
+        """Writes the ticks of a world to a folder, too, from now on."""
         with self._lock:
             check_is_live(world)
             check_names(recording, world.snapshot.entities)
@@ -227,12 +229,12 @@ class Database:
             history = self._worlds.entry(world).history
             if history is None:
                 raise EvaluationError(
-                    f"the ticks of {world.name!r} are not recorded; record(…) lets them be"
+                    f"the ticks of {world.name!r} are not recorded; record(…) starts a recording"
                 )
             return history.record
 
     def is_recorded(self, world: World) -> bool:
-        """Tells whether the ticks of a world are recorded."""
+        """Checks whether the ticks of a world are recorded."""
         return self._worlds.entry(world).history is not None
 
     def export(
@@ -240,7 +242,7 @@ class Database:
         world: World,
         path: Path,
         names: tuple[str, ...] | None,
-        between: tuple[float | None, float | None],
+        time_range: tuple[float | None, float | None],
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
@@ -253,12 +255,12 @@ class Database:
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording
-            return export(record, recording, self.schema_of(world), path, names, between)
+            return export(record, recording, self.schema_of(world), path, names, time_range)
 
     def flush(self) -> dict[str, int]:
         """Stores waiting ticks; returns the last tick of each world, by its schema."""
         with self._lock:
-            found = {}
+            last_ticks = {}
             for bound in self._worlds.bound:
                 world = bound.reference()
                 recorder = bound.history.recorder if bound.history is not None else None
@@ -266,5 +268,5 @@ class Database:
                     with world.pinned():
                         recorder.flush()
                         numbers = recorder.ticks.numbers
-                        found[bound.schemas[0]] = int(numbers[-1])
-            return found
+                        last_ticks[bound.schemas[0]] = int(numbers[-1])
+            return last_ticks

@@ -1,6 +1,6 @@
 """The Python functions that SQL calls: users', and those of shapes and of recorded ticks.
 
-They know worlds by the names of their schemas, and not the database, which they would keep alive.
+They refer to worlds by the names of their schemas: a reference to the database would keep it alive.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
 from ssduck.sql.types import Signature, SqlType
 
 
-def add_users(
+def add_user_function(
     connection: Connection,
     signature: Signature,
     function: Function,
@@ -41,14 +41,14 @@ def add_users(
     """Registers a user's function with SQL; replaces one of that signature."""
     converters = [converter_of(sql_type, worlds) for sql_type in signature.parameters]
 
-    def given(arguments: list[Any]) -> Any:
+    def call_with_list(arguments: list[Any]) -> Any:
         values = [
             value if convert is None else convert(value)
             for convert, value in zip(converters, arguments, strict=True)
         ]
-        return _usable(function(values), signature.result)
+        return _exact_value(function(values), signature.result)
 
-    memo = Memo(given, keeps_same=False)
+    memo = Memo(call_with_list, by_identity=False)
 
     def call(*arguments: Any) -> Any:
         return memo(list(arguments))
@@ -67,14 +67,14 @@ def converter_of(sql_type: SqlType, worlds: Mapping[str, BoundWorld]) -> Convert
         worlds: the worlds of the database by name, up to date.
     """
     return converter(
-        sql_type, _Parts(worlds, lambda bound: bound.world), _Parts(worlds, _record_of)
+        sql_type, _WorldParts(worlds, lambda bound: bound.world), _WorldParts(worlds, _record_of)
     )
 
 
 T = TypeVar("T")
 
 
-class _Parts(Mapping[str, T]):
+class _WorldParts(Mapping[str, T]):
     """A mapping to a part of each world in a database, up to date.
 
     Args:
@@ -101,28 +101,28 @@ def _record_of(bound: BoundWorld) -> Record:
     return bound.history.record
 
 
-def _usable(value: Any, sql_type: SqlType) -> Any:
-    """Returns a value if SQL keeps it as it is: it would turn 3 into 3.0, and NaN into NULL."""
+def _exact_value(value: Any, sql_type: SqlType) -> Any:
+    """Returns a value if SQL preserves it; SQL turns 3 into 3.0, and NaN into NULL."""
     if not is_exactly(value, sql_type):
-        raise ValueError("no value for SQL")
+        raise ValueError("SQL does not preserve the value")
     return value
 
 
-def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
-    """Make the functions of shapes and of recorded ticks some of SQL.
+def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
+    """Registers the functions of shapes, joints and recorded ticks with SQL.
 
     Args:
-        connection: where.
-        worlds: by their names, as they come and go.
+        connection: the connection to the database.
+        worlds: the worlds of the database by name, up to date.
     """
     for udf in GEOMETRY_UDFS.values():
         connection.add_function(
             udf.name,
-            _geometry(udf, worlds),
+            _geometry_function(udf, worlds),
             udf.parameters,
             udf.result,
-            null_handling=FunctionNullHandling.SPECIAL,  # it may yield none
-            side_effects=udf.entities == 0,  # all pairs of a tick: not to be found for good
+            null_handling=FunctionNullHandling.SPECIAL,  # its result may be NULL
+            side_effects=udf.entities == 0,  # all pairs of a tick change with the tick
         )
     connection.add_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
     connection.add_function(
@@ -132,12 +132,12 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
         "BIGINT",
         null_handling=FunctionNullHandling.SPECIAL,  # a pose may be unknown
     )
-    for (name, (function, more)), prefix in product(JOINT_UDFS.items(), ("", LENIENT_PREFIX)):
-        call = partial(_of_joints, worlds, function)
+    for (name, (function, parameters)), prefix in product(JOINT_UDFS.items(), ("", LENIENT_PREFIX)):
+        call = partial(_joint_value, worlds, function)
         connection.add_function(
             prefix + name,
-            partial(_if_any, worlds, call) if prefix else call,
-            ("VARCHAR", "BIGINT", "BIGINT", *more),
+            partial(_lenient_joint_value, worlds, call) if prefix else call,
+            ("VARCHAR", "BIGINT", "BIGINT", *parameters),
             "DOUBLE",
             null_handling=FunctionNullHandling.SPECIAL,
         )
@@ -145,10 +145,10 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
     for search in PAIR_SEARCHES:
         if search.predicate is None:
             continue
-        # In columns: as lists, some thousand pairs took as long as comparing them.
+        # As Arrow columns: converting lists would take as long as comparing the pairs.
         connection.add_function(
             search.name_over_ticks,
-            partial(_then, worlds, search.predicate),
+            partial(_pairs_over_ticks, worlds, search.predicate),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
             pairs,
             type=PythonUDFType.ARROW,
@@ -156,40 +156,43 @@ def add_own(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
         )
     connection.add_function(
         RECORDED_NUMBERS_UDF,
-        partial(_told, worlds),
+        partial(_recorded_numbers, worlds),
         ("VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"),
         "DOUBLE[]",
         side_effects=True,
     )
 
 
-def _geometry(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
-    """A function of shapes, of a world's name and of entities: of each its tick and its id."""
-    after = 2 * udf.entities
+def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
+    """Returns a function of shapes for SQL.
+
+    Its arguments are a world's name, the tick and the id of each entity, and further values.
+    """
+    id_count = 2 * udf.entities
 
     def call(world: str, *arguments: Any) -> Any:
         if None in arguments:
             return None
         if world not in worlds:
             raise UnknownNameError(f"there is no world {world!r} here any more")
-        ticks = set(arguments[:after:2])
+        ticks = set(arguments[:id_count:2])
         if len(ticks) > 1:
             raise UnsupportedError(
                 "shapes are compared at one tick: these rows are of the ticks "
                 f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
             )
-        ids = arguments[1:after:2]
+        ids = arguments[1:id_count:2]
         tick = ticks.pop() if ticks else None
         shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else ids)
         if udf.uses_margins:
-            worlds[world].note_margins(tick)
-        return udf.function(shapes, *ids, *arguments[after:])
+            worlds[world].warn_of_changed_margins(tick)
+        return udf.function(shapes, *ids, *arguments[id_count:])
 
     return call
 
 
 def _margins(worlds: Mapping[str, BoundWorld], world: str) -> float:
-    """How far apart shapes may be that touch by their margins, metres."""
+    """Returns the largest distance, m, of shapes that touch by their margins."""
     return worlds[world].margins if world in worlds else 0.0
 
 
@@ -201,7 +204,7 @@ def _checked_tick(
     id: int | None,
     *pose: float | None,
 ) -> int | None:
-    """The tick of a row of entities, if it is one of that world, and as it was."""
+    """Returns the tick of a row of entities, checked against the record of the world."""
     if tick is None or id is None:
         return None
     if world not in worlds:
@@ -210,22 +213,25 @@ def _checked_tick(
     return tick
 
 
-def _of_joints(
+def _joint_value(
     worlds: Mapping[str, BoundWorld],
-    answer: Callable[..., float | None],
+    function: Callable[..., float | None],
     world: str,
     *arguments: Any,
 ) -> float | None:
-    """What the joints of an entity tell, of its tick, its id and a name."""
+    """Returns the value of a function of an entity's joints.
+
+    Its arguments are the tick, the id of the entity, and further values.
+    """
     if None in arguments:
         return None
     if world not in worlds:
         raise UnknownNameError(f"there is no world {world!r} here any more")
     tick, id, *more = arguments
-    return answer(worlds[world].joints(tick, id), *more)
+    return function(worlds[world].joints(tick, id), *more)
 
 
-def _if_any(
+def _lenient_joint_value(
     worlds: Mapping[str, BoundWorld],
     call: Callable[..., float | None],
     world: str,
@@ -233,7 +239,7 @@ def _if_any(
     id: int,
     *name: str,
 ) -> float | None:
-    """The same of raw SQL: None of an entity without a joint that another one has."""
+    """Returns the value for raw SQL: None for an entity without a joint that another one has."""
     try:
         return call(world, tick, id, *name)
     except JointError:
@@ -248,31 +254,33 @@ def _if_any(
         return None
 
 
-def _then(
-    worlds: Mapping[str, BoundWorld], of: PredicateKind, *arguments: pa.ChunkedArray
+def _pairs_over_ticks(
+    worlds: Mapping[str, BoundWorld], kind: PredicateKind, *arguments: pa.ChunkedArray
 ) -> pa.ListArray:
-    """The narrow phase over many ticks, of columns of what is asked for."""
+    """Returns the pairs that the narrow phase finds over ranges of ticks, given as columns."""
 
-    def found(world: str, first: int, last: int, a: int, b: int, distance: float) -> pa.StructArray:
+    def pairs_of(
+        world: str, first: int, last: int, a: int, b: int, distance: float
+    ) -> pa.StructArray:
         history = worlds[world].history
         if history is None:
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
-        question = PairPredicate(of, depth(distance) if of == "colliding" else distance)
-        apart = 0.0 if of == "colliding" else distance
-        if of == "touching":
-            worlds[world].note_margins(first)
-        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, apart), question)
+        predicate = PairPredicate(kind, depth(distance) if kind == "colliding" else distance)
+        reach = 0.0 if kind == "colliding" else distance
+        if kind == "touching":
+            worlds[world].warn_of_changed_margins(first)
+        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, reach), predicate)
         return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PREDICATE_COLUMNS)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)
-    answers = [found(*row) for row in rows]
-    ends = accumulate(map(len, answers), initial=0)
+    results = [pairs_of(*row) for row in rows]
+    ends = accumulate(map(len, results), initial=0)
     offsets = pa.array(ends, pa.int32())
-    return pa.ListArray.from_arrays(offsets, pa.concat_arrays(answers))
+    return pa.ListArray.from_arrays(offsets, pa.concat_arrays(results))
 
 
-def _told(
-    worlds: Mapping[str, BoundWorld], world: str, what: str, tick: int, a: int, b: int
+def _recorded_numbers(
+    worlds: Mapping[str, BoundWorld], world: str, kind: str, tick: int, a: int, b: int
 ) -> list[float]:
-    """What contacts and sensors told at a recorded tick."""
-    return worlds[world].told(what, tick, a, b)
+    """Returns the values of contacts or sensors at a recorded tick."""
+    return worlds[world].recorded_numbers(kind, tick, a, b)

@@ -21,12 +21,12 @@ from typing import TypeAlias
 
 Stop: TypeAlias = Callable[[], None]
 
-# What wraps it looks for an enumeration, and takes as long as all else here.
+# Without its wrapper, which looks up an enumeration and takes as long as the rest of this module.
 _handler = inspect.unwrap(signal.getsignal)
 _write_to = partial(signal.set_wakeup_fd, warn_on_full_buffer=False)
 
 
-class _Line:
+class _SignalSocket:
     """The socket that signals are written to, and the thread that listens to it.
 
     Signals are taken only under the lock: by the thread, or by the listener that leaves. So a
@@ -40,7 +40,7 @@ class _Line:
         self._receiver.setblocking(False)
         self._sender.setblocking(False)
         self.number = self._sender.fileno()
-        # An error for nothing written takes longer than all else here; Windows has no `poll`.
+        # Polling is cheaper than the error of an empty socket; Windows has no `poll`.
         self._poll = select.poll() if hasattr(select, "poll") else None
         if self._poll is not None:
             self._poll.register(self._receiver, select.POLLIN)
@@ -68,7 +68,7 @@ class _Line:
         except BlockingIOError:
             return
         if self.current is not None:
-            self.current.hear(signals, stops=stops)
+            self.current.receive(signals, stops=stops)
 
 
 class InterruptListener:
@@ -81,15 +81,15 @@ class InterruptListener:
         stop: a function that is called at Ctrl-C, from another thread.
 
     Attributes:
-        pressed: whether Ctrl-C was pressed; certain once `leave` was called.
+        pressed: whether Ctrl-C was pressed; final after `leave`.
     """
 
     def __init__(self, stop: Stop) -> None:
         self.pressed = False
         self._stop = stop
-        self._line: _Line | None = None
+        self._line: _SignalSocket | None = None
         self._outer: InterruptListener | None = None
-        # Where signals were written before; at most one place.
+        # The file descriptor of the previous signal handler, if there was one.
         self._before: list[int] = []
 
     def enter(self) -> None:
@@ -97,13 +97,13 @@ class InterruptListener:
         main = threading.current_thread() is threading.main_thread()
         if not main or _handler(signal.SIGINT) is not signal.default_int_handler:
             return
-        self._line = line = _opened()
+        self._line = line = _open_socket()
         with line.lock:
             if line.current is not None:
                 line.take()
             self._outer = line.current
             line.current = self
-        # In one call of C, amid which nothing is raised that would lose what it gives.
+        # In one C call, so that no exception between the calls loses the result.
         self._before.extend(map(_write_to, (line.number,)))
 
     def leave(self) -> None:
@@ -117,33 +117,33 @@ class InterruptListener:
             line.take(stops=False)
             line.current = self._outer
 
-    def hear(self, signals: bytes, *, stops: bool) -> None:
+    def receive(self, signals: bytes, *, stops: bool) -> None:
         """Receives signals, and passes them on."""
         if signal.SIGINT in signals:
             self.pressed = True
             if stops:
                 self._stop()
-        self.hand_on(signals)
+        self.pass_on(signals)
 
-    def hand_on(self, signals: bytes) -> None:
-        """Passes signals on to the listener before."""
+    def pass_on(self, signals: bytes) -> None:
+        """Passes signals on to the previous listener."""
         assert self._line is not None
         before = self._before[0] if self._before else self._line.number
         if before != self._line.number:
-            with suppress(OSError):  # nobody, or one who reads no more
+            with suppress(OSError):  # closed, or no longer read
                 os.write(before, signals)
         elif self._outer is not None:
-            self._outer.hand_on(signals)
+            self._outer.pass_on(signals)
 
 
-_line: _Line | None = None
+_line: _SignalSocket | None = None
 
 
-def _opened() -> _Line:
+def _open_socket() -> _SignalSocket:
     """Returns the line of this process."""
     global _line  # noqa: PLW0603
     if _line is None:
-        _line = _Line()
+        _line = _SignalSocket()
     return _line
 
 

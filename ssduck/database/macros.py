@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from sqlglot import exp
 
@@ -26,7 +27,8 @@ class PairTableMacro:
     Attributes:
         name: its name in a world's schema; the schema of the only world may be omitted.
         parameters: its parameters.
-        candidates: the pairs; `apart` is one of the parameters.
+        search: the search for pairs.
+        distance: the parameter that is the distance or the depth, m.
         about: the meaning of a row.
     """
 
@@ -36,20 +38,20 @@ class PairTableMacro:
     distance: str
     about: str
 
-    def macro(self, place: Sequence[str], schema: str) -> str:
+    def macro(self, path: Sequence[str], schema: str) -> str:
         """Returns the statement that creates it."""
         pairs = pair_table(self.search, exp.column(self.distance), schema, "pairs").table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
-        temporary = "TEMP " if place[0] == "temp" else ""
-        name = _dotted(place[1:] if temporary else place, self.name)
+        temporary = "TEMP " if path[0] == "temp" else ""
+        name = _dotted(path[1:] if temporary else path, self.name)
         parameters = ", ".join(self.parameters)
         return f"CREATE OR REPLACE {temporary}MACRO {name}({parameters}) AS TABLE {rows}"
 
-    def comment(self, place: Sequence[str]) -> str:
+    def comment(self, path: Sequence[str]) -> str:
         """Returns the statement that comments on it."""
-        said = exp.Literal.string(self.about).sql("duckdb")
-        where = ("temp", "main") if place[0] == "temp" else place
-        return f"COMMENT ON MACRO TABLE {_dotted(where, self.name)} IS {said}"
+        text = exp.Literal.string(self.about).sql("duckdb")
+        full_path = ("temp", "main") if path[0] == "temp" else path
+        return f"COMMENT ON MACRO TABLE {_dotted(full_path, self.name)} IS {text}"
 
 
 TABLE_MACROS = (
@@ -58,8 +60,8 @@ TABLE_MACROS = (
         ("depth := 1e-6",),
         COLLIDING,
         "depth",
-        "A row is the ids a, b of two entities that are deeper in each other than depth, 1e-6 m "
-        "if it is not given; each pair both ways.",
+        "A row is the ids a, b of two entities that penetrate each other by more than depth, in "
+        "metres, 1e-6 by default; each pair in both orders.",
     ),
     PairTableMacro(
         "pairs_within",
@@ -67,45 +69,55 @@ TABLE_MACROS = (
         WITHIN,
         "d",
         "A row is the ids a, b of two entities whose clearance is at most d metres; each pair "
-        "both ways.",
+        "in both orders.",
     ),
 )
 
 
-def _dotted(place: Sequence[str], name: str) -> str:
-    return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*place, name))
+def _dotted(path: Sequence[str], name: str) -> str:
+    return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*path, name))
 
 
-def description_statements(
+@lru_cache(maxsize=16)
+def description_script(
     worlds: Sequence[str],
     only: str | None,
-    known: Collection[str] | None,
+    described: Collection[str] | None,
     recorded: Collection[str] = (),
-) -> Iterator[str]:
-    """Yields the statements that create the macros and comments.
+) -> str:
+    """Returns the statements that create the macros and comments.
 
     Relations read the tables of the only world, as a row does not name its world; each world
-    also has them in its own schema.
+    also has them in its own schema. All arguments must be hashable.
 
     Args:
         worlds: the schemas of all worlds; a world may have several.
         only: the schema of the only world; None if there are several worlds.
-        known: the schemas that are described already; None if nothing is.
+        described: the schemas that are described already; None if nothing is.
         recorded: the schemas of recorded worlds.
     """
-    for relation in RELATIONS.values() if known is None else relations_with_tables():
+    return ";\n".join(_description_statements(worlds, only, described, recorded))
+
+
+def _description_statements(
+    worlds: Sequence[str],
+    only: str | None,
+    described: Collection[str] | None,
+    recorded: Collection[str],
+) -> Iterator[str]:
+    for relation in RELATIONS.values() if described is None else relations_with_tables():
         yield relation.macro(only)
         yield relation.comment()
-    if known is None:
+    if described is None:
         yield from _interval_statements()
     for table in TABLE_MACROS:
         if only is not None:
             yield table.macro(("temp",), only)
             yield table.comment(("temp",))
-        elif known:
+        elif described:
             yield f"DROP MACRO TABLE IF EXISTS {_dotted(('temp', 'main'), table.name)}"
     for schema in worlds:
-        if schema in (known or ()):
+        if schema in (described or ()):
             continue
         for relation in relations_with_tables():
             yield relation.macro(schema, inside=True)
@@ -122,7 +134,7 @@ def _interval_statements() -> Iterator[str]:
     about = exp.Literal.string(ABOUT_INTERVALS).sql("duckdb")
     yield f"COMMENT ON MACRO TABLE temp.main.intervals IS {about}"
     for name, allen in RELATIONS_OF_INTERVALS.items():
-        if name not in RELATIONS:  # else it is one more of that relation
+        if name not in RELATIONS:  # otherwise the relation's macro has it
             yield f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({allen.formula})"
             about = exp.Literal.string(allen.about).sql("duckdb")
             yield f"COMMENT ON MACRO temp.main.{name} IS {about}"
@@ -175,7 +187,7 @@ def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
             about = f"A row is {table.row}, at each recorded tick."
             yield from _comments_on(schema, table.history_view, about, comments)
     for table in MODELS.values() if recorded else ():
-        about = f"What is the same at each recorded tick. A row is {table.row}."
+        about = f"Values that are the same at all recorded ticks. A row is {table.row}."
         comments = {column.name: column.comment for column in table.model}
         yield from _comments_on(schema, table.model_view, about, comments)
 
@@ -188,5 +200,5 @@ def _comments_on(schema: str, view: str, about: str, columns: Mapping[str, str])
 
 
 def _comment(kind: str, place: exp.Expr, text: str) -> str:
-    said = exp.Literal.string(text)
-    return exp.Comment(this=place, kind=kind, expression=said).sql("duckdb")
+    literal = exp.Literal.string(text)
+    return exp.Comment(this=place, kind=kind, expression=literal).sql("duckdb")

@@ -43,7 +43,7 @@ class Recorders:
             store = DuckDBStore(schema, connection, recording, name)
             if is_file:
                 store.create_views()
-        # Of a file, what waits is lost when the process is killed; of memory, all is.
+        # In a file, few ticks may wait: a killed process loses them.
         recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else BUFFERED_TICKS)
         tables = tuple(recorder.buffers)
         record = Record(
@@ -66,13 +66,13 @@ class Recorders:
             raise
 
     def _free_schema(self, world: str) -> str:
-        rows = self._connection.own_rows("SELECT schema_name FROM duckdb_schemas()")
-        taken = {name.casefold() for (name,) in rows}
+        rows = self._connection.internal_rows("SELECT schema_name FROM duckdb_schemas()")
+        used = {name.casefold() for (name,) in rows}
         names = (f"{world}_record_{number}" for number in count())
-        return next(name for name in names if name.casefold() not in taken)
+        return next(name for name in names if name.casefold() not in used)
 
     def stop(self, bound: BoundWorld) -> None:
-        """Stops to record the ticks of a world in its history, and stores the waiting ticks."""
+        """Stops recording the ticks of a world in its history, and stores the waiting ticks."""
         if bound.history is None:
             return
         history, is_file = bound.history, self._connection.is_file
@@ -86,7 +86,7 @@ class Recorders:
         if is_file:
             history.recorder.flush()
         history.recorder.wait()
-        waiting = [name for table in history.recorder.buffers for name in bound.waiting(table)]
+        waiting = [name for table in history.recorder.buffers for name in bound.buffer_views(table)]
         self._forget(bound, history.recorder)
         history.store.close(forget=not is_file)
         for name in waiting:
@@ -126,5 +126,5 @@ def check_is_live(world: World) -> None:
     """
     if isinstance(world, ReplayedWorld):
         raise UnsupportedError(
-            f"{world.name!r} is a record itself, with no ticks to come; export(…) copies it"
+            f"{world.name!r} is itself a record, without new ticks; export(…) copies it"
         )

@@ -23,15 +23,14 @@ def _with_read_columns(table: str) -> frozenset[str]:
     return frozenset((table, *(_READ[name] for name in TABLES[table].names if name in _READ)))
 
 
-# The tables that a word in a statement stands for: a table's name, or that of a relation that
-# looks things up in some.
+# The tables that a word in a statement refers to: a table's name, or a relation that reads tables.
 _TABLES_OF = {
     **{name.lower(): _with_read_columns(name) for name in TABLES},
     **{relation.name.lower(): relation.inputs for relation in relations_with_tables()},
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
-# Relations that look nothing up are macros of a world's schema once a text names one so.
+# Relations that read no table become macros of a world's schema when a statement calls them so.
 _FORMULAS = {
     relation.name.lower(): relation.name for relation in RELATIONS.values() if not relation.tables
 }
@@ -49,11 +48,10 @@ _MASS_HISTORIES = re.compile(
 _MASS_OR_ALL = re.compile(
     r"\bmass\b|(?<!count\()\*|(^|\()\s*FROM\b", re.IGNORECASE | re.ASCII | re.MULTILINE
 )
-# The words that let another world than the first go without its name.
+# The words by which the schema of another world than the first may be omitted.
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
-# SQL with more words, or with more brackets around one of them, takes DuckDB's parser a time that
-# nothing ends.
+# DuckDB's parser, which cannot be interrupted, takes long for more words or more nested brackets.
 MAX_TOKENS = 200_000
 MAX_BRACKETS = 100
 
@@ -75,10 +73,10 @@ class ReferencedTables:
     def tables(self, sql: str) -> set[str]:
         """Returns the tables that a statement may read."""
         words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
-        asked = {table for word in words for table in _TABLES_OF[word]}
+        tables = {table for word in words for table in _TABLES_OF[word]}
         if _STORES_A_QUERY.search(sql):
-            self.persistent |= asked
-        return asked | self.persistent
+            self.persistent |= tables
+        return tables | self.persistent
 
     def worlds(self, sql: str, bound: Sequence[BoundWorld]) -> list[World] | None:
         """Returns the worlds that a statement may read; None for all, if it may use others.
@@ -91,14 +89,14 @@ class ReferencedTables:
         text = sql.casefold()
         return [
             world
-            for number, own in enumerate(bound)
-            if (world := own.reference()) is not None
-            and (number == 0 or any(schema.casefold() in text for schema in own.schemas))
+            for number, entry in enumerate(bound)
+            if (world := entry.reference()) is not None
+            and (number == 0 or any(schema.casefold() in text for schema in entry.schemas))
         ]
 
 
 def reads_recorded_masses(sql: str) -> bool:
-    """Tells whether a statement reads recorded masses: the column, or all columns."""
+    """Checks whether a statement reads recorded masses: the column, or all columns."""
     return _MASS_HISTORIES.search(sql) is not None and _MASS_OR_ALL.search(sql) is not None
 
 
@@ -113,17 +111,17 @@ def check_length(sql: str) -> None:
     Raises:
         LimitError: the statement is too long, or nested too deeply.
     """
-    letters = sql.encode("utf-8", "replace")  # DuckDB itself complains of what is no letter
+    letters = sql.encode("utf-8", "replace")  # DuckDB rejects invalid characters itself
     words = duckdb.tokenize(letters.decode())
     if len(words) > MAX_TOKENS:
-        raise LimitError(f"SQL of {len(words)} words; under a limit it may have {MAX_TOKENS}")
+        raise LimitError(f"the SQL has {len(words)} words; under a limit it may have {MAX_TOKENS}")
     depth = 0
-    for place, _ in words:
-        depth += _NESTING.get(letters[place], 0)
+    for offset, _ in words:
+        depth += _NESTING.get(letters[offset], 0)
         if depth > MAX_BRACKETS:
-            start = len(letters[:place].decode())
-            told = f"SQL nested deeper than {MAX_BRACKETS} brackets"
-            raise LimitError(told, text=sql, span=SourceSpan(start, start + 1))
+            start = len(letters[:offset].decode())
+            message = f"the SQL is nested deeper than {MAX_BRACKETS} brackets"
+            raise LimitError(message, text=sql, span=SourceSpan(start, start + 1))
 
 
 _NESTING = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

@@ -15,11 +15,11 @@ from ssduck.errors import SelectScriptError
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
-# The beginning of our prepared statements' names, before a number and the tables that they read.
+# The names of ssduck's prepared statements: this prefix, a number and the tables that they read.
 _NAME_PREFIX = "ssduck statement "
-# The tables of a world whose buffers may be made anew.
+# The tables of a world whose buffers may be replaced.
 _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
-# No source can be called so, for it is no name.
+# No source can have this name, because it has a space.
 _PARAMETERS = "the parameters"
 
 
@@ -44,14 +44,16 @@ class PreparedPlans:
     def forget(self, *tables: str) -> None:
         """Drops prepared statements that would go on reading old buffers of one of these tables.
 
-        The names of our own tell their tables. Those of users do not, so that all are dropped if
-        any statement that DuckDB keeps names such a table.
+        The names of ssduck's own statements contain their tables. Those of users' statements do
+        not: all of them are dropped if any statement that DuckDB keeps reads such a table.
         """
         stale = set(tables)
         user_tables = bool(stale & self._user_tables)
         for table in tables:
             self._generations[table] += 1
-        for (name,) in self.connection.own_rows("SELECT name FROM duckdb_prepared_statements()"):
+        for (name,) in self.connection.internal_rows(
+            "SELECT name FROM duckdb_prepared_statements()"
+        ):
             if stale & set(name.split()) if name.startswith(_NAME_PREFIX) else user_tables:
                 self.connection.run(
                     f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}"
@@ -82,7 +84,7 @@ class Statement:
     ) -> None:
         self._plans = plans
         self._connection = plans.connection
-        # The entities' buffers are made anew, too, when nothing else of the worlds is as it was.
+        # The entities' buffers are replaced whenever any other part of the worlds changes.
         self._reads = frozenset(("entities", *(t.name for t in select.find_all(exp.Table))))
         self._name = _statement_name(next(self._numbers), self._reads)
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
@@ -98,7 +100,7 @@ class Statement:
         self._deallocate = f"DEALLOCATE {name}"
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
-        """Returns all rows for these values of the parameters; the caller holds the worlds."""
+        """Returns all rows for these values of the parameters; the caller pins the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
         generation = self._plans.generation(self._reads)
@@ -129,7 +131,7 @@ class Statement:
 
 
 def _statement_name(number: int, reads: Iterable[str]) -> str:
-    """Returns the name of a prepared statement of ours."""
+    """Returns the name of one of ssduck's prepared statements."""
     return f"{_NAME_PREFIX}{number} {' '.join(sorted(_TABLES & set(reads)))}"
 
 
@@ -144,7 +146,7 @@ def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:
         parameter.replace(exp.column(parameter.name, table=_PARAMETERS, quoted=True))
     for select in reading:
         if select.args.get("from_"):
-            # In front of joins whose conditions have some in them.
+            # Before the joins whose conditions contain parameters.
             joins = select.args.get("joins") or []
             select.set("joins", [exp.Join(this=row.copy(), kind="CROSS"), *joins])
         else:

@@ -35,12 +35,12 @@ def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
         case int():
             return _integer((value,))
         case float():
-            return _real((value,))
+            return _double((value,))
         case str():
             return _text((value,))
         case None:
             return SqlType("nothing")
-        case Entity() if not value.is_there:  # of one that is gone SQL knows nothing
+        case Entity() if not value.is_there:  # SQL has no row of a removed entity
             return ANY
         case Entity():
             past = value.moment is not None
@@ -86,17 +86,17 @@ def _integer(values: Sequence[int]) -> SqlType:
     return INTEGER if min(values) > -EXACT and max(values) < EXACT else ANY
 
 
-def _real(values: Sequence[float]) -> SqlType:
+def _double(values: Sequence[float]) -> SqlType:
     return DOUBLE if all(map(math.isfinite, values)) else ANY
 
 
 def _text(values: Sequence[str]) -> SqlType:
-    odd = [text for text in values if not text.isprintable()]
-    return ANY if any("\0" in text or _has_lone_surrogate(text) for text in odd) else STRING
+    unprintable = [text for text in values if not text.isprintable()]
+    return ANY if any("\0" in text or _has_lone_surrogate(text) for text in unprintable) else STRING
 
 
 def _has_lone_surrogate(text: str) -> bool:
-    """Tells whether a text has half of a surrogate pair, which UTF-8 cannot encode."""
+    """Checks whether a text has half of a surrogate pair, which UTF-8 cannot encode."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -107,33 +107,35 @@ def _has_lone_surrogate(text: str) -> bool:
 _PLAIN: dict[type, Callable[[Sequence[Any]], SqlType]] = {
     bool: lambda _: BOOLEAN,
     int: _integer,
-    float: _real,
+    float: _double,
     str: _text,
 }
 
 
 def _list(values: Sequence[list[Any]], schema_of: SchemaOf) -> SqlType:
     lists = list({id(value): value for value in values}.values())
-    parts = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
-    sql_type = common_sql_type(parts, schema_of)
-    whole = SqlType("list", sql_type, 3 if set(map(len, lists)) == {3} else None)
-    return whole if whole.is_sql else ANY
+    elements = lists[0] if len(lists) == 1 else list(chain.from_iterable(lists))
+    sql_type = common_sql_type(elements, schema_of)
+    list_type = SqlType("list", sql_type, 3 if set(map(len, lists)) == {3} else None)
+    return list_type if list_type.is_sql else ANY
 
 
 def _record(values: Sequence[Mapping[Any, Any]], schema_of: SchemaOf) -> SqlType:
-    different = set(map(tuple, values))
-    keys = different.pop()
-    if different or not keys or len(keys) > MAX_FIELDS:
+    key_tuples = set(map(tuple, values))
+    keys = key_tuples.pop()
+    if key_tuples or not keys or len(keys) > MAX_FIELDS:
         return ANY
     folded = {key.casefold() for key in keys if isinstance(key, str) and key}
-    if len(folded) < len(keys):  # SQL does not tell upper from lower case
+    if len(folded) < len(keys):  # SQL ignores case
         return ANY
-    parts = [(key, common_sql_type(list(map(itemgetter(key), values)), schema_of)) for key in keys]
-    return SqlType("record", fields=tuple((key, sql_type or ANY) for key, sql_type in parts))
+    field_types = [
+        (key, common_sql_type(list(map(itemgetter(key), values)), schema_of)) for key in keys
+    ]
+    return SqlType("record", fields=tuple((key, sql_type or ANY) for key, sql_type in field_types))
 
 
 def is_exactly(value: Any, sql_type: SqlType) -> bool:
-    """Tells whether a value has a type, and comes back from SQL as it is: 3 is no real, 3.0 is.
+    """Checks whether a value has a type, and SQL preserves it: 3 is not a double, 3.0 is.
 
     Args:
         value: any value.
@@ -141,14 +143,14 @@ def is_exactly(value: Any, sql_type: SqlType) -> bool:
     """
     element = sql_type.element
     if sql_type.type == "list":
-        of_lists = type(value) is list
-        return of_lists and (element is None or all(is_exactly(part, element) for part in value))
+        is_list = type(value) is list
+        return is_list and (element is None or all(is_exactly(part, element) for part in value))
     kind = type(value)
     return kind in _PLAIN and _PLAIN[kind]((value,)).type == sql_type.type
 
 
 def to_sql(value: Any) -> Any:
-    """Returns a value as SQL takes it: entities as their ids, at a recorded tick as their keys.
+    """Returns a value for SQL: an entity as its id, at a recorded tick as its key.
 
     >>> to_sql([1, "cup"])
     [1, 'cup']
@@ -181,6 +183,10 @@ def converter(
             return lambda key: None if key is None else records[schema].entity(*divmod(key, IDS))
         return lambda value: None if value is None else worlds[schema].entity(value)
     if sql_type.type == "list" and sql_type.element is not None:
-        inner = converter(sql_type.element, worlds, records)
-        return None if inner is None else lambda values: [inner(value) for value in values]
+        convert_element = converter(sql_type.element, worlds, records)
+        return (
+            None
+            if convert_element is None
+            else lambda values: [convert_element(value) for value in values]
+        )
     return None

@@ -35,7 +35,7 @@ class WorldRegistry:
 
     Attributes:
         bound: the worlds; the schema of the first may be omitted. A world that a program made is
-            here while anyone else holds it (`sweep`), a world that the user named for good.
+            here while anything else refers to it (`sweep`), a world that the user named always.
         by_schema: the worlds by all their names.
     """
 
@@ -68,7 +68,7 @@ class WorldRegistry:
         if world.name == UNNAMED:
             world.name = name
         bound = self.entry(world, name)
-        bound.held = world
+        bound.named_world = world
         self._name(bound, name)
 
     def _name(self, bound: BoundWorld, name: str) -> None:
@@ -95,24 +95,24 @@ class WorldRegistry:
             if not other.schemas:
                 self.bound.remove(other)
                 self._recorders.stop(other)
-                for shown in other.versions:
-                    self._connection.unregister(shown)
+                for view in other.versions:
+                    self._connection.unregister(view)
 
     def sweep(self) -> bool:
-        """Drops worlds that no one else holds; tells whether there were any."""
-        gone = [bound for bound in self.bound if bound.reference() is None]
-        for bound in gone:
+        """Drops worlds to which nothing else refers; returns whether there were any."""
+        unused = [bound for bound in self.bound if bound.reference() is None]
+        for bound in unused:
             self.bound.remove(bound)
             history = bound.history
             self._recorders.stop(bound)
             for schema in bound.schemas:
                 self._schemas.drop(schema, history)
-            for shown in bound.versions:
-                self._connection.unregister(shown)
-        if gone:
+            for view in bound.versions:
+                self._connection.unregister(view)
+        if unused:
             self._plans.forget("entities")
             self._update_names()
-        return bool(gone)
+        return bool(unused)
 
     def _check_schema(self, name: str) -> None:
         """Checks the name of a world.
@@ -121,23 +121,23 @@ class WorldRegistry:
             ArgumentError: DuckDB has a schema or database of that name, or another world has one
                 that differs in case only.
         """
-        ((database,),) = self._connection.own_rows("SELECT current_database()")
+        ((database,),) = self._connection.internal_rows("SELECT current_database()")
         if name.casefold() in _RESERVED_NAMES or name.casefold() == database.casefold():
             raise ArgumentError(
-                f"a world cannot be called {name!r}: DuckDB has a schema or database of that name"
+                f"a world cannot have the name {name!r}: DuckDB has a schema or database so named"
             )
         runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"
-        taken = self._connection.own_rows(runs, [ABOUT])
-        if name.casefold() in {schema.casefold() for (schema,) in taken}:
+        run_schemas = self._connection.internal_rows(runs, [ABOUT])
+        if name.casefold() in {schema.casefold() for (schema,) in run_schemas}:
             raise ArgumentError(
-                f"a world cannot be called {name!r}: a recorded run is called so in SQL"
+                f"a world cannot have the name {name!r}: a recorded run has it in SQL"
             )
         for other in self.bound:
             for schema in other.schemas:
                 if schema != name and schema.casefold() == name.casefold():
                     raise ArgumentError(
-                        f"a world cannot be called {name!r}: there is {schema!r}, "
-                        "and SQL does not tell upper from lower case"
+                        f"a world cannot have the name {name!r}: there is {schema!r}, "
+                        "and SQL ignores case"
                     )
 
     def _set_search_path(self) -> None:
@@ -160,7 +160,7 @@ class WorldRegistry:
                 bound.history = WorldHistory(world.archive, world.source_record)
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
-            self.show(bound)
+            self.register(bound)
         except BaseException:
             self.bound.remove(bound)
             raise
@@ -172,7 +172,7 @@ class WorldRegistry:
             self._recorders.stop(bound)
         if recording is not None:
             self._recorders.start(bound, recording, bound.schemas[0])
-        self.show(bound)
+        self.register(bound)
         for schema in bound.schemas:
             self._schemas.make_history(schema, bound)
         self._plans.forget("entities")
@@ -184,23 +184,23 @@ class WorldRegistry:
             self._name(bound, self._free_name(world.name))
         return bound.schemas[0]
 
-    def _free_name(self, wanted: str) -> str:
+    def _free_name(self, preferred: str) -> str:
         """Returns a name that no world has, and a world can have."""
-        taken = {schema for other in self.bound for schema in other.schemas}
-        for name in chain((wanted,), (f"{wanted}_{number}" for number in count(2))):
+        used = {schema for other in self.bound for schema in other.schemas}
+        for name in chain((preferred,), (f"{preferred}_{number}" for number in count(2))):
             with suppress(ArgumentError):
                 self._check_schema(name)
-                if name not in taken:
+                if name not in used:
                     return name
-        raise AssertionError(wanted)
+        raise AssertionError(preferred)
 
-    def show(self, bound: BoundWorld) -> None:
-        """Registers buffers that were made anew with DuckDB."""
+    def register(self, bound: BoundWorld) -> None:
+        """Registers replaced buffers with DuckDB."""
         new = [
             entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version
         ]
         stale = {table for table, name, _ in new if name in bound.versions}
-        if bound.margins != bound.planned_margins:  # DuckDB takes them for constants
+        if bound.margins != bound.planned_margins:  # DuckDB treats them as constants
             stale.add("entities")
             bound.planned_margins = bound.margins
         if stale:

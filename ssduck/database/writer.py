@@ -14,8 +14,8 @@ import pyarrow as pa
 
 from ssduck.errors import SqlError
 
-# Bytes of DuckDB's log that are worth the tenths of a second that moving them takes: it
-# rewrites some of what was moved before, so that more at a time take less.
+# The size of DuckDB's log, in bytes, from which on it is moved to the file. That takes tenths of a
+# second, and rewrites some earlier rows, so that fewer and larger moves take less time.
 LONG_LOG = 1 << 26
 _INCOMING = "rows to be stored"
 
@@ -23,8 +23,8 @@ _INCOMING = "rows to be stored"
 class WriterConnection:
     """A connection of its own to the same database, for the recorded ticks of a world.
 
-    It writes regardless of other connections, and reads on another one, which sees nothing of a
-    transaction before its end.
+    It writes regardless of other connections, and reads on another one, which sees a
+    transaction only after its end.
 
     Args:
         connection: the connection to the database.
@@ -42,15 +42,15 @@ class WriterConnection:
         """Runs a statement.
 
         Raises:
-            SqlError: DuckDB cannot run it, as the disk is full, say.
+            SqlError: DuckDB cannot run it, for example on a full disk.
         """
         with self._lock, _storing_errors():
             self._connection.execute(sql).fetchall()
 
     def checkpoint(self) -> None:
-        """Makes DuckDB move stored rows from its log to its file, if there are many.
+        """Makes DuckDB move stored rows from its log into its file, if there are many.
 
-        DuckDB would do so by itself, but gives up the database if the disk is full then.
+        DuckDB would do so by itself, but invalidates the database if the disk is full then.
 
         Raises:
             SqlError: DuckDB cannot.
@@ -65,18 +65,18 @@ class WriterConnection:
 
     def insert(self, place: str, rows: pa.Table) -> None:
         """Adds rows to a table, by the names of its columns."""
-        self._take_in(f"INSERT INTO {place} BY NAME", rows)
+        self._run_on_rows(f"INSERT INTO {place} BY NAME", rows)
 
     def insert_new(self, place: str, rows: pa.Table) -> None:
         """Creates a table from rows."""
-        self._take_in(f"CREATE TABLE {place} AS", rows)
+        self._run_on_rows(f"CREATE TABLE {place} AS", rows)
 
-    def _take_in(self, what: str, rows: pa.Table) -> None:
+    def _run_on_rows(self, statement: str, rows: pa.Table) -> None:
         """Runs a statement that reads all rows of a table."""
         with self._lock:
             self._connection.register(_INCOMING, rows)
             try:
-                self.run(f'{what} SELECT * FROM "{_INCOMING}"')  # noqa: S608
+                self.run(f'{statement} SELECT * FROM "{_INCOMING}"')  # noqa: S608
             finally:
                 self._connection.unregister(_INCOMING)
 
@@ -94,7 +94,7 @@ class WriterConnection:
             try:
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
-                raise SqlError(f"what was recorded cannot be read: {error}") from error
+                raise SqlError(f"recorded ticks cannot be read: {error}") from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
@@ -102,7 +102,7 @@ class WriterConnection:
             try:
                 return self._reading.execute(sql).fetchall()
             except duckdb.Error as error:
-                raise SqlError(f"what was recorded cannot be read: {error}") from error
+                raise SqlError(f"recorded ticks cannot be read: {error}") from error
 
     def close(self) -> None:
         """Closes the connection."""
@@ -117,12 +117,12 @@ def _storing_errors() -> Iterator[None]:
         yield
     except duckdb.FatalException as error:
         raise SqlError(
-            f"DuckDB has given up: {error}; what was stored before is in the file: close "
+            f"DuckDB closed the database: {error}; the rows stored before are in the file: close "
             "this interpreter, and open the file again",
             is_final=True,
         ) from error
     except duckdb.Error as error:
         raise SqlError(
-            f"what is recorded cannot be stored: {error}; what was stored before is "
-            "whole, and what was not is kept until there is room"
+            f"recorded ticks cannot be stored: {error}; the rows stored before are "
+            "intact, and the others wait in memory until there is space"
         ) from error

@@ -84,29 +84,37 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
 
 
 def select_runs(
-    found: Sequence[RecordedRun], world: str | None, number: int | None
+    runs: Sequence[RecordedRun], world: str | None, number: int | None
 ) -> list[RecordedRun]:
     """Returns one run of each world, or of one: the run of a number, or the last one with ticks.
 
     Raises:
         RecordError: there is no such run.
     """
-    if not found:
+    if not runs:
         raise RecordError("nothing is recorded there")
-    names = sorted({run.world for run in found})
+    names = sorted({run.world for run in runs})
     if world is not None and world not in names:
         raise RecordError(
-            f"nothing of a world {world!r} is recorded, but of {', '.join(names)}",
+            f"no world {world!r} is recorded; recorded worlds: {', '.join(names)}",
             suggestions=nearest(world, names),
         )
-    own = [run for run in found if world in (None, run.world)]
-    fitting = [run for run in own if run.has_ticks if number is None or run.number == number]
-    if not fitting and number is None:
-        raise RecordError(f"of {own[-1].world!r} nothing was stored before the recording ended")
-    if not fitting:
-        known = ", ".join(f"{run.number} of {run.world!r}" for run in own if run.has_ticks)
-        raise RecordError(f"no episode {number} holds any tick; those that do: {known or 'none'}")
-    return list({run.world: run for run in fitting}.values())
+    candidates = [run for run in runs if world in (None, run.world)]
+    selected = [
+        run for run in candidates if run.has_ticks if number is None or run.number == number
+    ]
+    if not selected and number is None:
+        raise RecordError(
+            f"no tick of {candidates[-1].world!r} was stored before the recording ended"
+        )
+    if not selected:
+        available = ", ".join(
+            f"{run.number} of {run.world!r}" for run in candidates if run.has_ticks
+        )
+        raise RecordError(
+            f"no episode {number} has ticks; episodes with ticks: {available or 'none'}"
+        )
+    return list({run.world: run for run in selected}.values())
 
 
 def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
@@ -138,7 +146,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         members_of(models),
         archive.tables,
         archive.fetch,
-        lambda asked: archive.near_pairs(asked, None),
+        lambda tick: archive.near_pairs(tick, None),
         geometries_of(models),
         number,
     )
@@ -202,18 +210,18 @@ def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[Sto
         f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608
         f"AND table_name = {about}"
     )
-    found = []
+    runs = []
     for (schema,) in schemas:
-        place = ".".join(map(quoted, (catalog, schema, ABOUT)))
-        rows = reader.fetchall(f"SELECT about FROM {place}")  # noqa: S608
+        table = ".".join(map(quoted, (catalog, schema, ABOUT)))
+        rows = reader.fetchall(f"SELECT about FROM {table}")  # noqa: S608
         description = _description(path, schema, rows)
         number = int(schema.rpartition("_")[2])
-        found.append(
+        runs.append(
             StoredRun(path, catalog, schema, description["world"], number, description, reader)
         )
-    if not found:
+    if not runs:
         raise RecordError(f"nothing is recorded in the DuckDB file {path}")
-    return sorted(found, key=lambda run: (run.world, run.number))
+    return sorted(runs, key=lambda run: (run.world, run.number))
 
 
 def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
@@ -221,15 +229,15 @@ def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[s
     try:
         description: dict[str, Any] = json.loads(rows[0][0])
         version = description["version"]
-        named = (
+        checked_values = (
             description["world"],
             description["recording"],
             description["started"],
             int(schema.rpartition("_")[2]),
         )
     except (IndexError, KeyError, TypeError, ValueError) as error:
-        raise RecordError(f"{path} is damaged: {schema} does not tell what it holds") from error
-    assert named
+        raise RecordError(f"{path} is damaged: {schema} lacks its description") from error
+    assert checked_values
     if version > VERSION:
         raise RecordError(
             f"{schema} in {path} is a record of version {version}; this ssduck reads those up to "
@@ -242,4 +250,4 @@ def _recording(description: dict[str, Any], path: Path) -> Recording:
     try:
         return Recording(**description)
     except TypeError as error:  # ArgumentError is one
-        raise RecordError(f"{path} is damaged: what was kept is none that there is") from error
+        raise RecordError(f"{path} is damaged: it has no valid recording settings") from error

@@ -166,7 +166,7 @@ class SourceElements(Iterator[tuple[Any, ...]]):
 
 
 def takes_results(call: Callable[..., Any]) -> bool:
-    """Tells whether an `evalAs` has the parameters of the published interpreters."""
+    """Checks whether an `evalAs` has the parameters of the published interpreters."""
     return "RESULTS" in inspect.signature(call).parameters
 
 

@@ -109,10 +109,10 @@ class Execution(Namespace, ABC):
         """Returns the program with users' functions in the place of those they override."""
         if not self._overrides:
             return program
-        found = self._override_cache.get(program)
-        if found is None:
-            found = self._override_cache[program] = with_overrides(program, self._overrides)
-        return found
+        overridden = self._override_cache.get(program)
+        if overridden is None:
+            overridden = self._override_cache[program] = with_overrides(program, self._overrides)
+        return overridden
 
     def _run(self, program: Program) -> Any:
         """Returns the value of a program, or its explanation."""
@@ -130,31 +130,31 @@ class Execution(Namespace, ABC):
 
     def _linted_statements(self, program: Program, frame: Frame) -> Iterator[Node]:
         """Yields the statements of a program, after reporting probable mistakes in each."""
-        if program.doubts:
+        if program.suspicions:
             self._report(
-                ArgumentError(d.message, text=program.text, span=d.span) for d in program.doubts
+                ArgumentError(d.message, text=program.text, span=d.span) for d in program.suspicions
             )
         for node in self._with_overrides(program).statements:
             self._report(self._linter.check(program.text, node, frame.local))
             yield node
 
-    def _report(self, doubts: Iterable[SelectScriptError]) -> None:
+    def _report(self, suspicions: Iterable[SelectScriptError]) -> None:
         """Warns of probable mistakes, once of each; in strict interpreters it raises the first."""
-        for doubt in doubts:
+        for suspicion in suspicions:
             if self.strict:
-                raise doubt
-            if self._linter.is_new(doubt):
-                warn(str(doubt), ProgramWarning)
+                raise suspicion
+            if self._linter.is_new(suspicion):
+                warn(str(suspicion), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:
         """Returns the names of all entities in the record of a world."""
         try:
             members = self._database.record_of(world).members
-        except SelectScriptError:  # nothing is kept of it
+        except SelectScriptError:  # it is not recorded
             return set()
         return {member.name for member in members.values()}
 
-    # -- what a program becomes -------------------------------------------------------------
+    # -- explanations ------------------------------------------------------------------------
 
     def _explanation(self, program: Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates."""
@@ -189,7 +189,7 @@ class Execution(Namespace, ABC):
             for number, statement in enumerate(self._linted_statements(program, frame), 1):
                 if number < len(program.statements):
                     frame.value(statement)
-            with self._worlds_held(*self._with_overrides(program).statements[-1:]):
+            with self._worlds_pinned(*self._with_overrides(program).statements[-1:]):
                 yield frame
         finally:
             self._variables = before
@@ -213,12 +213,14 @@ class Execution(Namespace, ABC):
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
-        def rows(query: Query, given: dict[str, Any]) -> list[list[Any]]:
-            found = self._planner.run(query, Frame(self, placeholders=given), _accept_columns)
-            listed: list[list[Any]] = formed(found, lambda part: list(map(list, part.values)))
-            return listed
+        def rows(query: Query, placeholders: dict[str, Any]) -> list[list[Any]]:
+            selected = self._planner.run(
+                query, Frame(self, placeholders=placeholders), _accept_columns
+            )
+            fetched: list[list[Any]] = formed(selected, lambda part: list(map(list, part.values)))
+            return fetched
 
-        with self._worlds_held(node):
+        with self._worlds_pinned(node):
             series = self._temporal.series(node, frame, self._database.record_of, rows)
             return TEMPORAL_FUNCTIONS[node.name].make(
                 series, None if age is None else validation.seconds(age)
@@ -245,15 +247,17 @@ class Execution(Namespace, ABC):
         """Returns the value of a relation outside a query, by a query of one row."""
         query = self._relation_queries.get(node)
         if query is None:
-            names = [Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)]
-            asked = Call(node.span, node.name, tuple(names), node.name_span)
-            query = self._relation_queries[node] = Query(node.span, (asked,), ())
+            placeholders = [
+                Placeholder(n.span, f"argument_{i}") for i, n in enumerate(node.arguments)
+            ]
+            call = Call(node.span, node.name, tuple(placeholders), node.name_span)
+            query = self._relation_queries[node] = Query(node.span, (call,), ())
         pinned = pin_to_common_tick(values, frame.own_elements())
         if pinned is None:
             return None
-        given = {f"argument_{index}": value for index, value in enumerate(pinned)}
+        values_by_name = {f"argument_{index}": value for index, value in enumerate(pinned)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.held(RELATIONS[node.name].inputs, worlds):
+        with self._database.pinned(RELATIONS[node.name].inputs, worlds):
             for argument, value in zip(node.arguments, pinned, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
@@ -262,9 +266,9 @@ class Execution(Namespace, ABC):
                 moment = value.moment if isinstance(value, Entity) else None
                 if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
-            return self._planner.relation(query, Frame(self, placeholders=given))
+            return self._planner.relation(query, Frame(self, placeholders=values_by_name))
 
-    # -- what else expressions see -----------------------------------------------------------
+    # -- the rest of the scope (`EvaluationScope`) -------------------------------------------
 
     @abstractmethod
     def query(self, node: Query, frame: Frame) -> Any:
@@ -280,10 +284,10 @@ class Execution(Namespace, ABC):
         return self._database.connection.meter
 
     @contextmanager
-    def _worlds_held(self, *nodes: Node) -> Iterator[None]:
-        """Holds all worlds at their tick, with the tables read that relations look up."""
+    def _worlds_pinned(self, *nodes: Node) -> Iterator[None]:
+        """Pins all worlds at their tick, and reads the tables of relations."""
         tables = frozenset().union(*map(self.tables_read, nodes))
-        with self._database.held(tables, self.worlds_of(nodes) if tables else ()):
+        with self._database.pinned(tables, self.worlds_of(nodes) if tables else ()):
             yield
 
 

@@ -1,6 +1,6 @@
 """Runs SelectScript programs and raw SQL: the class `Interpreter`.
 
-The way of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this, table) AS list;")`:
+The steps of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this, table) AS list;")`:
 
 1. `Interpreter.eval` parses the text (`ssduck.language.parser`) and runs the program in a
    transaction (`Execution._transaction`): if it fails, the variables are restored.
@@ -53,16 +53,16 @@ from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
-from ssduck.language.overrides import NAMED
+from ssduck.language.overrides import OPERATOR_NAMES
 from ssduck.language.parser import parse
 from ssduck.language.tree import Query
-from ssduck.language.value_keys import plain
+from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.spec import Recording
 from ssduck.world.running import run
 from ssduck.world.world import World
 
-# Seconds of simulated time whose ticks are kept in memory, if nothing else is asked for.
+# The default length of the history in memory, s of simulated time.
 DEFAULT_SECONDS = 60.0
 
 
@@ -219,36 +219,36 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         if frame.elements and not sees_outside(node):
             frame = frame.independent()
         if type(self).evalAs is not Interpreter.evalAs:
-            with self._worlds_held(node):
+            with self._worlds_pinned(node):
                 return self.evalAs(*self._eval_as_arguments(node, frame))
         return self._result(node, frame, as_clause_of(node, frame))
 
     def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
         """Returns the result that a form makes from the rows of a query."""
-        asked = self._query_of(node, form.adapter)
-        with self._worlds_held(asked):  # the result is made of one tick, too
-            return form.value(asked, frame, self._planner.run)
+        adapted = self._query_of(node, form.adapter)
+        with self._worlds_pinned(adapted):  # the result is made of one tick, too
+            return form.value(adapted, frame, self._planner.run)
 
     def _query_of(self, node: Query, adapter: Adapter) -> Query:
         """Returns the query to run for a form; the same one each time, as plans are cached."""
         if adapter.select is None:
             return node
-        asked = self._adapter_queries.setdefault(node, {})
-        if adapter not in asked:
-            asked[adapter] = adapter.select(node)
-        return asked[adapter]
+        queries = self._adapter_queries.setdefault(node, {})
+        if adapter not in queries:
+            queries[adapter] = adapter.select(node)
+        return queries[adapter]
 
     def _eval_as_arguments(self, node: Query, frame: Frame) -> tuple[Any, ...]:
         """Returns the arguments of `evalAs`."""
         resolved, values = self._planner.resolved_parts(node, frame)
-        parts, names = SelectedColumns(node, resolved.columns, frame), aliases_of(node)
-        holds, elements = resolved.query.where, SourceElements(values)
-        where: Condition | list[Any] = [] if holds is None else Condition(holds, frame)
+        columns, names = SelectedColumns(node, resolved.columns, frame), aliases_of(node)
+        condition, elements = resolved.query.where, SourceElements(values)
+        where: Condition | list[Any] = [] if condition is None else Condition(condition, frame)
         if not takes_results(type(self).evalAs):
-            return parts.form, parts, elements, names, where
-        given = () if node.adapter is None else node.adapter.arguments
-        left = [e for e in elements if not isinstance(where, Condition) or where.value(e, names)]
-        return parts.form, [frame.value(part) for part in given], parts, names, left
+            return columns.form, columns, elements, names, where
+        arguments = () if node.adapter is None else node.adapter.arguments
+        rows = [e for e in elements if not isinstance(where, Condition) or where.value(e, names)]
+        return columns.form, [frame.value(part) for part in arguments], columns, names, rows
 
     def evalAs(  # noqa: N802  # the tutorial's name
         self,
@@ -276,11 +276,11 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             names: the names of the sources.
             where: the condition, a part as well; `[]` if there is none.
         """
-        parts = elements if isinstance(elements, SelectedColumns) else select
-        assert isinstance(parts, SelectedColumns)
-        query, frame = parts.query, parts.frame
-        asked = as_clause_of(query, frame) if form == parts.form else AsClause(form, find(form))
-        return self._result(query, frame, asked)
+        columns = elements if isinstance(elements, SelectedColumns) else select
+        assert isinstance(columns, SelectedColumns)
+        query, frame = columns.query, columns.frame
+        clause = as_clause_of(query, frame) if form == columns.form else AsClause(form, find(form))
+        return self._result(query, frame, clause)
 
     # -- variables and functions ----------------------------------------------------------
 
@@ -336,7 +336,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             UserWarning: the function replaces a relation, a function or an operator of the
                 language (`on`, `count`, `add` for `+`) in programs of this interpreter.
         """
-        if not isinstance(name, str) or name not in NAMED:
+        if not isinstance(name, str) or name not in OPERATOR_NAMES:
             check_name(name, "a function")
         validation.function(function, name)
         with self._lock:
@@ -371,7 +371,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
     ) -> None:
         """Runs all worlds in lockstep for a duration, each in its own time step.
 
-        Wherever a trigger is due in one of them, or the clock or `every` asks for a tick, all
+        Whenever a trigger, the clock or `every` requires a tick of one world, all
         worlds run up to that time before any trigger is evaluated. What-if worlds do not run. The
         arguments and errors are those of `World.run`.
 
@@ -386,7 +386,9 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         """
         worlds = [world for world in self.worlds if world.timestep]
         if not worlds:
-            raise UnknownNameError("there is no world that could run: add_variable one, or load")
+            raise UnknownNameError(
+                "there is no world to run; add one with add_variable, or use load"
+            )
         run(worlds, seconds, realtime=realtime, progress=progress, every=every)
 
     # -- raw SQL --------------------------------------------------------------------------
@@ -432,6 +434,6 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
 def _plain(value: Any) -> Any:
     """Returns the value with Python's numbers in place of NumPy's."""
     try:
-        return plain(value)
+        return python_value(value)
     except RecursionError:  # a list that contains itself; its use is the error
         return value

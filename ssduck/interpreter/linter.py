@@ -66,7 +66,7 @@ class StatementFacts:
 
     Attributes:
         names: the places where names of entities are compared.
-        given: the variables that the statement sets.
+        assigned: the variables that the statement sets.
         texts: texts in the place of a name.
         sources: texts behind FROM.
         aliases: bare names in a query that are also aliases of its sources.
@@ -75,7 +75,7 @@ class StatementFacts:
     """
 
     names: list[NameSite] = field(default_factory=list)
-    given: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    assigned: list[tuple[str, SourceSpan]] = field(default_factory=list)
     texts: list[tuple[str, SourceSpan]] = field(default_factory=list)
     sources: list[tuple[str, SourceSpan]] = field(default_factory=list)
     aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
@@ -106,67 +106,69 @@ def _collect(
             _collect_from_query(node, outer_sources, facts)
             return
         case Assignment(name=name, span=span, is_bare=False):
-            if len(name) > 1:  # the others are told of where they are looked up
-                facts.given.append((name, SourceSpan(span.start, span.start + len(name))))
+            if len(name) > 1:  # shorter names are checked where they are used
+                facts.assigned.append((name, SourceSpan(span.start, span.start + len(name))))
         case Binary(operator="==" | "!=", left=left, right=right):
             for side, other in ((left, right), (right, left)):
                 _collect_name_site(side, (other,), outer_sources, only_source, facts)
         case Binary(operator="IN", left=left, right=right):
             values = right.items if isinstance(right, ListLiteral) else (right,)
-            if not isinstance(right, Literal):  # a part of a text may be any
+            if not isinstance(right, Literal):  # any text may be a part of a text
                 _collect_name_site(left, values, outer_sources, only_source, facts)
     for child in node.children():
         _collect(child, outer_sources, only_source, facts)
 
 
 def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: StatementFacts) -> None:
-    own = {source.alias: source for source in query.sources if source.alias is not None}
+    sources = {source.alias: source for source in query.sources if source.alias is not None}
     only_source = query.sources[0] if len(query.sources) == 1 else None
     for source in query.sources:
         _collect(source.value, outer_sources, None, facts)
         if isinstance(source.value, Literal) and isinstance(source.value.value, str):
             facts.sources.append((source.value.value, source.value.span))
-    inner = {**outer_sources, **own}
+    visible_sources = {**outer_sources, **sources}
     for child in query.children():
         if not isinstance(child, Source):
-            _collect(child, inner, only_source, facts)
+            _collect(child, visible_sources, only_source, facts)
     keys = [*query.items, *query.group, *(key.value for key in query.order)]
     facts.texts += [
         (node.value, node.span)
         for node in keys
         if isinstance(node, Literal) and isinstance(node.value, str)
     ]
-    own_states = states(query)
-    named = {
+    state_names = states(query)
+    column_names = {
         part.arguments[-1].value
         for part in query.items
         if isinstance(part, Call) and part.name == "to" and isinstance(part.arguments[-1], Literal)
     }
-    parts_of_columns = [*query.group, *(key.value for key in query.order)]
-    parts_of_columns += [] if query.having is None else [query.having]
+    column_nodes = [*query.group, *(key.value for key in query.order)]
+    column_nodes += [] if query.having is None else [query.having]
     facts.columns += [
         (node.name, node.span)
-        for node in _bare_names(parts_of_columns)
-        if node.name in named - own_states
+        for node in _bare_names(column_nodes)
+        if node.name in column_names - state_names
     ]
     facts.bare += [
         (node.name, node.span)
         for node in keys
-        if isinstance(node, Name) and node.name not in own_states
+        if isinstance(node, Name) and node.name not in state_names
     ]
     conditions = [part for part in (query.where, query.having) if part is not None]
     facts.bare += [
         (name.name, name.span)
         for name in _condition_names(conditions)
-        if name.name not in own_states
+        if name.name not in state_names
     ]
-    given = {s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)} - {None}
-    given |= {
+    hidden_aliases = {
+        s.alias for s in query.sources if not isinstance(s.value, Name | TimeIndex)
+    } - {None}
+    hidden_aliases |= {
         s.alias for s in query.sources if isinstance(s.value, Name) and s.value.name != s.alias
     }
-    given -= own_states
+    hidden_aliases -= state_names
     parts = (child for child in query.children() if not isinstance(child, Source))
-    facts.aliases += [(n.name, n.span) for n in _bare_names(parts) if n.name in given]
+    facts.aliases += [(n.name, n.span) for n in _bare_names(parts) if n.name in hidden_aliases]
 
 
 def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
@@ -221,7 +223,7 @@ class Linter:
 
     Args:
         variable: a function that returns the value of a variable; None if there is none.
-        is_function: a function that tells whether a function has a name.
+        is_function: a function that checks whether a function has a name.
         worlds: a function that returns the worlds.
         recorded: a function that returns the names of all entities in a world's record.
     """
@@ -256,26 +258,26 @@ class Linter:
             facts = self._facts[statement] = facts_of(statement)
         if facts.is_empty:
             return []
-        check = [
+        mistakes = [
             *self._hiding_names(facts),
             *self._quoted_names(facts, text),
             *self._unknown_entities(facts, local),
         ]
-        for error in check:
+        for error in mistakes:
             error.locate(text)
-        return check
+        return mistakes
 
     def is_new(self, error: SelectScriptError) -> bool:
-        """Tells whether an error was not reported before."""
+        """Checks whether an error was not reported before."""
         if len(self._reported) > MAX_REPORTS:
             self._reported.clear()
-        told = (error.text, error.message)
-        is_new = told not in self._reported
-        self._reported.add(told)
+        key = (error.text, error.message)
+        is_new = key not in self._reported
+        self._reported.add(key)
         return is_new
 
     def _hiding_names(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
-        for name, span in facts.given:
+        for name, span in facts.assigned:
             if self._is_function(name):
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.columns:
@@ -325,50 +327,52 @@ class Linter:
             elif value.name in local:
                 continue
             else:
-                given = self._variable(value.name)
-                texts = given if isinstance(given, list) else [given]
+                variable = self._variable(value.name)
+                texts = variable if isinstance(variable, list) else [variable]
             for text in texts:
                 if isinstance(text, str) and not any(self._has_entity(w, text) for w in worlds):
                     yield self._unknown_entity(text, worlds, value.span)
 
     def _worlds_at(self, site: NameSite) -> list[World]:
-        """The worlds that the entity may be of; none where that is not known."""
+        """Returns the worlds that the entity may belong to; none if unknown."""
         value = None if site.source is None else site.source.value
         if isinstance(value, Name | TimeIndex):
-            given = self._variable(value.name)
-            if isinstance(given, World):
-                return [given]
-            if isinstance(given, Past):
-                return [given.world]
-            if not isinstance(given, list) or not any(isinstance(e, Entity) for e in given[:1]):
+            variable = self._variable(value.name)
+            if isinstance(variable, World):
+                return [variable]
+            if isinstance(variable, Past):
+                return [variable.world]
+            if not isinstance(variable, list) or not any(
+                isinstance(e, Entity) for e in variable[:1]
+            ):
                 return []
         elif site.is_bare:
             return []
         return list(self._worlds())
 
     def _has_entity(self, world: World, name: str) -> bool:
-        borne = self._known_names.setdefault(world, set())
-        if name not in borne and (name in world or name in self._recorded(world)):
-            borne.add(name)
-        return name in borne
+        known_names = self._known_names.setdefault(world, set())
+        if name not in known_names and (name in world or name in self._recorded(world)):
+            known_names.add(name)
+        return name in known_names
 
     def _unknown_entity(
         self, name: str, worlds: list[World], span: SourceSpan
     ) -> SelectScriptError:
-        known = {entity.name for world in worlds for entity in world}
+        names = {entity.name for world in worlds for entity in world}
         for world in worlds:
-            known.update(self._recorded(world))
-        told = " or ".join(world.name for world in worlds[:3])
+            names.update(self._recorded(world))
+        world_names = " or ".join(world.name for world in worlds[:3])
         return UnknownNameError(
-            f"no entity of {told} is called {short_repr(name)}",
+            f"no entity of {world_names} has the name {short_repr(name)}",
             span=span,
-            suggestions=nearest(name, known),
+            suggestions=nearest(name, names),
         )
 
 
 # The largest number of reported mistakes that are remembered.
 MAX_REPORTS = 10_000
-# The largest number of unknown names reported in a statement: more must be a list of others.
+# The largest number of unknown names that are reported in a statement.
 MAX_UNKNOWN = 20
 
 

@@ -21,9 +21,16 @@ from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
-from ssduck.language.overrides import FIXED, NAMED, SIGNS, SIGNS_OF_ONE, marked_name, written_name
+from ssduck.language.overrides import (
+    BINARY_SIGNS,
+    NOT_OVERRIDABLE,
+    OPERATOR_NAMES,
+    UNARY_SIGNS,
+    marked_name,
+    written_name,
+)
 from ssduck.language.parser import is_reserved
-from ssduck.language.sql_suggestions import instead_of_name
+from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
 from ssduck.recording.replay.past import past_of
@@ -70,18 +77,18 @@ class Namespace:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
-        instead = instead_of_name(name)
+        instead = suggestion_for_name(name)
         raise UnknownNameError(
             f"there is no variable {short_repr(name)}" + (f"; {instead}" if instead else ""),
             suggestions=() if instead else nearest(name, self.names()),
         )
 
     def has_variable(self, name: str) -> bool:
-        """Tells whether a variable has that name."""
+        """Checks whether a variable has that name."""
         return name in self._variables
 
     def is_function(self, name: str) -> bool:
-        """Tells whether a function or a relation has that name."""
+        """Checks whether a function or a relation has that name."""
         return name in RELATIONS or name in self._functions
 
     def variable_or_none(self, name: str) -> Any:
@@ -100,19 +107,17 @@ class Namespace:
         """Sets a variable that keeps its values for a time in seconds."""
         before, now = self._variables.get(name), self._now()
         if isinstance(value, World):
-            raise ArgumentError(
-                "a world is no value to be kept in a history; assign it without {…}"
-            )
+            raise ArgumentError("a world cannot be kept in a history; assign it without {…}")
         self._variables[name] = with_assignment(before, value, horizon, now)
 
     def past_value(self, name: str, *age: Any) -> Any:
-        """Returns the past value of a variable; all values that it keeps if no age is given."""
+        """Returns the past value of a variable; all kept values if no age is given."""
         self.variable(name)
-        held = self._variables[name]
-        if isinstance(held, World):
+        value = self._variables[name]
+        if isinstance(value, World):
             seconds = validation.seconds(age[0], "what is in {…}") if age else None
-            return past_of(self._database.record_of(held), seconds)
-        return past_value(name, held, age, self._now)
+            return past_of(self._database.record_of(value), seconds)
+        return past_value(name, value, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
         """Returns the values of a variable with a history, and their times.
@@ -166,22 +171,22 @@ class Namespace:
         """
         name = function.name
         known = self._functions.get(name)
-        if name in FIXED or name in TEMPORAL_FUNCTIONS:
+        if name in NOT_OVERRIDABLE or name in TEMPORAL_FUNCTIONS:
             raise ArgumentError(f"{name!r} is a part of the language; choose another name")
-        is_own = known is not None and not known.builtin
-        if is_own or not (name in RELATIONS or name in NAMED or known is not None):
+        is_users = known is not None and not known.builtin
+        if is_users or not (name in RELATIONS or name in OPERATOR_NAMES or known is not None):
             self._functions[name] = function
             return
         if known is not None and unwrap(known.call) is function.call:
             return  # `addFunction('str', str)` of the published programs
         self._overrides[name] = known
         self._functions[name] = function
-        sign = SIGNS.get(name) or SIGNS_OF_ONE.get(name)
-        what = f"the operator {sign}" if sign else f"the language's own {name}"
-        note = "; raw SQL keeps its own" if name in RELATIONS else ""
+        sign = BINARY_SIGNS.get(name) or UNARY_SIGNS.get(name)
+        part = f"the operator {sign}" if sign else f"the language's own {name}"
+        sql_note = "; raw SQL keeps its own" if name in RELATIONS else ""
         warn(
-            f"your function {name!r} replaces {what} in programs{note}; "
-            f"del_function({name!r}) brings that back"
+            f"your function {name!r} replaces {part} in programs{sql_note}; "
+            f"del_function({name!r}) restores it"
         )
 
     def _remove_function(self, name: str) -> None:
@@ -192,9 +197,10 @@ class Namespace:
         """
         is_name = isinstance(name, str) and name == written_name(name)
         if not is_name or not self.is_users(self.resolved_name(name)):
-            own = [n for n, function in self._functions.items() if not function.builtin]
+            names = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
-                f"there is no function {short_repr(name)} of yours", suggestions=nearest(name, own)
+                f"there is no function {short_repr(name)} of yours",
+                suggestions=nearest(name, names),
             )
         before = self._overrides.pop(name, None)
         if before is None:
@@ -203,7 +209,7 @@ class Namespace:
             self._functions[name] = before
 
     def is_users(self, name: str) -> bool:
-        """Tells whether a name calls a user's function."""
+        """Checks whether a name calls a user's function."""
         function = self.function(name)
         return function is not None and not function.builtin
 
@@ -218,22 +224,25 @@ class Namespace:
             UnknownNameError: there is no such function; the error suggests the nearest names.
             ArgumentError: the number of arguments is wrong.
         """
-        given, name = len(node.arguments), written_name(node.name)
+        count, name = len(node.arguments), written_name(node.name)
         if node.name in RELATIONS:
             relation = RELATIONS[node.name]
-            least, most = min(relation.expressions), max(relation.expressions)
-            fits, usage = given in relation.expressions, relation.usage
+            minimum, maximum = min(relation.expressions), max(relation.expressions)
+            fits, usage = count in relation.expressions, relation.usage
         elif name in self._functions:
             function = self._functions[name]
-            least, most = function.least, given if function.most is None else function.most
-            fits, usage = least <= given <= most, f"see help('{name}')"
+            minimum, maximum = (
+                function.min_arguments,
+                count if function.max_arguments is None else function.max_arguments,
+            )
+            fits, usage = minimum <= count <= maximum, f"see help('{name}')"
         else:
             raise unknown_function(node, self._known_functions())
         if not fits:
-            wanted = f"{least}" if least == most else f"{least} to {most}"
-            plural = "" if wanted == "1" else "s"
+            expected = f"{minimum}" if minimum == maximum else f"{minimum} to {maximum}"
+            plural = "" if expected == "1" else "s"
             raise ArgumentError(
-                f"{name} takes {wanted} argument{plural}, not {given}: {usage}",
+                f"{name} takes {expected} argument{plural}, not {count}: {usage}",
                 span=node.span,
             )
 
@@ -262,19 +271,19 @@ class Namespace:
 
         def clear(name: str | None = None) -> bool:
             if name is None:
-                others = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+                kept_variables = {n: v for n, v in self._variables.items() if isinstance(v, World)}
             else:
                 self.variable(name)
-                others = {n: v for n, v in self._variables.items() if n != name}
-            self._variables = others
+                kept_variables = {n: v for n, v in self._variables.items() if n != name}
+            self._variables = kept_variables
             return True
 
         def show(*values: Any) -> Any:
-            print(*values)  # noqa: T201  # it is what the language's print is for
+            print(*values)  # noqa: T201  # the purpose of `print`
             return values[-1]
 
         return [
-            _command("help", self.help, "Lists all functions, or tells what one does.", "[name]"),
+            _command("help", self.help, "Lists all functions, or describes one.", "[name]"),
             _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
             _command("var", self.variable, "Returns the variable of that name.", "name"),
             _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
@@ -283,7 +292,7 @@ class Namespace:
             _command("eval", lambda text: text, "Runs a program that is given as text.", "text"),
         ]
 
-    # -- what they are about ----------------------------------------------------------------
+    # -- worlds and tables ------------------------------------------------------------------
 
     @property
     def worlds(self) -> list[World]:
@@ -291,7 +300,7 @@ class Namespace:
         return list(self._database.worlds.values())
 
     def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
-        """Returns the worlds that nodes may read; None if only their values tell."""
+        """Returns the worlds that nodes may read; None if that depends on values."""
         worlds: list[World] = []
         for node in nodes:
             called = calls_of(node)
@@ -300,36 +309,38 @@ class Namespace:
             values = [self._variables.get(name) for name in variables_of(node)]
             for value in values:
                 if isinstance(value, LazyList):
-                    inner = self.worlds_of([value.node])
+                    value_worlds = self.worlds_of([value.node])
                 else:
-                    inner = worlds_in(value.values if isinstance(value, ValueHistory) else value)
-                if inner is None:
+                    value_worlds = worlds_in(
+                        value.values if isinstance(value, ValueHistory) else value
+                    )
+                if value_worlds is None:
                     return None
-                worlds += inner
+                worlds += value_worlds
         return worlds
 
     def tables_read(self, node: Node) -> frozenset[str]:
         """Returns the tables that the relations in a node look up."""
-        found = tables_of(node) | tables_read_by(forms_of(node))
+        tables = tables_of(node) | tables_read_by(forms_of(node))
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, LazyList):
-                found |= self.tables_read(value.node)
-        return found
+                tables |= self.tables_read(value.node)
+        return tables
 
 
-def check_name(name: str, what: str) -> None:
+def check_name(name: str, owner: str) -> None:
     """Checks the name of a variable or a function.
 
     Raises:
         ArgumentError: the name is no identifier, or a word of the language.
     """
-    validation.identifier(name, what)
+    validation.identifier(name, owner)
     if is_reserved(name):
-        raise ArgumentError(f"{name!r} cannot be {what}'s name: it is a word of the language")
+        raise ArgumentError(f"{name!r} cannot be {owner}'s name: it is a word of the language")
 
 
 def _command(name: str, call: Callable[..., Any], about: str, usage: str) -> Function:
     function = Function.of(name, call, f"{about}\nUsage: {name}({usage})")
-    least = 1 if usage.endswith("...") else function.least
-    return replace(function, builtin=True, least=least)
+    min_arguments = 1 if usage.endswith("...") else function.min_arguments
+    return replace(function, builtin=True, min_arguments=min_arguments)

@@ -41,7 +41,7 @@ def load(
     interpreter = Interpreter(database, recording=recording)
     try:
         world = World.load(description)
-        interpreter._owned_worlds.append(world)  # noqa: SLF001  # it closes what is made here
+        interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:
         interpreter.close()
@@ -69,19 +69,19 @@ def open_record(
     Raises:
         RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
-        NumberError: the episode is no whole number, 0 or more.
+        NumberError: the episode is not a whole number ≥ 0.
     """
     if episode is not None:
         episode = validation.integer(episode, "open: episode", minimum=0)
     interpreter = Interpreter(recording=None)
-    database = interpreter._database  # noqa: SLF001  # records are read in it
+    database = interpreter._database  # noqa: SLF001  # it reads the record
     try:
-        found = [
+        worlds = [
             replayed_world(run, database)
             for run in select_runs(recorded_runs(expand_path(path), database), world, episode)
         ]
-        for recorded in found:
-            interpreter.add_variable(recorded.name, recorded)
+        for replayed in worlds:
+            interpreter.add_variable(replayed.name, replayed)
     except BaseException:
         interpreter.close()
         raise

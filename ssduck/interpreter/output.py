@@ -52,7 +52,7 @@ class AsClause:
         Args:
             query: the query to run.
             frame: the scope and the rows around it.
-            run: the function that runs it, while the caller holds the worlds.
+            run: the function that runs it, while the caller pins the worlds.
 
         Raises:
             LimitError: the form writes a file and files are switched off, or the time is up.
@@ -63,24 +63,24 @@ class AsClause:
         worlds = partial(_source_worlds, query, frame)
 
         def read(count: int | None) -> Rows:
-            asked = query if count is None else _with_limit(query, count, frame)
-            found = run(asked, frame, check)
-            assert isinstance(found, Rows)
-            return found
+            limited = query if count is None else _with_limit(query, count, frame)
+            rows = run(limited, frame, check)
+            assert isinstance(rows, Rows)
+            return rows
 
-        def made(selection: Selection) -> Any:
+        def make(selection: Selection) -> Any:
             value = self._make(selection)
-            frame.scope.meter.check_time()  # what a form does is one step, however long
+            frame.scope.meter.check_time()  # a form is one step of the program, however long
             return value
 
         if self.adapter.needs == "query" and not query.group and query.recursion is None:
             selection = Selection(read, query, worlds)
             try:
-                return made(selection)
+                return make(selection)
             finally:
                 selection.close()
         selected = run(query, frame, check)
-        return formed(selected, lambda rows: made(Selection(lambda _: rows, query, worlds)))
+        return formed(selected, lambda rows: make(Selection(lambda _: rows, query, worlds)))
 
     def _make(self, selection: Selection) -> Any:
         """Returns the result of the adapter; its errors name the form and the place."""
@@ -109,31 +109,31 @@ def as_clause_of(query: Query, frame: Frame) -> AsClause:
         UnknownNameError: no form has that name; the error suggests the nearest names.
         ArgumentError: the form does not take these arguments.
     """
-    named = query.adapter
-    if named is None:
+    clause = query.adapter
+    if clause is None:
         return AsClause("dict", find("dict"))
     try:
-        adapter = find(named.name)
+        adapter = find(clause.name)
     except SelectScriptError as error:
-        error.span = named.span
+        error.span = clause.span
         raise
-    arguments = tuple(frame.value(argument) for argument in named.arguments)
-    by_name = {argument.name: frame.value(argument.value) for argument in named.named}
+    arguments = tuple(frame.value(argument) for argument in clause.arguments)
+    by_name = {argument.name: frame.value(argument.value) for argument in clause.named}
     if adapter.is_plain and not arguments and not by_name:
-        return AsClause(named.name, adapter, span=named.span)
+        return AsClause(clause.name, adapter, span=clause.span)
     try:
         adapter.signature.bind(None, *arguments, **by_name)
     except TypeError as error:
         raise ArgumentError(
-            f"AS {named.name}: {error}; it is {adapter.usage}", span=named.span
+            f"AS {clause.name}: {error}; its usage: {adapter.usage}", span=clause.span
         ) from error
-    return AsClause(named.name, adapter, arguments, by_name, named.span)
+    return AsClause(clause.name, adapter, arguments, by_name, clause.span)
 
 
 def help_of_result_forms() -> str:
     """Returns the text of `help('AS')`: all result forms with their arguments."""
-    told = [f"{form.usage}\n    {form.help}" for form in all_adapters()]
-    return "\n".join(["AS", "What a query's rows become.", *told])
+    entries = [f"{form.usage}\n    {form.help}" for form in all_adapters()]
+    return "\n".join(["AS", "The results that are made from a query's rows.", *entries])
 
 
 def _with_limit(query: Query, count: int, frame: Frame) -> Query:
@@ -145,17 +145,17 @@ def _with_limit(query: Query, count: int, frame: Frame) -> Query:
 
 def _source_worlds(query: Query, frame: Frame) -> list[World]:
     """Returns the worlds among a query's sources, each at its tick and once."""
-    found: dict[World, None] = {}
+    worlds: dict[World, None] = {}
     for source in query.sources:
         if isinstance(source.value, Query):
-            found.update(dict.fromkeys(_source_worlds(source.value, frame)))
+            worlds.update(dict.fromkeys(_source_worlds(source.value, frame)))
         elif isinstance(source.value, Name | TimeIndex):
             value = frame.value(source.value)
             if isinstance(value, World):
-                found.setdefault(value)
+                worlds.setdefault(value)
             elif isinstance(value, Past) and value.ticks:
-                found.setdefault(value.at(value.ticks[-1]))
-    return list(found)
+                worlds.setdefault(value.at(value.ticks[-1]))
+    return list(worlds)
 
 
 def _accept_columns(_: object) -> None:

@@ -38,7 +38,7 @@ from ssduck.sql.types import Signature, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# The largest number of cached plans; beyond it, all are forgotten and made anew when needed.
+# The largest number of cached plans; when it is reached, all are dropped.
 MAX_PLANS = 500
 _UNKNOWN = SqlType("any")
 
@@ -89,7 +89,7 @@ class Planner:
         self._evaluated_aliases: dict[Query, set[str]] = {}
 
     def forget(self) -> None:
-        """Forgets all plans, as a function or the name of a world has changed."""
+        """Drops all plans, because a function or the name of a world has changed."""
         for plans in self._plans.values():
             for planned in plans:
                 planned.forget()
@@ -98,10 +98,11 @@ class Planner:
         self._evaluated_aliases.clear()
 
     def run(self, query: Query, frame: Frame, check: Callable[[Any], None]) -> Selected:
-        """Returns the rows of a query; the caller holds the worlds.
+        """Returns the rows of a query; the caller pins the worlds.
 
-        A plan is first optimistic: its SQL fails where only Python gives the right answer, for a
-        number out of range, say. Then the cautious plan runs, which leaves such parts to Python.
+        A plan is first optimistic: its SQL fails where only Python gives the right result, for
+        example for a number out of range. Then the cautious plan runs, which leaves such parts to
+        Python.
 
         Args:
             query: the query.
@@ -155,19 +156,20 @@ class Planner:
         """Returns the value of a relation outside a query, by a query of one row."""
         types = self._types_in(frame)
         planned, _ = self._plan_for(query, frame, types, cautious=True)
-        if planned.plan.left:
+        if planned.plan.python_parts:
             (call,) = query.items
             assert isinstance(call, Call)
-            given = [
+            values = [
                 frame.placeholders[part.name]
                 for part in call.arguments
                 if isinstance(part, Placeholder)
             ]
-            told = ", ".join(
-                short_repr(v) if isinstance(v, float) else type_in_words(v) for v in given
+            types_text = ", ".join(
+                short_repr(v) if isinstance(v, float) else type_in_words(v) for v in values
             )
             raise ArgumentError(
-                f"{call.name} does not take ({told}): {RELATIONS[call.name].usage}", span=query.span
+                f"{call.name} does not take ({types_text}): {RELATIONS[call.name].usage}",
+                span=query.span,
             )
         (row,) = planned.run(types.frame(), ()).values  # type: ignore[union-attr]
         return row[0]
@@ -217,13 +219,13 @@ class Planner:
             values = with_present_ticks(self._values(query, frame), elements)
             self._check_records(query, values)
             if any(isinstance(value, Entity) and value.moment is not None for value in elements):
-                raise NotSqlError  # handles in it go with a row of a query around it
+                raise NotSqlError  # its handles depend on a row of an outer query
             shapes = source_types(query, values, self._database.schema_of)
             if may_be_small and query.sources and is_small(query, shapes, values):
                 raise _SmallQueryError(values, shapes)
-            found = self._cached_plan(query, shapes, types, cautious=cautious)
-            if found is not None:
-                return found, values
+            planned = self._cached_plan(query, shapes, types, cautious=cautious)
+            if planned is not None:
+                return planned, values
             try:
                 plan = translate(query, shapes, types, cautious=cautious)
             except NotInlineError as error:
@@ -279,8 +281,8 @@ class Planner:
         for value in values:
             if reads_masses and isinstance(value, Past):
                 value.record.warn_of_masses()
-            known = isinstance(value, Past) and value.world in self._database.worlds.values()
-            if known and self._database.record_of(value.world) is not value.record:
+            is_bound = isinstance(value, Past) and value.world in self._database.worlds.values()
+            if is_bound and self._database.record_of(value.world) is not value.record:
                 raise EvaluationError(
                     f"this past of {value.world.name!r} is of another interpreter's record"
                 )
@@ -316,9 +318,9 @@ class Planner:
     ) -> RowByRowQuery:
         """Returns the cached query to run row by row, or makes it."""
         types = self._types_in(frame)
-        for known, rows in self._row_by_row_queries.get(query, ()):
+        for cached_shapes, rows in self._row_by_row_queries.get(query, ()):
             if (
-                known == shapes
+                cached_shapes == shapes
                 and types.has_same_names(rows.resolved.bare)
                 and types.has_same_lists(rows.deferred)
             ):
@@ -328,7 +330,7 @@ class Planner:
         resolved = resolve(query, shapes, types)
         names = {part.name for part in query.walk() if isinstance(part, Name)}
         deferred = {name: types.deferred(name) for name in names}
-        of_past = any(shape.moments for shape in shapes)
+        of_past = any(shape.past_kind for shape in shapes)
         rows = RowByRowQuery(
             query, resolved, self._scope, self._limits.depth, deferred, of_past=of_past
         )
@@ -337,7 +339,7 @@ class Planner:
 
 
 def _sees_rows(node: Node) -> bool:
-    """Tells whether a nested query uses rows of the query around it, which are in Python."""
+    """Checks whether a nested query uses rows of the query around it, which are in Python."""
     return isinstance(node, Query) and sees_outside(node)
 
 
@@ -351,7 +353,7 @@ class InterpreterTypes:
     """
 
     def __init__(self, scope: FunctionScope, frame: Frame, database: Database) -> None:
-        self.deepest = database.connection.meter.limits.depth
+        self.max_depth = database.connection.meter.limits.depth
         self._scope = scope
         self._frame = frame
         self._database = database
@@ -373,11 +375,11 @@ class InterpreterTypes:
         )
 
     def has_variable(self, name: str) -> bool:
-        """Tells whether a variable has that name."""
+        """Checks whether a variable has that name."""
         return name in self._frame.local or self._scope.has_variable(name)
 
     def has_source(self, alias: str) -> bool:
-        """Tells whether a query around this one has a source of that name."""
+        """Checks whether a query around this one has a source of that name."""
         return alias in self._frame.elements
 
     def sql_type(self, node: Node) -> SqlType:
@@ -389,7 +391,7 @@ class InterpreterTypes:
                 self._values[node] = self._frame.value(node)
             except (ArgumentError, EvaluationError, FunctionError):
                 self._failed.add(node)
-                return _UNKNOWN  # an error only if a row reaches it
+                return _UNKNOWN  # becomes an error only if a row reaches it
         return sql_type_of(self._values[node], self._database.schema_of)
 
     def world(self, node: Node) -> str | None:
@@ -415,17 +417,17 @@ class InterpreterTypes:
         return function.hints.signature(name, arguments)
 
     def has_same_names(self, bare: dict[str, bool]) -> bool:
-        """Tells whether names still are variables, or still are none."""
-        return all(self.has_variable(name) == known for name, known in bare.items())
+        """Checks whether names still are variables, or still are none."""
+        return all(self.has_variable(name) == is_variable for name, is_variable in bare.items())
 
     def has_same_lists(self, deferred: Mapping[str, Node | None]) -> bool:
-        """Tells whether variables still hold the same deferred lists."""
+        """Checks whether variables still hold the same deferred lists."""
         return all(self.deferred(name) is node for name, node in deferred.items())
 
     def fits(self, plan: Plan, shapes: Sequence[SourceType]) -> bool:
-        """Tells whether a plan is right for these sources and the present variables."""
+        """Checks whether a plan is right for these sources and the present variables."""
         return (
-            plan.shapes == shapes
+            plan.source_types == shapes
             and self.has_same_names(plan.bare)
             and self.has_same_lists(plan.deferred)
             and all(self.sql_type(node) == sql_type for node, sql_type in plan.constants.items())

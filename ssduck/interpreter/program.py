@@ -44,4 +44,4 @@ def tree_of(program: str | CompiledProgram) -> Program:
     """
     if isinstance(program, CompiledProgram):
         return program.tree
-    return parse(validation.text(program, "a program is a text or what compile gave"))
+    return parse(validation.text(program, "a program is a text or a compiled program"))

@@ -18,11 +18,11 @@ from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
     aliases_of,
+    cached_by_node,
     calls_of,
     changing,
     free_aliases,
     is_impure,
-    known,
     mentions,
     states,
 )
@@ -48,13 +48,13 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.sql_values import with_values
 from ssduck.sql.types import SqlType
 
-# After so many failures in SQL the cautious plan is taken at once; SQL is tried again once in so
-# many runs.
+# After MAX_FAILURES failures in SQL, only one run in RETRY_INTERVAL tries SQL; the others take the
+# cautious plan at once.
 MAX_FAILURES = 3
 RETRY_INTERVAL = 64
 # The largest number of rows at a state for which a search or a product of lists runs row by row.
 FEW_ROWS = 64
-# The largest number of combinations of sources that is kept from state to state.
+# The largest number of combinations of sources that is reused from state to state.
 MAX_COMBINATIONS = 10_000
 # For more ticks than this, values are literals of a statement that is planned each time.
 LONG = 10_000
@@ -92,16 +92,16 @@ class PlannedQuery:
             compiler = ExpressionCompiler(
                 scope,
                 known,
-                frozenset(plan.once),
+                frozenset(plan.python_constants),
                 memorize=not is_impure(plan.query),
                 query=plan.query,
             )
-            self._clauses = Clauses(plan.rest, compiler)
+            self._clauses = Clauses(plan.python_clauses, compiler)
 
     @property
     def columns(self) -> tuple[SelectedValue, ...]:
         """The selected columns."""
-        return self.plan.rest.columns
+        return self.plan.python_clauses.columns
 
     def _column_reader(self, output: OutputColumn) -> Thunk:
         """Returns a function that reads the value of an SQL column from a frame."""
@@ -111,7 +111,7 @@ class PlannedQuery:
         return lambda frame: convert(frame.columns[index])
 
     def skips_sql(self) -> bool:
-        """Tells whether its SQL failed so often that it is not tried this time."""
+        """Checks whether its SQL has failed so often that this run does not try it."""
         if self._failures < MAX_FAILURES:
             return False
         self._failures += 1
@@ -128,11 +128,11 @@ class PlannedQuery:
         return _parameter_values(self.plan, outer, self._by_alias(values))
 
     def _by_alias(self, values: Sequence[Any]) -> dict[str, Any]:
-        aliases = [shape.alias for shape in self.plan.shapes]
+        aliases = [source_type.alias for source_type in self.plan.source_types]
         return dict(zip(aliases, values, strict=True))
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """Returns the rows of the query; the caller holds the worlds.
+        """Returns the rows of the query; the caller pins the worlds.
 
         Args:
             outer: the variables, and the rows of the queries around this one.
@@ -147,11 +147,11 @@ class PlannedQuery:
         except SqlError as error:
             if self.plan.cautious or error.is_final:
                 raise _relation_error(error) from error
-            if error.is_refused:  # our mistake: the answer is right, but slow
+            if error.is_refused:  # a bug in the translation: Python gives the right result, slowly
                 warn(f"DuckDB refused a query's SQL: {error.message}")
             self._failures += 1
             raise SqlFailedError from error
-        except JointError as error:  # of a row that a condition may leave out
+        except JointError as error:  # perhaps of a row that a condition excludes
             if self.plan.cautious:
                 raise
             self._failures += 1
@@ -181,9 +181,9 @@ class PlannedQuery:
             return Rows(fetched, names)
         if self.plan.graph is not None:
             meter = self._database.connection.meter
-            found = _graph_paths(self.plan.graph, fetched, names, meter.step)
-            meter.check_rows(len(found.paths))
-            return found
+            paths = _graph_paths(self.plan.graph, fetched, names, meter.step)
+            meter.check_rows(len(paths.paths))
+            return paths
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
 
     def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
@@ -204,18 +204,20 @@ class PlannedQuery:
             statement = self._prepared(texts)
             if statement is not None:
                 return statement.rows(numbers)
-        shown = []
+        registered = []
         try:
             for alias, name in plan.tables.items():
-                shape = next(shape for shape in plan.shapes if shape.alias == alias)
-                assert shape.sql_type is not None
-                database.connection.register(
-                    name, arrow_table(elements_of(sources[alias]), shape.sql_type)
+                source_type = next(
+                    source_type for source_type in plan.source_types if source_type.alias == alias
                 )
-                shown.append(name)
+                assert source_type.sql_type is not None
+                database.connection.register(
+                    name, arrow_table(elements_of(sources[alias]), source_type.sql_type)
+                )
+                registered.append(name)
             return database.connection.rows(plan.sql, parameters or None)
         finally:
-            for name in shown:
+            for name in registered:
                 database.connection.unregister(name)
 
     def _prepared(self, texts: dict[str, Any]) -> Statement | None:
@@ -239,29 +241,32 @@ class PlannedQuery:
     ) -> Iterator[Frame]:
         """Yields the frames of the rows from SQL."""
         plan = self.plan
-        around: dict[str | None, Any] = dict(outer.elements)
-        around.pop(None, None)
-        getters = [(shape.alias, self._element_reader(shape, sources)) for shape in plan.shapes]
-        only = plan.shapes[0].alias if len(plan.shapes) == 1 else None
-        kept = {MEMOS: {}, **outer.cached}
+        outer_elements: dict[str | None, Any] = dict(outer.elements)
+        outer_elements.pop(None, None)
+        getters = [
+            (source_type.alias, self._element_reader(source_type, sources))
+            for source_type in plan.source_types
+        ]
+        only = plan.source_types[0].alias if len(plan.source_types) == 1 else None
+        cached = {MEMOS: {}, **outer.cached}
         step = outer.scope.meter.step
         for columns in fetched:
             step()
-            elements = dict(around)
+            elements = dict(outer_elements)
             for alias, getter in getters:
                 elements[alias] = getter(columns)
             if only is not None:
                 elements[None] = elements[only]
-            yield outer.row(elements, kept, columns)
+            yield outer.row(elements, cached, columns)
 
     def _element_reader(
-        self, shape: SourceType, sources: Mapping[str, Any]
+        self, source_type: SourceType, sources: Mapping[str, Any]
     ) -> Callable[[tuple[Any, ...]], Any]:
         """Returns a function that reads the current element of a source."""
-        output = self.plan.elements[shape.alias]
+        output = self.plan.elements[source_type.alias]
         index = output.index
         if output.sql_type.type in ("any", "record"):
-            elements = elements_of(sources[shape.alias])
+            elements = elements_of(sources[source_type.alias])
             return lambda columns: elements[columns[index] - 1]
         convert = self._converters[output.sql_type]
         if convert is None:
@@ -271,19 +276,19 @@ class PlannedQuery:
 
 def _relation_error(error: SqlError) -> SelectScriptError:
     """Returns the error of a relation's formula as an error of the language."""
-    told = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
-    if told is None or told[2] not in RELATIONS:
+    match = re.search(r"Invalid Input Error: ((\w+): .*)", error.message)
+    if match is None or match[2] not in RELATIONS:
         return error
-    return ArgumentError(told[1], span=error.span)
+    return ArgumentError(match[1], span=error.span)
 
 
 def _is_long_past(past: Any) -> bool:
-    """Tells whether a past has so many ticks that the time for planning does not matter."""
+    """Checks whether a past has so many ticks that the time for planning is negligible."""
     return bool(past.last - past.first > LONG)
 
 
 def _are_same(before: dict[str, Any] | None, now: dict[str, Any]) -> bool:
-    """Tells whether values are written alike: 0.0 and -0.0 are equal, but are not."""
+    """Checks whether values have the same text; 0.0 and -0.0 are equal, but differ in it."""
     return before == now and (_element_count(now) > MAX_LITERALS or repr(before) == repr(now))
 
 
@@ -302,17 +307,17 @@ def _graph_paths(
     count: Callable[[], None],
 ) -> Paths:
     """Returns the paths through a graph whose edges SQL has found, breadth first."""
-    root = Vertex[tuple[Any, ...]]((), found=False)
+    root = Vertex[tuple[Any, ...]]((), is_result=False)
     vertices = {(): root}
-    for start, end, found, *items in edges:
+    for start, end, is_result, *items in edges:
         if tuple(end) not in vertices:
-            vertices[tuple(end)] = Vertex(tuple(items), found)
-        following = vertices[tuple(start)].next
-        if vertices[tuple(end)] not in following:
-            following.append(vertices[tuple(end)])
-    paths = simple_paths(root.next, list(vertices.values())[1:], graph.longest, count)
-    found_paths = islice(paths, graph.most)
-    return Paths([Paths([Rows([step], names) for step in path]) for path in found_paths])
+            vertices[tuple(end)] = Vertex(tuple(items), is_result)
+        successors = vertices[tuple(start)].next
+        if vertices[tuple(end)] not in successors:
+            successors.append(vertices[tuple(end)])
+    paths = simple_paths(root.next, list(vertices.values())[1:], graph.max_length, count)
+    limited = islice(paths, graph.max_paths)
+    return Paths([Paths([Rows([step], names) for step in path]) for path in limited])
 
 
 def _parameter_values(plan: Plan, outer: Frame, sources: Mapping[str, Any]) -> dict[str, Any]:
@@ -334,7 +339,7 @@ def _bound_value(outer: Frame, node: Node, column: str | None) -> Any:
     try:
         value = outer.cached[node] if node in outer.cached else outer.value(node)
         return value.column(column) if column else to_sql(value)
-    except SelectScriptError as error:  # an entity that is gone
+    except SelectScriptError as error:  # an entity that was removed
         error.span = error.span or node.span
         raise
 
@@ -377,12 +382,12 @@ class RowByRowQuery:
         query = resolved.query
         self._query = query
         self._aliases = aliases_of(query)
-        waiting = {name for name, node in deferred.items() if node}
+        lazy_lists = {name for name, node in deferred.items() if node}
         compiler = ExpressionCompiler(
             scope,
             None,
-            _constants(query, changing(query) | waiting, of_past=of_past),
-            _constants(query, (changing(query) - states(query)) | waiting, of_past=of_past),
+            _constants(query, changing(query) | lazy_lists, of_past=of_past),
+            _constants(query, (changing(query) - states(query)) | lazy_lists, of_past=of_past),
             memorize=not is_impure(query),
             query=query,
         )
@@ -390,7 +395,7 @@ class RowByRowQuery:
         conditions = () if query.where is None or hierarchical else (query.where,)
         selected = [column.node for column in resolved.columns]
         check_one_group(query, selected)
-        rest = PythonClauses(
+        clauses = PythonClauses(
             resolved.columns,
             conditions,
             query.order,
@@ -401,7 +406,7 @@ class RowByRowQuery:
             is_aggregated(query, selected),
             query.distinct,
         )
-        self._clauses = Clauses(rest, compiler)
+        self._clauses = Clauses(clauses, compiler)
         self._search: Hierarchy | None = None
         if hierarchical:
             self._search = Hierarchy(query, self._clauses, compiler, max_depth)
@@ -413,39 +418,39 @@ class RowByRowQuery:
         return self.resolved.columns
 
     def run(self, outer: Frame, values: Sequence[Any]) -> Selected:
-        """Returns the rows of the query; the caller holds the worlds.
+        """Returns the rows of the query; the caller pins the worlds.
 
         Args:
             outer: the variables, and the rows of the queries around this one.
             values: the values of the sources.
         """
         elements = all_elements(values)
-        kept = {MEMOS: {}, **outer.cached}
+        cached = {MEMOS: {}, **outer.cached}
         if self._search is None:
-            return self._clauses.selected(row_frames(self._aliases, elements, outer, kept), outer)
-        return self._search.selected(outer, self._rows_of_states(outer, elements, kept), kept)
+            return self._clauses.selected(row_frames(self._aliases, elements, outer, cached), outer)
+        return self._search.selected(outer, self._rows_of_states(outer, elements, cached), cached)
 
     def _rows_of_states(
-        self, outer: Frame, elements: list[Sequence[Any]], kept: dict[Node, Any]
+        self, outer: Frame, elements: list[Sequence[Any]], cached: dict[Node, Any]
     ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
         """Returns a function that gives the combinations of elements at a state of the search."""
         if self._sources_change or prod(map(len, elements)) > MAX_COMBINATIONS:
-            return lambda state: self._combinations(outer, state, elements, kept)
-        same = list(combinations(self._aliases, elements, outer))
-        return lambda _: same
+            return lambda state: self._combinations(outer, state, elements, cached)
+        rows = list(combinations(self._aliases, elements, outer))
+        return lambda _: rows
 
     def _combinations(
         self,
         outer: Frame,
         state: dict[str, Any],
         elements: list[Sequence[Any]],
-        kept: dict[Node, Any],
+        cached: dict[Node, Any],
     ) -> Iterator[dict[str | None, Any]]:
         """Yields the combinations of elements at a state, where they differ between states."""
-        inside = Frame(outer.scope, outer.elements, state, outer.placeholders, (), kept)
+        frame = Frame(outer.scope, outer.elements, state, outer.placeholders, (), cached)
         if self._sources_change:
-            elements = [elements_of(inside.value(s.value)) for s in self._query.sources]
-        return combinations(self._aliases, elements, inside)
+            elements = [elements_of(frame.value(s.value)) for s in self._query.sources]
+        return combinations(self._aliases, elements, frame)
 
 
 def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set[Node]:
@@ -456,42 +461,46 @@ def _constants(query: Query, changed: AbstractSet[str], *, of_past: bool) -> set
         changed: the variables that are not constant.
         of_past: whether calls, except in nested queries, depend on the row's tick.
     """
-    own = {None, *aliases_of(query)}
-    found: set[Node] = set()
+    aliases = {None, *aliases_of(query)}
+    constants: set[Node] = set()
 
-    def look(node: Node) -> None:
-        same = not free_aliases(node) & own and not is_impure(node) and not mentions(node, changed)
+    def collect(node: Node) -> None:
+        is_constant = (
+            not free_aliases(node) & aliases and not is_impure(node) and not mentions(node, changed)
+        )
         if of_past and not isinstance(node, Query) and calls_of(node):
-            same = False
-        if same:
+            is_constant = False
+        if is_constant:
             if not isinstance(node, This | Name | Placeholder | Literal):
-                found.add(node)
+                constants.add(node)
             return
         if not isinstance(node, Query):
             for child in node.children():
-                look(child)
+                collect(child)
 
     for part in query.children():
-        look(part)
-    return found
+        collect(part)
+    return constants
 
 
-def is_small(query: Query, shapes: Sequence[SourceType], values: Sequence[Any]) -> bool:
-    """Tells whether a query is faster row by row than as a statement.
+def is_small(query: Query, source_types: Sequence[SourceType], values: Sequence[Any]) -> bool:
+    """Checks whether a query is faster row by row than as a statement.
 
     This is so for a search through short lists, and for a product of short lists: DuckDB takes
     half a millisecond and more to plan a statement, Python microseconds for a row.
     """
-    if any(not shape.has_values or shape.sql_type is None for shape in shapes):
+    if any(
+        not source_type.has_values or source_type.sql_type is None for source_type in source_types
+    ):
         return False
     if prod(len(elements_of(value)) for value in values) > FEW_ROWS:
         return False
     return not any(map(_needs_sql, query.children()))
 
 
-@known
+@cached_by_node
 def _needs_sql(node: Node) -> bool:
-    """Tells whether a part is or contains a relation or a query."""
+    """Checks whether a part is or contains a relation or a query."""
     if isinstance(node, Query) or (isinstance(node, Call) and node.name in RELATIONS):
         return True
     return any(map(_needs_sql, node.children()))

@@ -39,9 +39,9 @@ class RecordingMethods(ABC):
         """Runs a program."""
 
     def record(self, world: str | World, recording: Recording | None) -> None:
-        """Records the ticks of a world from now on, in place of the recording before.
+        """Records the ticks of a world from now on, instead of as before.
 
-        The recording begins with the current tick. The one before is dropped, unless it is in a
+        The recording begins with the current tick. The previous one is dropped, unless it is in a
         file.
 
         Args:
@@ -51,10 +51,10 @@ class RecordingMethods(ABC):
         Raises:
             ArgumentError: the world is not of this interpreter, or lacks an entity of the
                 recording.
-            UnsupportedError: the world is a record itself.
+            UnsupportedError: the world is itself a record.
         """
         if not isinstance(recording, Recording | None):
-            raise ArgumentError(f"what is kept is told by a Recording, not {short_repr(recording)}")
+            raise ArgumentError(f"record takes a Recording or None, not {short_repr(recording)}")
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()
@@ -84,8 +84,8 @@ class RecordingMethods(ABC):
     ) -> ParquetRecording:
         """Writes the ticks of a world to a folder of Parquet files from now on, as a new episode.
 
-        The files are sealed in parts: however the recording ends, all parts but the last are there
-        and whole.
+        The files are written part by part: however the recording ends, all parts but the last are
+        complete.
 
         Args:
             path: the folder; it is made if it does not exist, and may hold other episodes.
@@ -102,11 +102,13 @@ class RecordingMethods(ABC):
         """
         recording = recording or Recording(tables=RECORDABLE)
         if recording.is_bounded:
-            raise ArgumentError("a folder keeps all: seconds and ticks are for a history in memory")
+            raise ArgumentError(
+                "a folder keeps all ticks; seconds and ticks limit a history in memory only"
+            )
         with self._lock:
             worlds = list(self._database.worlds.values())
             if world is None and not worlds:
-                raise ArgumentError("there is no world to be recorded")
+                raise ArgumentError("there is no world to record")
             chosen = worlds[0] if world is None else self._world(world)
             # The working directory may change while the recording runs.
             return self._database.record_to(chosen, recording, expand_path(path).absolute())
@@ -148,10 +150,10 @@ class RecordingMethods(ABC):
             )
             if not worlds:
                 raise EvaluationError("no world is recorded here")
-            database, place = self._database, expand_path(path)
+            database, folder = self._database, expand_path(path)
             return {
-                database.schema_of(each): database.export(each, place, names, (start, end))
-                for each in worlds
+                database.schema_of(chosen): database.export(chosen, folder, names, (start, end))
+                for chosen in worlds
             }
 
     def flush(self) -> dict[str, int]:
@@ -161,25 +163,25 @@ class RecordingMethods(ABC):
             The last stored tick of each world, by its name.
 
         Raises:
-            SqlError: the ticks cannot be stored, as the disk is full, say; none of them is lost.
+            SqlError: the ticks cannot be stored, for example on a full disk; none of them is lost.
         """
         with self._lock:
             return self._database.flush()
 
     def _world(self, world: str | World) -> World:
-        found = self.variable(world) if isinstance(world, str) else world
-        if not isinstance(found, World) or found not in self._database.worlds.values():
+        value = self.variable(world) if isinstance(world, str) else world
+        if not isinstance(value, World) or value not in self._database.worlds.values():
             raise ArgumentError(f"{short_repr(world)} is no world of this interpreter")
-        return found
+        return value
 
 
 def _names(entities: Iterable[str | Entity]) -> tuple[str, ...]:
     """Returns the names of entities that are given by name or as handles."""
-    found = []
+    names = []
     for entity in entities:
         if not isinstance(entity, str | Entity):
-            raise ArgumentError(f"entities are to be names or entities, not {short_repr(entity)}")
-        found.append(entity if isinstance(entity, str) else entity.name)
-    if not found:
-        raise ArgumentError("there are no entities to be written")
-    return tuple(dict.fromkeys(found))
+            raise ArgumentError(f"entities must be names or entities, not {short_repr(entity)}")
+        names.append(entity if isinstance(entity, str) else entity.name)
+    if not names:
+        raise ArgumentError("there are no entities to write")
+    return tuple(dict.fromkeys(names))

@@ -19,12 +19,12 @@ from ssduck.language.clauses import LockstepSource
 from ssduck.language.tree import Query
 from ssduck.recording.replay.past import Past, PresentTick
 from ssduck.recording.replay.record import Record
-from ssduck.sql.plan import Moments, SourceType
+from ssduck.sql.plan import PastKind, SourceType
 from ssduck.sql.types import ANY, INTEGER, SqlType
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# In a longer list, entities of any worlds are expected.
+# Longer lists are not examined: they may have entities of any world.
 MAX_EXAMINED = 100
 
 
@@ -57,15 +57,15 @@ def elements_of(value: Any) -> Sequence[Any]:
 
 def all_elements(values: Sequence[Any]) -> list[Sequence[Any]]:
     """Returns the elements of all sources; those of several ticks of one world run in lockstep."""
-    found: list[Sequence[Any]] = []
-    first: dict[World, int] = {}
+    elements_by_source: list[Sequence[Any]] = []
+    leaders: dict[World, int] = {}
     for place, value in enumerate(values):
         elements = elements_of(value)
         if isinstance(value, Past) and value.is_window:
-            to = first.setdefault(value.world, place)
-            elements = elements if to == place else LockstepSource(elements, to)
-        found.append(elements)
-    return found
+            leader = leaders.setdefault(value.world, place)
+            elements = elements if leader == place else LockstepSource(elements, leader)
+        elements_by_source.append(elements)
+    return elements_by_source
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class _Table:
 
     def rows(self) -> list[dict[str, Any]]:
         """Returns its rows as dicts."""
-        twice = [name for name, times in Counter(self.names).items() if times > 1]
-        if twice:
-            raise ArgumentError(f"a table has two columns that are called {twice[0]!r}")
+        duplicates = [name for name, count in Counter(self.names).items() if count > 1]
+        if duplicates:
+            raise ArgumentError(f"a table has two columns of the name {duplicates[0]!r}")
         return [dict(zip(self.names, row, strict=True)) for row in zip(*self.columns, strict=True)]
 
 
@@ -91,7 +91,7 @@ def _table(value: Any) -> _Table | None:
         return _Table(value.column_names, [python_values(column) for column in value.columns])
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names:
         return _Table(list(value.dtype.names), [value[n].tolist() for n in value.dtype.names])
-    # Without importing what may not be installed.
+    # By name, because the libraries may not be installed.
     match type(value).__module__.partition(".")[0], type(value).__name__:
         case "pandas", "DataFrame":
             columns = [value.iloc[:, place] for place in range(value.shape[1])]
@@ -104,10 +104,10 @@ def _table(value: Any) -> _Table | None:
 def _pandas_values(column: Any) -> list[Any]:
     """Returns the values of a column as Python's, None for missing ones."""
     if column.dtype != object:
-        with suppress(pa.ArrowException, TypeError):  # there are kinds that Arrow has not
-            found = pa.array(column, from_pandas=True)
-            if not isinstance(found.type, pa.BaseExtensionType):
-                values: list[Any] = found.to_pylist()
+        with suppress(pa.ArrowException, TypeError):  # Arrow lacks some types
+            array = pa.array(column, from_pandas=True)
+            if not isinstance(array.type, pa.BaseExtensionType):
+                values: list[Any] = array.to_pylist()
                 return values
     pairs = zip(column.tolist(), column.isna().tolist(), strict=True)
     return [None if missing else _python_value(value) for value, missing in pairs]
@@ -157,12 +157,12 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
     if isinstance(value, Past):
-        moments: Moments = "window" if value.is_window else "instant"
+        past_kind: PastKind = "window" if value.is_window else "instant"
         return SourceType(
-            alias, schema_of(value.world), moments=moments, of_one=value.id is not None
+            alias, schema_of(value.world), past_kind=past_kind, is_one_entity=value.id is not None
         )
     if isinstance(value, PresentTick):
-        return SourceType(alias, schema_of(value.world), moments="now")
+        return SourceType(alias, schema_of(value.world), past_kind="now")
     elements = elements_of(value)
     sql_type = _element_type(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
@@ -251,6 +251,10 @@ def worlds_in(value: Any) -> list[World] | None:
         case None | str() | int() | float() | Result():
             return []
         case list() | tuple() if len(value) <= MAX_EXAMINED:
-            found = [worlds_in(element) for element in value]
-            return None if None in found else [world for inner in found for world in inner or ()]
+            element_worlds = [worlds_in(element) for element in value]
+            return (
+                None
+                if None in element_worlds
+                else [world for inner in element_worlds for world in inner or ()]
+            )
     return None

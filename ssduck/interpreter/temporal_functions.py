@@ -36,7 +36,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-# The number of ticks that `since` reads first; then it reads twice as many, and so on.
+# The number of ticks that `since` reads first; each further read is twice as long.
 FIRST_TICKS = 240
 _PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
 
@@ -60,8 +60,8 @@ class TemporalFunction:
     @property
     def function(self) -> Function:
         """The entry for help; it is never called."""
-        told = f"{self.about}\nUsage: {self.usage}"
-        return Function(self.name, lambda *_: None, told, 1, 2, builtin=True)
+        help_text = f"{self.about}\nUsage: {self.usage}"
+        return Function(self.name, lambda *_: None, help_text, 1, 2, builtin=True)
 
 
 class TickSeries:
@@ -80,8 +80,8 @@ class TickSeries:
 
     def at(self, past: Past) -> tuple[list[float], list[Any]]:
         """Returns the times and values at some ticks; None where an entity was not there."""
-        known = {row[0]: row[2] for row in self._run(past)}
-        return past.times, [known.get(tick) for tick in past.ticks]
+        values = {row[0]: row[2] for row in self._run(past)}
+        return past.times, [values.get(tick) for tick in past.ticks]
 
     def holding(self, past: Past) -> tuple[list[float], list[bool]]:
         """Returns the times, and whether the expression was true."""
@@ -101,19 +101,19 @@ class TickSeries:
 def _since(series: TickSeries, age: Any) -> float | None:
     if age is not None:
         raise ArgumentError("since takes one argument: since(condition)")
-    begun: float | None = None
+    start: float | None = None
     for past in series.backwards():
         times, holding = series.holding(past)
         for time, holds in zip(reversed(times), reversed(holding), strict=True):
             if not holds:
-                return begun
-            begun = time
-    return begun
+                return start
+            start = time
+    return start
 
 
 def _held_for(series: TickSeries, age: Any) -> float:
-    begun = _since(series, age)
-    return 0.0 if begun is None else float(series.record.ticks_until_now()[1][-1]) - begun
+    start = _since(series, age)
+    return 0.0 if start is None else float(series.record.ticks_until_now()[1][-1]) - start
 
 
 def _holds(series: TickSeries, age: Any) -> list[list[float]]:
@@ -126,13 +126,15 @@ def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
 
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     times, values = series.at(past_of(series.record, age))
-    known = [(value, time) for time, value in zip(times, values, strict=True) if _is_number(value)]
-    others = [v for v in values if v is not None and not isinstance(v, int | float)]
-    if others:
-        raise ArgumentError(f"least takes an expression of numbers, not {short_repr(others[0])}")
-    if not known:
+    entries = [
+        (value, time) for time, value in zip(times, values, strict=True) if _is_number(value)
+    ]
+    invalid = [v for v in values if v is not None and not isinstance(v, int | float)]
+    if invalid:
+        raise ArgumentError(f"least takes an expression of numbers, not {short_repr(invalid[0])}")
+    if not entries:
         return None
-    value, time = min(known, key=lambda entry: entry[0])
+    value, time = min(entries, key=lambda entry: entry[0])
     return [time, value]
 
 
@@ -211,7 +213,7 @@ class TemporalEvaluator:
         places = list(_places(expression, call))
         values = [frame.value(place) for place in places]
         handles = [isinstance(value, Entity) and value.moment is None for value in values]
-        worlds = {v.world for v, is_one in zip(values, handles, strict=True) if is_one}
+        worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
         if not worlds:
             raise ArgumentError(
                 f"{call.name} takes an expression of entities, such as near(gripper, cup, 0.02)",
@@ -223,19 +225,19 @@ class TemporalEvaluator:
         query = self._query(call, places, tuple(handles))
 
         def rows(past: Past) -> list[list[Any]]:
-            given = {
-                f"value_{number}": _of_entity(past, value) if is_one else value
-                for number, (value, is_one) in enumerate(zip(values, handles, strict=True))
+            placeholders = {
+                f"value_{number}": _of_entity(past, value) if is_entity else value
+                for number, (value, is_entity) in enumerate(zip(values, handles, strict=True))
             }
-            return run(query, given)
+            return run(query, placeholders)
 
         return TickSeries(record, rows, expression)
 
     def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
-        known = self._queries.setdefault(call, {})
-        if handles not in known:
-            known[handles] = _query_of(call, places, handles)
-        return known[handles]
+        queries = self._queries.setdefault(call, {})
+        if handles not in queries:
+            queries[handles] = _query_of(call, places, handles)
+        return queries[handles]
 
 
 def _of_entity(past: Past, entity: Entity) -> Past:
@@ -247,7 +249,7 @@ def _places(node: Node, call: Call) -> Iterator[Node]:
     """Yields the parts of an expression that may be entities."""
     if isinstance(node, Query):
         raise UnsupportedError(
-            f"{call.name} takes an expression without a query in it; ask FROM world{{}} instead",
+            f"{call.name} takes an expression without a query; query FROM world{{}} instead",
             span=node.span,
         )
     if isinstance(node, _PLACES):
@@ -259,17 +261,17 @@ def _places(node: Node, call: Call) -> Iterator[Node]:
 
 def _query_of(call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
     span = call.span
-    stands: dict[Node, Node] = {}
+    replacements: dict[Node, Node] = {}
     sources = []
-    for number, (place, is_one) in enumerate(zip(places, handles, strict=True)):
-        given = Placeholder(place.span, f"value_{number}")
-        if not is_one:
-            stands[place] = given
+    for number, (place, is_entity) in enumerate(zip(places, handles, strict=True)):
+        placeholder = Placeholder(place.span, f"value_{number}")
+        if not is_entity:
+            replacements[place] = placeholder
             continue
         alias = f"entity_{number}"
-        stands[place] = This(place.span, alias)
-        sources.append(Source(place.span, alias, given))
+        replacements[place] = This(place.span, alias)
+        sources.append(Source(place.span, alias, placeholder))
     first = This(span, sources[0].alias)
-    value = call.arguments[0].replaced(stands.get)
+    value = call.arguments[0].replaced(replacements.get)
     items = (*(Call(span, name, (first,), span) for name in ("tick", "time")), value)
     return Query(span, items, tuple(sources))

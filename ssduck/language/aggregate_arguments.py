@@ -19,7 +19,7 @@ def argument_check(call: Call, query: Query | None) -> Callable[[Sequence[Any]],
 
     Args:
         call: the call.
-        query: the query that it stands in; None outside of queries.
+        query: the query that contains it; None outside of queries.
 
     Returns:
         A function of the arguments' values, which raises an ArgumentError.

@@ -11,7 +11,7 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.formatting import type_in_words
-from ssduck.language.analysis import aliases_of, free_aliases, known
+from ssduck.language.analysis import aliases_of, cached_by_node, free_aliases
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
 from ssduck.language.tree import (
@@ -26,15 +26,15 @@ from ssduck.language.tree import (
     Unary,
 )
 
-# What the aggregates of no rows are; of the others it is nothing.
-_OF_NONE: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq": list}
+# The values of aggregates over no rows; the other aggregates are None.
+_EMPTY_RESULTS: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq": list}
 
 
 def over_rows(node: Node) -> list[Call]:
-    """The aggregates in a part of a query with groups that are over the rows of a group.
+    """Returns the aggregates in a part of a query with groups that are over the rows of a group.
 
-    An aggregate of a nested query, or of a list that is written out, is of that list;
-    `count(uniq(x))` is of the list that `uniq(x)` makes of the rows.
+    An aggregate of a nested query or of a list literal is over that list; `count(uniq(x))` is over
+    the list that `uniq(x)` makes of the rows.
     """
     if isinstance(node, Query):
         return []
@@ -49,9 +49,9 @@ def _is_uniq(node: Node) -> bool:
     return isinstance(node, Call) and node.name == "uniq" and over_rows(node) == [node]
 
 
-@known
+@cached_by_node
 def _counts_rows(node: Node) -> bool:
-    """Whether the node contains an aggregate of a number; `*` counts as one."""
+    """Checks whether the node contains an aggregate of a number; `*` counts as one."""
     match node:
         case Query():
             return False
@@ -61,7 +61,7 @@ def _counts_rows(node: Node) -> bool:
 
 
 def is_one_group(query: Query) -> bool:
-    """Whether all rows of a query are one group."""
+    """Checks whether all rows of a query are one group."""
     if query.group:
         return False
     if query.having is not None:
@@ -70,12 +70,12 @@ def is_one_group(query: Query) -> bool:
 
 
 def is_grouped(query: Query) -> bool:
-    """Whether a query has groups."""
+    """Checks whether a query has groups."""
     return bool(query.group) or is_one_group(query)
 
 
 def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
-    """Whether SELECT gives one row a group.
+    """Checks whether SELECT gives one row a group.
 
     Args:
         query: the query.
@@ -88,7 +88,7 @@ def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
 
 
 def _is_of_rows(argument: Node) -> bool:
-    """Whether an argument cannot be a list that is the same for all rows."""
+    """Checks whether an argument cannot be a list that is the same for all rows."""
     return isinstance(argument, Literal) or bool(free_aliases(argument))
 
 
@@ -116,7 +116,7 @@ class GroupFunction:
         )
 
     def __call__(self, rows: Sequence[Frame], outer: Frame) -> Any:
-        """The value for a group.
+        """Returns the value for a group.
 
         Args:
             rows: of the group.
@@ -138,24 +138,20 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
         values = [argument(row) for row in rows]
     else:
         value = argument(first)
-        # A list that is the same for all rows is what the aggregate is of.
+        # An aggregate of a list that is the same for all rows is over that list.
         values = list(value) if isinstance(value, list | tuple) else [value] * len(rows)
     if not values:
-        return _OF_NONE.get(call.name, _nothing)()
+        return _EMPTY_RESULTS.get(call.name, lambda: None)()
     try:
         return AGGREGATES[call.name]([values])
     except ArgumentError as error:
-        raise ArgumentError(_refusal(call.name, values), span=call.span) from error
+        raise ArgumentError(_refusal_message(call.name, values), span=call.span) from error
     except SelectScriptError as error:
         error.span = error.span or call.span
         raise
 
 
-def _nothing() -> None:
-    """Raises the error for the least of no rows."""
-
-
-def _refusal(name: str, values: Sequence[Any]) -> str:
+def _refusal_message(name: str, values: Sequence[Any]) -> str:
     kinds = list(dict.fromkeys(map(type_in_words, values)))
     message = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
     if any(value is None for value in values):
@@ -164,7 +160,7 @@ def _refusal(name: str, values: Sequence[Any]) -> str:
 
 
 def check_one_group(query: Query, selected: Sequence[Node]) -> None:
-    """Rejects values of a single row where all rows are one group.
+    """Checks that no value of a single row is used if all rows are one group.
 
     Args:
         query: the query, bare names looked up.
@@ -175,30 +171,30 @@ def check_one_group(query: Query, selected: Sequence[Node]) -> None:
     """
     if not is_one_group(query):
         return
-    own = {None, *aliases_of(query)}
+    aliases = {None, *aliases_of(query)}
     if query.having is not None:
-        for part in _of_one_row(query.having, own):
+        for part in _row_dependent_parts(query.having, aliases):
             raise ArgumentError(
-                "HAVING without GROUP BY is about all rows together, and this is of one row; "
-                "write conditions on rows in WHERE, or group the rows by GROUP BY",
+                "HAVING without GROUP BY applies to all rows together, but this is a value of "
+                "one row; write conditions on rows in WHERE, or group the rows by GROUP BY",
                 span=part.span,
             )
     if is_aggregated(query, selected):
         for node in selected:
-            for part in _of_one_row(node, own):
+            for part in _row_dependent_parts(node, aliases):
                 raise ArgumentError(
-                    "beside an aggregate of all rows this is of one row; "
+                    "this is a value of one row, beside an aggregate of all rows; "
                     "write GROUP BY, or select it in a query of its own",
                     span=part.span,
                 )
 
 
-def _of_one_row(node: Node, own: set[str | None]) -> Iterator[Node]:
-    """The parts outside of aggregates that depend on a row."""
-    if not free_aliases(node) & own or node in over_rows(node):
+def _row_dependent_parts(node: Node, aliases: set[str | None]) -> Iterator[Node]:
+    """Yields the parts outside of aggregates that depend on a row."""
+    if not free_aliases(node) & aliases or node in over_rows(node):
         return
     if isinstance(node, Binary | Unary | If | ListLiteral) or over_rows(node):
         for child in node.children():
-            yield from _of_one_row(child, own)
+            yield from _row_dependent_parts(child, aliases)
     else:
         yield node

@@ -26,35 +26,35 @@ from ssduck.language.tree import (
 
 T = TypeVar("T")
 
-# Calls that do something, or see more than their arguments: made row by row, in order.
+# Calls with side effects or hidden inputs; they are evaluated row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
 # Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.temporal_functions).
 OVER_TIME = frozenset(("since", "heldFor", "holds", "changes", "least"))
 
 
-def known(look: Callable[[Node], T]) -> Callable[[Node], T]:
-    """Caches a function of nodes: a planner calls it for each node, and for each that contains it.
+def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:
+    """Caches a function of nodes by node.
 
-    Children are visited first, so that no call recurses.
+    Children are visited first, so that recursive calls in the function find cached results.
     """
     result: WeakKeyDictionary[Node, T] = WeakKeyDictionary()
 
-    @wraps(look)
-    def once(node: Node) -> T:
+    @wraps(function)
+    def cached(node: Node) -> T:
         if node not in result:
             parts = [node]
-            for part in parts:  # which grows meanwhile
+            for part in parts:  # the loop appends to the list
                 parts.extend(child for child in part.children() if child not in result)
             for part in reversed(parts):
-                result[part] = look(part)
+                result[part] = function(part)
         return result[node]
 
-    return once
+    return cached
 
 
-@known
+@cached_by_node
 def free_aliases(node: Node) -> frozenset[str | None]:
-    """The aliases whose `this` a part mentions, and that no query in it has as a source."""
+    """Returns the aliases whose `this` a part mentions, and that no query in it has as a source."""
     if isinstance(node, This):
         return frozenset((node.alias,))
     if isinstance(node, UnresolvedName):
@@ -70,26 +70,26 @@ def free_aliases(node: Node) -> frozenset[str | None]:
         if not isinstance(child, Source):
             result |= free_aliases(child)
     result -= {None, *(source.alias for source in node.sources)}
-    for source in node.sources:  # a source sees what is around the query
+    for source in node.sources:  # a source depends on outer queries, not on this one
         result |= free_aliases(source)
     return frozenset(result)
 
 
 def sees_outside(query: Query) -> bool:
-    """Whether a nested query sees rows of the queries around it."""
+    """Checks whether a nested query sees rows of the queries around it."""
     return bool(free_aliases(query))
 
 
-@known
+@cached_by_node
 def is_impure(node: Node) -> bool:
-    """Whether evaluation has side effects, so that the order and number of evaluations matter."""
+    """Checks whether evaluation has side effects, so that its order and number matter."""
     match node:
         case Assignment():
             return True
         case Call(name=name) if name in IMPURE:
             return True
         case Recursion(start=start, step=step, stop=stop):
-            # State variables are nothing that anything else sees.
+            # State variables are visible only in the query.
             parts = (
                 part.value if isinstance(part, Assignment) else part for part in (*start, *step)
             )
@@ -97,26 +97,26 @@ def is_impure(node: Node) -> bool:
     return any(map(is_impure, node.children()))
 
 
-@known
+@cached_by_node
 def calls_of(node: Node) -> frozenset[str]:
-    """The functions that a part calls."""
-    own: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
-    own = (node.key,) if isinstance(node, QualifiedName) else own
-    own = (
-        node.operators if isinstance(node, OperatorChain) else own
+    """Returns the functions that a part calls."""
+    names: tuple[str, ...] = (node.name,) if isinstance(node, Call) else ()
+    names = (node.key,) if isinstance(node, QualifiedName) else names
+    names = (
+        node.operators if isinstance(node, OperatorChain) else names
     )  # users' functions may be among them
-    return frozenset(own).union(*map(calls_of, node.children()))
+    return frozenset(names).union(*map(calls_of, node.children()))
 
 
-@known
+@cached_by_node
 def forms_of(node: Node) -> frozenset[str]:
-    """The result forms that a part names."""
-    own = (node.name,) if isinstance(node, AdapterClause) else ()
-    return frozenset(own).union(*map(forms_of, node.children()))
+    """Returns the result forms that a part names."""
+    names = (node.name,) if isinstance(node, AdapterClause) else ()
+    return frozenset(names).union(*map(forms_of, node.children()))
 
 
 def states(query: Query) -> frozenset[str]:
-    """The state variables of a hierarchical query."""
+    """Returns the state variables of a hierarchical query."""
     if query.recursion is None:
         return frozenset()
     parts = (*query.recursion.start, *query.recursion.step)
@@ -124,30 +124,30 @@ def states(query: Query) -> frozenset[str]:
 
 
 def changing(query: Query) -> frozenset[str]:
-    """The variables that may differ from row to row of a query: those that it assigns."""
+    """Returns the variables that may differ from row to row of a query: those that it assigns."""
     return frozenset(part.name for part in query.walk() if isinstance(part, Assignment))
 
 
 def mentions(node: Node, names: Collection[str]) -> bool:
-    """Whether a part reads one of these variables."""
+    """Checks whether a part reads one of these variables."""
     return not variables_of(node).isdisjoint(names)
 
 
-@known
+@cached_by_node
 def variables_of(node: Node) -> frozenset[str]:
-    """The variables that a node reads.
+    """Returns the variables that a node reads.
 
     >>> from ssduck.language.parser import parse
     >>> sorted(variables_of(parse("x = y + z{1.0};").statements[0]))
     ['y', 'z']
     """
-    own = (node.name,) if isinstance(node, Name | TimeIndex) else ()
-    own = (node.alias,) if isinstance(node, QualifiedName) else own
-    return frozenset(own).union(*map(variables_of, node.children()))
+    names = (node.name,) if isinstance(node, Name | TimeIndex) else ()
+    names = (node.alias,) if isinstance(node, QualifiedName) else names
+    return frozenset(names).union(*map(variables_of, node.children()))
 
 
 def aliases_of(query: Query) -> list[str]:
-    """The aliases of a query's sources.
+    """Returns the aliases of a query's sources.
 
     Raises:
         ArgumentError: two have the same name.
@@ -161,7 +161,7 @@ def aliases_of(query: Query) -> list[str]:
     for index, alias in enumerate(aliases):
         if alias in aliases[:index]:
             raise ArgumentError(
-                f"two sources are called {alias!r}; write FROM a={alias}, b=…",
+                f"two sources have the name {alias!r}; write FROM a={alias}, b=…",
                 span=query.sources[index].span,
             )
     return aliases

@@ -13,10 +13,10 @@ from typing import Any
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
 from ssduck.formatting import argument_in_words, error_text, first_line
 from ssduck.language.operators import apply, apply_unary
-from ssduck.language.overrides import NAMES
-from ssduck.language.value_keys import ATOMS, NUMPYS, hashable
+from ssduck.language.overrides import BINARY_NAMES
+from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key
 
-# A double has no digits beyond these, before or behind the point.
+# The largest number of digits of a double before or after the decimal point.
 MAX_DIGITS = 400
 
 
@@ -25,23 +25,21 @@ class Function:
     """A Python function in the language.
 
     Attributes:
-        name: what programs call it.
-        call: the function; it gets copies of lists and dicts, and gives some: it may fill
-            the same list each time. Of what it gives, numpy's numbers and truths become
-            Python's.
-        help: what `help('name')` tells after the name.
-        least: how many arguments it takes at least.
-        most: how many at most; None for any number.
-        builtin: whether it comes with the language.
-        hints: what its signature tells SQL of it, which is nothing to the language itself; None
-            if SQL cannot call it.
+        name: its name in programs.
+        call: the function; lists and dicts are copied before and after a call. NumPy's numbers
+            and booleans in its results become Python's.
+        help: the text of `help('name')` after the name.
+        min_arguments: the least number of arguments.
+        max_arguments: the largest number of arguments; None for any number.
+        builtin: whether it is a part of the language.
+        hints: the types in its signature, for SQL; None if SQL cannot call it.
     """
 
     name: str
     call: Callable[..., Any]
     help: str
-    least: int
-    most: int | None
+    min_arguments: int
+    max_arguments: int | None
     builtin: bool = False
     hints: object = None
 
@@ -49,25 +47,25 @@ class Function:
     def of(
         cls, name: str, call: Callable[..., Any], help: str | None = None, hints: object = None
     ) -> Function:
-        """A user's function; its arity is that of its signature."""
-        least, most = _arity(call)
+        """Returns a user's function; its arity is that of its signature."""
+        min_arguments, max_arguments = _arity(call)
         text = help if help is not None else inspect.getdoc(call) or f"Usage: {name}(...)"
-        return cls(name, call, text, least, most, hints=hints)
+        return cls(name, call, text, min_arguments, max_arguments, hints=hints)
 
     def __call__(self, arguments: Sequence[Any]) -> Any:
         """Calls the function.
 
         Raises:
-            FunctionError: a user's one raised; the original is the cause.
-            ArgumentError: one of the language does not take these values.
-            LimitError: a program that it ran used up what there is.
+            FunctionError: a user's function raised; the original error is the cause.
+            ArgumentError: a function of the language does not take these values.
+            LimitError: a program that it ran exceeded a limit.
         """
         try:
-            if self.builtin:  # these change nothing that they are given
+            if self.builtin:  # these do not change their arguments
                 value = self.call(*arguments)
                 return value.item() if isinstance(value, NUMPYS) else value
             value = self.call(*map(_copied, arguments))
-            return value if type(value) in ATOMS else _given(value)
+            return value if type(value) in ATOMS else _plain_result(value)
         except (LimitError, RecursionError):
             raise
         except SelectScriptError as error:
@@ -75,24 +73,24 @@ class Function:
                 raise ArgumentError(f"{self.name}: {error.message}") from error
             if self.builtin:
                 raise
-            raise self._failed(error, first_line(error.message)) from error
+            raise self._function_error(error, first_line(error.message)) from error
         except Exception as error:
             if self.builtin:
-                raise ArgumentError(self._refused(arguments)) from error
-            raise self._failed(error, error_text(error)) from error
+                raise ArgumentError(self._refusal_message(arguments)) from error
+            raise self._function_error(error, error_text(error)) from error
 
-    def _refused(self, arguments: Sequence[Any]) -> str:
-        """The message for arguments that a built-in function does not take."""
-        taken = ", ".join(map(argument_in_words, arguments)) or "no arguments"
+    def _refusal_message(self, arguments: Sequence[Any]) -> str:
+        """Returns the message for arguments that a built-in function does not take."""
+        values_text = ", ".join(map(argument_in_words, arguments)) or "no arguments"
         usage = self.help.rpartition("Usage: ")[2].partition(" -> ")[0]
-        return f"{self.name} does not take {taken}: it is {usage}"
+        return f"{self.name} does not take {values_text}: {usage}"
 
-    def _failed(self, error: Exception, why: str) -> FunctionError:
+    def _function_error(self, error: Exception, why: str) -> FunctionError:
         return FunctionError(f"{self.name}: {type(error).__name__}: {why}")
 
 
 def _copied(value: Any) -> Any:
-    """A copy of a list or a dict, and of what is in it; handles stay what they are."""
+    """Returns a copy of a list or a dict, and of what is in it; handles stay what they are."""
     if type(value) is list:
         return [part if type(part) in ATOMS else _copied(part) for part in value]
     if type(value) is dict:
@@ -100,35 +98,35 @@ def _copied(value: Any) -> Any:
     return copy.deepcopy(value) if isinstance(value, list | dict) else value
 
 
-def _given(value: Any) -> Any:
-    """The result of a function: lists and dicts copied, NumPy's numbers converted to Python's."""
+def _plain_result(value: Any) -> Any:
+    """Returns the result of a function, with lists copied and NumPy's numbers converted."""
     if type(value) is list:
-        return [part if type(part) in ATOMS else _given(part) for part in value]
+        return [part if type(part) in ATOMS else _plain_result(part) for part in value]
     if type(value) is tuple:
-        return tuple([part if type(part) in ATOMS else _given(part) for part in value])
+        return tuple([part if type(part) in ATOMS else _plain_result(part) for part in value])
     if type(value) is dict:
-        return {_given(key): _given(element) for key, element in value.items()}
+        return {_plain_result(key): _plain_result(element) for key, element in value.items()}
     return value.item() if isinstance(value, NUMPYS) else value
 
 
 def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
     try:
         parameters = inspect.signature(call).parameters.values()
-    except (TypeError, ValueError):  # some of C's functions do not tell
+    except (TypeError, ValueError):  # some functions in C have no signature
         return 0, None
     positional = [p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    least = sum(p.default is p.empty for p in positional)
-    endless = any(p.kind is p.VAR_POSITIONAL for p in parameters)
-    return least, None if endless else len(positional)
+    min_arguments = sum(p.default is p.empty for p in positional)
+    is_variadic = any(p.kind is p.VAR_POSITIONAL for p in parameters)
+    return min_arguments, None if is_variadic else len(positional)
 
 
 def _uniq(values: list[Any]) -> list[Any]:
-    """The distinct values, in order of first appearance."""
+    """Returns the distinct values, in order of first appearance."""
     if ATOMS.issuperset(map(type, values)):
         return list(dict.fromkeys(values))
     distinct: dict[Any, Any] = {}
     for value in values:
-        distinct.setdefault(hashable(value), value)
+        distinct.setdefault(equality_key(value), value)
     return list(distinct.values())
 
 
@@ -136,32 +134,34 @@ def _avg(values: list[Any]) -> Any:
     return sum(values) / len(values)
 
 
-def _of_elements(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """A function of the elements of a list; the letters of a text are not elements."""
+def _list_function(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Returns a function of the elements of a list; the letters of a text are not elements."""
 
     @wraps(call)
-    def of_list(values: Any) -> Any:
+    def call_on_list(values: Any) -> Any:
         if isinstance(values, str | bytes):
-            raise TypeError("a text is no list")
+            raise TypeError("a text is not a list")
         return call(values)
 
-    return of_list
+    return call_on_list
 
 
 def _builtin(
-    name: str, call: Callable[..., Any], about: str, usage: str, most: int = 1
+    name: str, call: Callable[..., Any], about: str, usage: str, max_arguments: int = 1
 ) -> Function:
-    least = most - usage.count("[,")
-    return Function(name, call, f"{about}\nUsage: {usage}", least, most, builtin=True)
+    min_arguments = max_arguments - usage.count("[,")
+    return Function(
+        name, call, f"{about}\nUsage: {usage}", min_arguments, max_arguments, builtin=True
+    )
 
 
 def _round(number: float, digits: int | None = None) -> float:
     if digits is not None and abs(digits) > MAX_DIGITS:
-        raise ValueError(f"{digits} digits are more than a number has")
+        raise ValueError(f"a number has fewer than {digits} digits")
     return round(number, digits)
 
 
-_OF_LISTS = (
+_LIST_FUNCTIONS = (
     _builtin(
         "count",
         len,
@@ -169,7 +169,7 @@ _OF_LISTS = (
         "count(list) -> int",
     ),
     *(
-        _builtin(name, _of_elements(call), about, f"{name}(list) -> {result}")
+        _builtin(name, _list_function(call), about, f"{name}(list) -> {result}")
         for name, call, about, result in (
             ("sum", sum, "Returns the sum of a list.", "number"),
             ("min", min, "Returns the least element of a list.", "value"),
@@ -180,9 +180,9 @@ _OF_LISTS = (
     ),
 )
 
-_OF_NUMBERS = tuple(
-    _builtin(name, call, f"Returns {what}.", f"{name}(number) -> number")
-    for name, call, what in (
+_NUMBER_FUNCTIONS = tuple(
+    _builtin(name, call, f"Returns {result}.", f"{name}(number) -> number")
+    for name, call, result in (
         ("abs", abs, "the absolute value"),
         ("sqrt", math.sqrt, "the square root"),
         ("exp", math.exp, "e to the power of a number"),
@@ -198,7 +198,7 @@ _OF_NUMBERS = tuple(
     )
 )
 
-_OTHERS = (
+_OTHER_FUNCTIONS = (
     _builtin("round", _round, "Returns a rounded number.", "round(number[, digits]) -> number", 2),
     _builtin("pow", partial(apply, "^"), "Returns a power.", "pow(base, exponent) -> number", 2),
     _builtin(
@@ -209,18 +209,19 @@ _OTHERS = (
     _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
 )
 
-# A name that is a word of the language calls nothing; `pow` is among the others.
-_OF_OPERATORS = (
+# Without the operators whose names are words of the language; `pow` is above.
+_OPERATOR_FUNCTIONS = (
     _builtin("neg", partial(apply_unary, "-"), "Returns -a.", "neg(a) -> number"),
     *(
         _builtin(name, partial(apply, sign), f"Returns a {sign} b.", f"{name}(a, b) -> value", 2)
-        for sign, name in NAMES.items()
+        for sign, name in BINARY_NAMES.items()
         if not sign.isalpha() and sign != "^"
     ),
 )
 
-AGGREGATES: dict[str, Function] = {function.name: function for function in _OF_LISTS}
+AGGREGATES: dict[str, Function] = {function.name: function for function in _LIST_FUNCTIONS}
 
 BUILTINS: dict[str, Function] = {
-    function.name: function for function in _OF_LISTS + _OF_NUMBERS + _OTHERS + _OF_OPERATORS
+    function.name: function
+    for function in _LIST_FUNCTIONS + _NUMBER_FUNCTIONS + _OTHER_FUNCTIONS + _OPERATOR_FUNCTIONS
 }

@@ -1,7 +1,7 @@
 """Evaluates clauses on rows in Python: conditions, order, groups, paths, selected values.
 
-A row is a `Frame`. `Clauses` are a query's clauses as functions of frames; they take the rows
-that SQL has left, or all combinations of the sources where a query runs row by row.
+A row is a `Frame`. `Clauses` are a query's clauses as functions of frames, for the rows from SQL,
+or for all combinations of the sources' elements if a query runs row by row.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ssduck.language.aggregates import GroupFunction, over_rows
 from ssduck.language.evaluator import ExpressionCompiler, Frame
 from ssduck.language.operators import apply, truth
 from ssduck.language.tree import Node, OrderKey
-from ssduck.language.value_keys import hashable
+from ssduck.language.value_keys import equality_key
 
 
 @dataclass(frozen=True)
@@ -27,9 +27,9 @@ class Rows:
     """The rows of a query.
 
     Attributes:
-        values: a tuple a row, in order: one value a selected item.
-        names: the columns' names; where `to` names a column differently from row to row, a
-            tuple a row.
+        values: a tuple for each row, in order, with a value for each column.
+        names: the names of the columns; a tuple for each row if `to` names a column differently
+            from row to row.
     """
 
     values: list[tuple[Any, ...]]
@@ -54,7 +54,7 @@ Selected: TypeAlias = Rows | Paths | Groups
 
 
 def formed(selected: Selected, make: Callable[[Rows], Any]) -> Any:
-    """Applies an adapter to what was selected: to the rows, or to each path or group."""
+    """Applies a function to the rows, or to the rows of each path or group."""
     match selected:
         case Groups(groups=groups):
             return {key: formed(part, make) for key, part in groups.items()}
@@ -76,15 +76,15 @@ class PythonClauses:
     """The clauses of a query that Python applies to its rows, in this order.
 
     Attributes:
-        columns: what is selected.
-        conditions: what every row must fulfil.
-        order: keys to sort by.
-        group: keys to group by.
-        having: what every group must fulfil.
-        limit: how many rows, or groups.
+        columns: the selected columns.
+        conditions: the conditions on rows.
+        order: the keys to sort by.
+        group: the keys to group by.
+        having: the condition on groups.
+        limit: the largest number of rows or groups.
         is_one_group: whether all rows are one group.
-        is_aggregated: whether a group gives one row.
-        distinct: whether what is equal is selected once.
+        is_aggregated: whether each group becomes one row.
+        distinct: whether equal rows are selected once.
     """
 
     columns: tuple[SelectedValue, ...]
@@ -100,127 +100,135 @@ class PythonClauses:
     @property
     def clauses(self) -> list[str]:
         """The clauses that Python always evaluates."""
-        given = (("GROUP BY", bool(self.group)), ("DISTINCT", self.distinct))
-        return [clause for clause, is_given in given if is_given]
+        clauses = (("GROUP BY", bool(self.group)), ("DISTINCT", self.distinct))
+        return [clause for clause, is_present in clauses if is_present]
 
 
 class Clauses:
     """The clauses of a query as functions of frames.
 
     Args:
-        rest: the clauses.
+        clauses: the clauses.
         compiler: makes functions of their parts.
     """
 
-    def __init__(self, rest: PythonClauses, compiler: ExpressionCompiler) -> None:
-        self._rest = rest
-        self._conditions = [compiler.condition(node) for node in rest.conditions]
-        self.items = SelectedItems(rest.columns, compiler)
-        of_rows = [k for k in rest.order if not rest.group or not over_rows(k.value)]
-        self._order = [(compiler.thunk(key.value), key) for key in of_rows]
-        self._group = [(compiler.thunk(node), node) for node in rest.group]
+    def __init__(self, clauses: PythonClauses, compiler: ExpressionCompiler) -> None:
+        self._clauses = clauses
+        self._conditions = [compiler.condition(node) for node in clauses.conditions]
+        self.items = SelectedItems(clauses.columns, compiler)
+        row_keys = [k for k in clauses.order if not clauses.group or not over_rows(k.value)]
+        self._order = [(compiler.thunk(key.value), key) for key in row_keys]
+        self._group = [(compiler.thunk(node), node) for node in clauses.group]
         self._group_order: list[tuple[GroupFunction, OrderKey]] = []
-        if len(of_rows) < len(rest.order):
-            self._group_order = [(GroupFunction(key.value, compiler), key) for key in rest.order]
-        self._having = None if rest.having is None else GroupFunction(rest.having, compiler)
-        self._aggregated = _Aggregated(rest.columns, compiler) if rest.is_aggregated else None
-        self._limit = None if rest.limit is None else compiler.thunk(rest.limit)
+        if len(row_keys) < len(clauses.order):
+            self._group_order = [(GroupFunction(key.value, compiler), key) for key in clauses.order]
+        self._having = None if clauses.having is None else GroupFunction(clauses.having, compiler)
+        self._aggregated = _Aggregated(clauses.columns, compiler) if clauses.is_aggregated else None
+        self._limit = None if clauses.limit is None else compiler.thunk(clauses.limit)
 
-    def holds(self, frame: Frame) -> bool:
-        """Whether a row fulfils the conditions."""
+    def fulfils_conditions(self, frame: Frame) -> bool:
+        """Checks whether a row fulfils the conditions."""
         return all(condition(frame) for condition in self._conditions)
 
     def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
-        """The selected values of rows."""
+        """Returns the selected values of rows."""
         limit = self.count(outer)
-        kept: Iterable[Frame] = filter(self.holds, rows) if self._conditions else rows
-        rest = self._rest
+        filtered: Iterable[Frame] = (
+            filter(self.fulfils_conditions, rows) if self._conditions else rows
+        )
+        clauses = self._clauses
         if limit is not None and not (
-            rest.order or rest.group or rest.is_one_group or rest.distinct
+            clauses.order or clauses.group or clauses.is_one_group or clauses.distinct
         ):
-            kept = islice(kept, limit)
-        made = self._distinct if rest.distinct else self.items.rows
-        return self.arranged(list(kept), lambda row: row, made, limit, outer)
+            filtered = islice(filtered, limit)
+        select = self._distinct if clauses.distinct else self.items.rows
+        return self.arranged(list(filtered), lambda row: row, select, limit, outer)
 
     def arranged(
         self,
-        found: list[Any],
+        entries: list[Any],
         row: Callable[[Any], Frame],
-        made: Callable[[list[Any]], Selected],
+        select: Callable[[list[Any]], Selected],
         limit: int | None,
         outer: Frame,
     ) -> Selected:
-        """Rows or paths in their order, in their groups, as many as are wanted.
+        """Returns the selected values of rows or paths, ordered, grouped and limited.
 
         Args:
-            found: the rows or paths.
-            row: the frame that a key is evaluated in.
-            made: makes what is selected of rows or paths.
-            limit: how many, or how many groups.
-            outer: what is around the query.
+            entries: the rows or paths.
+            row: a function that returns the frame of an entry, in which keys are evaluated.
+            select: a function that returns the selected values of entries.
+            limit: the largest number of entries or groups; None for all.
+            outer: the frame of the outer query.
         """
         if self._order:
-            found = _sorted(
-                found, lambda entry: [key(row(entry)) for key, _ in self._order], self._order
+            entries = _sorted(
+                entries, lambda entry: [key(row(entry)) for key, _ in self._order], self._order
             )
         if not self._group:
-            return self._of_all(found, row, made, limit, outer)
+            return self._select_all(entries, row, select, limit, outer)
         groups: dict[str, list[Any]] = {}
-        for entry in found:
+        for entry in entries:
             frame = row(entry)
             key = ", ".join(printed(thunk(frame), node) for thunk, node in self._group)
             groups.setdefault(key, []).append(entry)
-        frames = {key: [row(entry) for entry in entries] for key, entries in groups.items()}
-        wanted = [key for key in groups if self._is_wanted(frames[key], outer)]
+        frames = {key: [row(entry) for entry in group] for key, group in groups.items()}
+        selected_keys = [key for key in groups if self._fulfils_having(frames[key], outer)]
         if self._group_order:
             order = self._group_order
-            wanted = _sorted(wanted, lambda k: [key(frames[k], outer) for key, _ in order], order)
+            selected_keys = _sorted(
+                selected_keys, lambda k: [key(frames[k], outer) for key, _ in order], order
+            )
         aggregated = self._aggregated
         if aggregated is not None:
-            return Groups({key: aggregated.row(frames[key], outer) for key in wanted[:limit]})
-        return Groups({key: made(groups[key]) for key in wanted[:limit]})
+            return Groups(
+                {key: aggregated.row(frames[key], outer) for key in selected_keys[:limit]}
+            )
+        return Groups({key: select(groups[key]) for key in selected_keys[:limit]})
 
-    def _of_all(
+    def _select_all(
         self,
-        found: list[Any],
+        entries: list[Any],
         row: Callable[[Any], Frame],
-        made: Callable[[list[Any]], Selected],
+        select: Callable[[list[Any]], Selected],
         limit: int | None,
         outer: Frame,
     ) -> Selected:
-        """The selected values of all rows or paths, if there are no groups, or one."""
-        if self._rest.is_one_group:
-            frames = [row(entry) for entry in found]
-            is_wanted = self._is_wanted(frames, outer)
+        """Returns the selected values of all rows or paths, if there are no groups, or one."""
+        if self._clauses.is_one_group:
+            frames = [row(entry) for entry in entries]
+            fulfils_having = self._fulfils_having(frames, outer)
             if self._aggregated is not None:
-                return self._aggregated.row(frames, outer, is_there=is_wanted and limit != 0)
-            found = found if is_wanted else []
-        if not self._rest.distinct:
-            return made(found[:limit])
-        selected = made(found)
+                return self._aggregated.row(frames, outer, is_there=fulfils_having and limit != 0)
+            entries = entries if fulfils_having else []
+        if not self._clauses.distinct:
+            return select(entries[:limit])
+        selected = select(entries)
         assert isinstance(selected, Rows)
         names = selected.names[:limit] if isinstance(selected.names, list) else selected.names
         return Rows(selected.values[:limit], names)
 
-    def _is_wanted(self, rows: list[Frame], outer: Frame) -> bool:
-        """Whether HAVING holds of a group."""
-        if self._having is None or self._rest.having is None:
+    def _fulfils_having(self, rows: list[Frame], outer: Frame) -> bool:
+        """Checks whether HAVING holds of a group."""
+        if self._having is None or self._clauses.having is None:
             return True
-        return truth(self._having(rows, outer), self._rest.having)
+        return truth(self._having(rows, outer), self._clauses.having)
 
     def _distinct(self, frames: list[Frame]) -> Rows:
-        """The distinct rows of these frames, in order of first appearance."""
+        """Returns the distinct rows of these frames, in order of first appearance."""
         rows = self.items.rows(frames)
-        several = rows.names if isinstance(rows.names, list) else [rows.names] * len(frames)
+        names_by_row = rows.names if isinstance(rows.names, list) else [rows.names] * len(frames)
         first: dict[Any, tuple[Any, Any]] = {}
-        for names, values in zip(several, rows.values, strict=True):
-            first.setdefault(hashable([*names, *values]), (names, values))
-        kept = list(first.values())
-        return self.items.gathered([names for names, _ in kept], [values for _, values in kept])
+        for names, values in zip(names_by_row, rows.values, strict=True):
+            first.setdefault(equality_key([*names, *values]), (names, values))
+        distinct = list(first.values())
+        return self.items.rows_of_values(
+            [names for names, _ in distinct], [values for _, values in distinct]
+        )
 
     def count(self, outer: Frame) -> int | None:
-        """The limit of rows, paths or groups; None for all."""
-        node = self._rest.limit
+        """Returns the limit of rows, paths or groups; None for all."""
+        node = self._clauses.limit
         if node is None or self._limit is None:
             return None
         return checked_count(self._limit(outer), "LIMIT", node)
@@ -238,24 +246,24 @@ class SelectedItems:
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
 
     def values(self, frame: Frame) -> tuple[Any, ...]:
-        """The selected values of a row."""
+        """Returns the selected values of a row."""
         return tuple([item(frame) for item in self._items])
 
     def names(self, frame: Frame) -> tuple[Any, ...]:
-        """The column names of a row."""
+        """Returns the column names of a row."""
         if len(self._fixed) == len(self._names):
             return self._fixed
         return tuple([name if isinstance(name, str) else name(frame) for name in self._names])
 
     def rows(self, frames: list[Frame]) -> Rows:
-        """The rows of these frames."""
+        """Returns the rows of these frames."""
         values = [self.values(frame) for frame in frames]
         if len(self._fixed) == len(self._names):
             return Rows(values, self._fixed)
         return Rows(values, [self.names(frame) for frame in frames])
 
-    def gathered(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
-        """The rows of values that were selected before."""
+    def rows_of_values(self, names: list[tuple[Any, ...]], values: list[tuple[Any, ...]]) -> Rows:
+        """Returns the rows of values that were selected before."""
         fixed = len(self._fixed) == len(self._names)
         return Rows(values, self._fixed if fixed else names)
 
@@ -272,7 +280,7 @@ class _Aggregated:
         self._fixed = tuple(name for name in self._names if isinstance(name, str))
 
     def row(self, frames: list[Frame], outer: Frame, *, is_there: bool = True) -> Rows:
-        """The row of a group; None where HAVING excludes it."""
+        """Returns the row of a group; None where HAVING excludes it."""
         if not is_there:
             return Rows([], self._fixed)
         values = [tuple(item(frames, outer) for item in self._items)]
@@ -283,10 +291,10 @@ class _Aggregated:
 
 
 def _sorted(
-    found: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, OrderKey]]
+    entries: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, OrderKey]]
 ) -> list[Any]:
     """Sorts by keys; items with equal keys keep their order."""
-    keyed = [(keys_of(entry), entry) for entry in found]
+    keyed = [(keys_of(entry), entry) for entry in entries]
 
     def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
         for (_, key), a, b in zip(order, left[0], right[0], strict=True):
@@ -298,21 +306,21 @@ def _sorted(
     return [entry for _, entry in sorted(keyed, key=cmp_to_key(compare))]
 
 
-def checked_count(value: Any, what: str, node: Node) -> int:
-    """A number of rows, of levels or of results.
+def checked_count(value: Any, clause: str, node: Node) -> int:
+    """Returns a number of rows, of levels or of results.
 
     Raises:
-        EvaluationError: it is none.
+        EvaluationError: it is not a whole number ≥ 0.
     """
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise EvaluationError(
-            f"{what} takes a whole number, not {short_repr(value)}", span=node.span
+            f"{clause} takes a whole number, not {short_repr(value)}", span=node.span
         )
-    return min(value, sys.maxsize)  # there is nothing of which there are more
+    return min(value, sys.maxsize)  # no sequence is longer
 
 
 def printed(value: Any, node: Node) -> str:
-    """A value as a group's key: an entity by its name, a text without quotes.
+    """Returns a value as a group's key: an entity by its name, a text without quotes.
 
     Raises:
         EvaluationError: it cannot be printed.
@@ -329,7 +337,7 @@ def printed(value: Any, node: Node) -> str:
 
 
 def _unsigned(value: Any) -> Any:
-    """Replaces -0.0 by 0.0: they are equal, and remainders in SQL may be either."""
+    """Replaces -0.0 by 0.0: they are equal, and SQL may return either."""
     if type(value) is float:
         return value + 0.0
     return [_unsigned(part) for part in value] if type(value) is list else value
@@ -340,11 +348,11 @@ class LockstepSource(Sequence[Any]):
 
     Args:
         elements: the entities, tick by tick.
-        to: the place of the other source, before this one.
+        leader: the index of the other source, before this one.
     """
 
-    def __init__(self, elements: Sequence[Any], to: int) -> None:
-        self.to = to
+    def __init__(self, elements: Sequence[Any], leader: int) -> None:
+        self.leader = leader
         self._elements = elements
         self._by_tick: dict[int, list[Any]] = {}
         for element in elements:
@@ -356,8 +364,8 @@ class LockstepSource(Sequence[Any]):
     def __getitem__(self, place: Any) -> Any:
         return self._elements[place]
 
-    def beside(self, other: Any) -> Sequence[Any]:
-        """The entities at the tick of another one."""
+    def elements_at_tick_of(self, other: Any) -> Sequence[Any]:
+        """Returns the entities at the tick of another one."""
         return self._by_tick.get(other.moment.tick, ())
 
 
@@ -365,17 +373,19 @@ def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
     if not any(isinstance(elements, LockstepSource) for elements in values):
         yield from product(*values)
         return
-    listed = [
+    sources = [
         elements if isinstance(elements, LockstepSource) else list(elements) for elements in values
     ]
 
     def following(row: tuple[Any, ...]) -> Iterator[tuple[Any, ...]]:
-        if len(row) == len(listed):
+        if len(row) == len(sources):
             yield row
             return
-        elements = listed[len(row)]
+        elements = sources[len(row)]
         chosen = (
-            elements.beside(row[elements.to]) if isinstance(elements, LockstepSource) else elements
+            elements.elements_at_tick_of(row[elements.leader])
+            if isinstance(elements, LockstepSource)
+            else elements
         )
         for element in chosen:
             yield from following((*row, element))
@@ -386,11 +396,11 @@ def _products(values: Sequence[Iterable[Any]]) -> Iterator[tuple[Any, ...]]:
 def combinations(
     aliases: Sequence[str], values: Sequence[Iterable[Any]], outer: Frame
 ) -> Iterator[dict[str | None, Any]]:
-    """The elements of the sources by alias, for each combination of them, the last fastest."""
-    around: dict[str | None, Any] = dict(outer.elements)
-    around.pop(None, None)
+    """Yields each combination of the sources' elements by alias; the last source varies fastest."""
+    outer_elements: dict[str | None, Any] = dict(outer.elements)
+    outer_elements.pop(None, None)
     for elements in _products(values):
-        row: dict[str | None, Any] = {**around, **dict(zip(aliases, elements, strict=True))}
+        row: dict[str | None, Any] = {**outer_elements, **dict(zip(aliases, elements, strict=True))}
         if len(aliases) == 1:
             row[None] = elements[0]
         yield row
@@ -400,17 +410,17 @@ def row_frames(
     aliases: Sequence[str],
     values: Sequence[Iterable[Any]],
     outer: Frame,
-    kept: dict[Node, Any],
+    cached: dict[Node, Any],
 ) -> Iterator[Frame]:
-    """The frames of all rows of a query, in order; each counts as one evaluation step."""
-    look = outer.scope.meter.combination_counter()
+    """Yields the frames of all rows of a query, in order; each counts as one evaluation step."""
+    count = outer.scope.meter.combination_counter()
     for elements in combinations(aliases, values, outer):
-        look()
-        yield outer.row(elements, kept)
+        count()
+        yield outer.row(elements, cached)
 
 
 def check_columns(columns: Sequence[SelectedValue]) -> None:
-    """Rejects two columns of one name: a dict would silently lose one of them.
+    """Checks that no two columns have the same name: a dict would lose one of them.
 
     Raises:
         ArgumentError: two have the same name.
@@ -419,6 +429,6 @@ def check_columns(columns: Sequence[SelectedValue]) -> None:
     for index, column in enumerate(columns):
         if isinstance(column.name, str) and column.name in names[:index]:
             raise ArgumentError(
-                f"two columns are called {column.name!r}; name them with to(…, 'name')",
+                f"two columns have the name {column.name!r}; name them with to(…, 'name')",
                 span=column.node.span,
             )

@@ -20,7 +20,7 @@ class DelimitedText:
 
 
 def delimited(text: str) -> Iterator[DelimitedText]:
-    """The texts and comments of a program, in order."""
+    """Yields the texts and comments of a program, in order."""
     index = 0
     while index < len(text):
         opening = next((o for o in _ENDS if text.startswith(o, index)), None)
@@ -39,12 +39,12 @@ def delimited(text: str) -> Iterator[DelimitedText]:
 
 
 def _is_comment(text: str, index: int) -> bool:
-    """Whether two dashes begin a comment: before white space, or where the text ends."""
+    """Checks whether two dashes begin a comment: before white space, or where the text ends."""
     return index + 2 >= len(text) or text[index + 2].isspace()
 
 
 def without_dashes(text: str) -> str:
-    """The program with blanks in place of the comments that begin with two dashes.
+    """Returns the program with blanks in place of the comments that begin with two dashes.
 
     >>> without_dashes("SELECT z -- height")
     'SELECT z          '
@@ -60,5 +60,5 @@ def without_dashes(text: str) -> str:
 
 
 def last_opening(text: str) -> int:
-    """The start of the string literal or comment that is never closed."""
+    """Returns the start of the string literal or comment that is never closed."""
     return next((part.start for part in delimited(text) if not part.is_closed), 0)

@@ -1,8 +1,7 @@
 """Evaluates expressions in Python: those outside queries, and those that SQL cannot express.
 
-A part of a tree is compiled once to a function of a `Frame`: of what the part sees where it is
-evaluated. Variables, functions and nested queries are looked up through the frame's
-`EvaluationScope`.
+A part of a tree is compiled once to a function of a `Frame`, which holds the values of the current
+row. Variables, functions and nested queries are looked up through the frame's `EvaluationScope`.
 """
 
 from __future__ import annotations
@@ -23,8 +22,12 @@ from ssduck.language.aggregate_arguments import argument_check
 from ssduck.language.analysis import OVER_TIME, aliases_of, free_aliases, is_impure
 from ssduck.language.deferred import LazyList
 from ssduck.language.memo import MEMOS, Memo
-from ssduck.language.missing_names import is_a_key, no_element, no_name
-from ssduck.language.operator_frames import binary, chain, is_decided, unary
+from ssduck.language.missing_names import (
+    key_not_variable_error,
+    missing_source_error,
+    unknown_name_error,
+)
+from ssduck.language.operator_frames import binary, chain, is_short_circuit, unary
 from ssduck.language.operators import check_size, indexed, truth
 from ssduck.language.tree import (
     Assignment,
@@ -47,12 +50,12 @@ from ssduck.language.tree import (
     UnresolvedName,
 )
 from ssduck.language.value_history import horizon_of
-from ssduck.language.value_keys import NUMPYS, written
+from ssduck.language.value_keys import NUMPYS, node_key
 from ssduck.limits import UsageMeter
 
-# A longer list is looked at for its size as it is made.
-FEW = 4
-# So many parts keep the functions that they were made into; then all are made anew.
+# The size of a longer list is checked when it is made.
+SMALL_LIST = 4
+# The largest number of compiled parts; when it is reached, all are dropped.
 MAX_COMPILED = 5000
 
 
@@ -60,10 +63,10 @@ class EvaluationScope(Protocol):
     """The part of the interpreter that an evaluator needs."""
 
     def variable(self, name: str) -> Any:
-        """A variable's value, or an UnknownNameError."""
+        """Returns a variable's value, or an UnknownNameError."""
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Checks whether there is a variable of that name."""
 
     def assign(self, name: str, value: Any) -> None:
         """Sets a variable."""
@@ -72,37 +75,37 @@ class EvaluationScope(Protocol):
         """Sets a variable that keeps its values for that many seconds."""
 
     def past_value(self, name: str, *age: Any) -> Any:
-        """The past value of a variable; all kept values if no age is given."""
+        """Returns the past value of a variable; all kept values if no age is given."""
 
     def check_call(self, node: Call) -> None:
         """Rejects an unknown function, or a wrong number of arguments."""
 
     def resolved_name(self, name: str) -> str:
-        """The name under which the function is called: marked if a user's function replaces it."""
+        """Returns the name that calls a function: marked if a user's function replaces it."""
 
     def is_users(self, name: str) -> bool:
-        """Whether that is a user's function."""
+        """Checks whether that is a user's function."""
 
     def builtin(self, name: str) -> Callable[[list[Any]], Any] | None:
-        """A built-in function of plain values, whether or not a user's function replaces it."""
+        """Returns a built-in function of plain values, even if a user's function replaces it."""
 
     def function(self, name: str) -> Callable[[list[Any]], Any] | None:
-        """A function that is no relation."""
+        """Returns a function that is no relation."""
 
     def over_time(self, node: Call, frame: Frame) -> Any:
-        """The value of a call whose argument is evaluated at each recorded tick."""
+        """Returns the value of a call whose argument is evaluated at each recorded tick."""
 
     def call(self, node: Call, arguments: list[Any], frame: Frame) -> Any:
-        """The value of a function call."""
+        """Returns the value of a function call."""
 
     def query(self, node: Query, frame: Frame) -> Any:
-        """The value of a nested query, which sees the rows of the outer ones."""
+        """Returns the value of a nested query, which sees the rows of the outer ones."""
 
     def names(self) -> list[str]:
-        """The names of all variables and functions."""
+        """Returns the names of all variables and functions."""
 
     def deferred(self, node: Node) -> LazyList:
-        """A list of the running program for the query that uses it."""
+        """Returns a list of the running program for the query that uses it."""
 
     @property
     def meter(self) -> UsageMeter:
@@ -118,10 +121,10 @@ class Frame:
             by None.
         local: the state variables of a path through a hierarchical query.
         placeholders: the values of `Placeholder` parts.
-        columns: what SQL has fetched for this row.
-        cached: the values of parts that are the same for all rows, once they are known.
-        state: the same of parts that are the same for all rows of a state.
-        outer_elements: elements of queries around one that does not depend on them.
+        columns: the SQL columns of this row.
+        cached: the values of constant parts that are evaluated already.
+        state: the same for parts that are constant within a state.
+        outer_elements: the elements of outer queries on which this query does not depend.
     """
 
     __slots__ = (
@@ -163,7 +166,7 @@ class Frame:
         cached: dict[Node, Any],
         columns: Sequence[Any] = (),
     ) -> Frame:
-        """The frame of a row of a query that this one is around."""
+        """Returns the frame of a row of a query inside this one."""
         return Frame(
             self.scope,
             elements,
@@ -175,7 +178,7 @@ class Frame:
         )
 
     def independent(self) -> Frame:
-        """The frame for a query that depends on no row around it."""
+        """Returns the frame for a query that depends on no row around it."""
         return Frame(
             self.scope,
             self.elements,
@@ -188,14 +191,14 @@ class Frame:
         )
 
     def own_elements(self) -> list[Any]:
-        """The elements of this query, and of those around it that it depends on."""
+        """Returns the elements of this query, and of those around it that it depends on."""
         return [e for alias, e in self.elements.items() if self.outer_elements.get(alias) is not e]
 
     def value(self, node: Node) -> Any:
-        """The value of an expression.
+        """Returns the value of an expression.
 
         Raises:
-            SelectScriptError: with the offending part's place.
+            SelectScriptError: the evaluation failed; the error has the place.
         """
         return compiled(node, self.scope)(self)
 
@@ -203,7 +206,7 @@ class Frame:
 Thunk: TypeAlias = Callable[[Frame], Any]
 
 
-# Weak keys would stay, too: the functions know their parts.
+# Weak keys would not help: the functions refer to their parts.
 _COMPILED: dict[Node, Thunk] = {}
 
 
@@ -221,13 +224,13 @@ class ExpressionCompiler:
     """Compiles nodes of a tree to functions of frames.
 
     Args:
-        scope: names are checked with it, whether a row comes to them or not.
-        known: parts whose values are known, as functions of a frame.
-        constants: parts that are the same for all rows: evaluated once, when first needed.
-        of_state: parts that are the same for all rows of a state.
-        memorize: whether a user's function called twice alike in a row is called once; not
-            where variables change between the calls.
-        query: whose parts they are.
+        scope: the scope in which names are checked, even if no row evaluates them.
+        known: the parts with known values, as functions of a frame.
+        constants: the parts that are the same for all rows; they are evaluated once.
+        state_constants: the parts that are the same for all rows of a state.
+        memorize: whether a user's function is called once a row for equal calls; not possible if
+            variables change between the calls.
+        query: the query that contains the parts.
     """
 
     def __init__(
@@ -235,7 +238,7 @@ class ExpressionCompiler:
         scope: EvaluationScope,
         known: Mapping[Node, Thunk] | None = None,
         constants: Collection[Node] = (),
-        of_state: Collection[Node] = (),
+        state_constants: Collection[Node] = (),
         *,
         memorize: bool = False,
         query: Query | None = None,
@@ -244,24 +247,24 @@ class ExpressionCompiler:
         self._scope = scope
         self._known = known or {}
         self._constants = constants
-        self._of_state = of_state
+        self._state_constants = state_constants
         self._memorize = memorize
 
     def thunk(self, node: Node) -> Thunk:
-        """The node as a function of a frame."""
+        """Returns the node as a function of a frame."""
         known = self._known.get(node)
         if known is not None:
             return known
         thunk = self._thunk(node)
         if node in self._constants:
             return _cached(node, thunk, attrgetter("cached"))
-        return _cached(node, thunk, attrgetter("state")) if node in self._of_state else thunk
+        return _cached(node, thunk, attrgetter("state")) if node in self._state_constants else thunk
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
-        """The node as a condition: a function of a frame that returns True or False."""
+        """Returns the node as a condition: a function of a frame that returns True or False."""
         thunk = self.thunk(node)
-        if is_decided(node):
-            return thunk  # which is True or False
+        if is_short_circuit(node):
+            return thunk  # it returns True or False
 
         def holds(frame: Frame) -> bool:
             value = thunk(frame)
@@ -270,7 +273,7 @@ class ExpressionCompiler:
         return holds
 
     def calls_once(self, node: Node) -> bool:
-        """Whether the node is a call that is evaluated once a row, however often it is written."""
+        """Checks whether a node is a call that is evaluated once a row, even if it is repeated."""
         return (
             self._memorize
             and isinstance(node, Call)
@@ -279,7 +282,7 @@ class ExpressionCompiler:
         )
 
     def is_deferred(self, node: Node) -> bool:
-        """Whether a part is a variable that holds a list for the query that uses it."""
+        """Checks whether a part is a variable that holds a list for the query that uses it."""
         return (
             isinstance(node, Name)
             and self._scope.has_variable(node.name)
@@ -297,11 +300,11 @@ class ExpressionCompiler:
             case Placeholder(name=name):
                 return lambda frame: frame.placeholders[name]
             case UnresolvedName():
-                return self._bare(node)
+                return self._unresolved_name(node)
             case This(alias=alias):
                 return self._element(node, alias)
             case QualifiedName():
-                return self._dotted(node)
+                return self._qualified_name(node)
             case Call():
                 return self._call(node)
             case Index():
@@ -313,7 +316,7 @@ class ExpressionCompiler:
             case OperatorChain():
                 return chain(self, node)
             case If():
-                return self._choice(node)
+                return self._if(node)
             case Assignment():
                 return self._assignment(node)
             case TimeIndex():
@@ -321,12 +324,12 @@ class ExpressionCompiler:
             case Query():
                 for part in node.walk():
                     if isinstance(part, Query):
-                        aliases_of(part)  # is an error whether a row comes to it or not
-                return _placed(node, lambda frame: frame.scope.query(node, frame))
+                        aliases_of(part)  # an error even if no row evaluates it
+                return _with_span(node, lambda frame: frame.scope.query(node, frame))
         raise UnsupportedError(f"{type(node).__name__} is not supported here", span=node.span)
 
     def _name(self, node: Node, name: str) -> Thunk:
-        placed = _placed(node, lambda frame: _variable(frame, name))
+        placed = _with_span(node, lambda frame: _variable(frame, name))
 
         def value(frame: Frame) -> Any:
             local = frame.local
@@ -341,12 +344,12 @@ class ExpressionCompiler:
             _refuse_state(name, frame)
             return frame.scope.past_value(name, *(() if age is None else (age(frame),)))
 
-        return _placed(node, value)
+        return _with_span(node, value)
 
     def _list(self, node: Node, items: Sequence[Node]) -> Thunk:
         thunks = [self.thunk(item) for item in items]
-        # What is made of few lists is not much larger than they are, and these were checked.
-        large = len(items) > FEW or any(isinstance(item, ListLiteral) for item in items)
+        # A list of few checked lists is not much larger than they are.
+        large = len(items) > SMALL_LIST or any(isinstance(item, ListLiteral) for item in items)
 
         def make(frame: Frame) -> list[Any]:
             values = [thunk(frame) for thunk in thunks]
@@ -361,11 +364,11 @@ class ExpressionCompiler:
             try:
                 return frame.elements[alias]
             except KeyError:
-                raise no_element(alias, frame.elements, node.span) from None
+                raise missing_source_error(alias, frame.elements, node.span) from None
 
         return element
 
-    def _dotted(self, node: QualifiedName) -> Thunk:
+    def _qualified_name(self, node: QualifiedName) -> Thunk:
         alias, key = node.alias, node.key
         element, index = self._element(node.this, alias), self.thunk(node.index)
 
@@ -379,9 +382,9 @@ class ExpressionCompiler:
             frame.scope.check_call(call)
             return frame.scope.call(call, [current], frame)
 
-        return _placed(node, value)
+        return _with_span(node, value)
 
-    def _bare(self, node: UnresolvedName) -> Thunk:
+    def _unresolved_name(self, node: UnresolvedName) -> Thunk:
         name = node.name
         this = (This(node.span, None),)
 
@@ -392,12 +395,12 @@ class ExpressionCompiler:
             if name in frame.local or frame.scope.has_variable(name):
                 return _variable(frame, name)
             if isinstance(element, dict):
-                raise no_name(name, element, frame.scope.names())
+                raise unknown_name_error(name, element, frame.scope.names())
             call = Call(node.span, frame.scope.resolved_name(name), this, node.span)
             frame.scope.check_call(call)
             return frame.scope.call(call, [element], frame)
 
-        return _placed(node, value)
+        return _with_span(node, value)
 
     def _call(self, node: Call) -> Thunk:
         self._scope.check_call(node)
@@ -407,8 +410,8 @@ class ExpressionCompiler:
 
         function = self._scope.builtin(node.name)
         check = argument_check(node, self._query)
-        if self.calls_once(node):  # what a name means does not change while a query runs
-            return self._remembered(node, thunks)
+        if self.calls_once(node):  # the meaning of a name does not change while a query runs
+            return self._memoized_call(node, thunks)
 
         def call(frame: Frame) -> Any:
             arguments = [thunk(frame) for thunk in thunks]
@@ -425,9 +428,9 @@ class ExpressionCompiler:
 
         return call
 
-    def _remembered(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
-        """A call of a user's function, evaluated once a row, and once for equal arguments."""
-        key, name = written(node), node.name
+    def _memoized_call(self, node: Call, thunks: Sequence[Thunk]) -> Thunk:
+        """Compiles a call of a user's function to run once a row and once for equal arguments."""
+        key, name = node_key(node), node.name
         function = self._scope.function(name)
         assert function is not None
 
@@ -445,7 +448,7 @@ class ExpressionCompiler:
             value = calls[key] = memo(arguments)
             return value
 
-        return _placed(node, call)
+        return _with_span(node, call)
 
     def _index(self, node: Index) -> Thunk:
         base = self.thunk(node.base)
@@ -459,11 +462,11 @@ class ExpressionCompiler:
 
         return element
 
-    def made(self, node: Node) -> Any:
-        """The value of a node that depends on nothing."""
+    def constant_value(self, node: Node) -> Any:
+        """Returns the value of a node that depends on nothing."""
         return self._thunk(node)(Frame(self._scope))
 
-    def _choice(self, node: If) -> Thunk:
+    def _if(self, node: If) -> Thunk:
         branches = [
             (self.condition(branch.condition), list(map(self.thunk, branch.then)))
             for branch in node.branches
@@ -471,9 +474,9 @@ class ExpressionCompiler:
         otherwise = list(map(self.thunk, node.otherwise))
 
         def choice(frame: Frame) -> Any:
-            chosen = next((then for condition, then in branches if condition(frame)), otherwise)
+            statements = next((then for condition, then in branches if condition(frame)), otherwise)
             value: Any = False
-            for part in chosen:
+            for part in statements:
                 value = part(frame)
             return value
 
@@ -482,17 +485,17 @@ class ExpressionCompiler:
     def _assignment(self, node: Assignment) -> Thunk:
         name, value = node.name, self.thunk(node.value)
         horizon = None if node.horizon is None else self._horizon(node.horizon)
-        seen = free_aliases(node.value) if isinstance(node.value, ListLiteral) else frozenset()
+        aliases = free_aliases(node.value) if isinstance(node.value, ListLiteral) else frozenset()
 
         def assign(frame: Frame) -> Any:
             if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
                 raise UnknownNameError(
-                    f"there is no variable {short_repr(name)} that could be assigned here: "
+                    f"there is no variable {short_repr(name)} to assign here: "
                     "write == to compare, or assign it before the query",
                     span=node.span,
                 )
             seconds = None if horizon is None else horizon(frame)
-            if seen and None not in seen and not frame.elements:
+            if aliases and None not in aliases and not frame.elements:
                 assigned: Any = frame.scope.deferred(node.value)
             else:
                 assigned = value(frame)
@@ -506,22 +509,22 @@ class ExpressionCompiler:
                 frame.scope.assign(name, assigned)
             return assigned
 
-        return assign if horizon is None else _placed(node, assign)
+        return assign if horizon is None else _with_span(node, assign)
 
     def _horizon(self, node: Node) -> Thunk:
-        """The time for which an assignment keeps values, in seconds."""
+        """Returns the time for which an assignment keeps values, in seconds."""
         if isinstance(node, UnboundedHorizon):
             return lambda _: math.inf
         value = self.thunk(node)
-        return _placed(node, lambda frame: horizon_of(value(frame)))
+        return _with_span(node, lambda frame: horizon_of(value(frame)))
 
 
 def _refuse_state(name: str, frame: Frame) -> None:
     if name in frame.local:
-        raise ArgumentError(f"{name} is a state variable here, and these have no history")
+        raise ArgumentError(f"{name} is a state variable here; state variables have no history")
 
 
-def _placed(node: Node, thunk: Thunk) -> Thunk:
+def _with_span(node: Node, thunk: Thunk) -> Thunk:
     """Adds the node's place to the errors that arise in it."""
 
     def placed(frame: Frame) -> Any:
@@ -538,10 +541,10 @@ def _placed(node: Node, thunk: Thunk) -> Thunk:
 
 def _cached(node: Node, thunk: Thunk, values: Callable[[Frame], dict[Node, Any]]) -> Thunk:
     def cached(frame: Frame) -> Any:
-        known = values(frame)
-        if node in known:
-            return known[node]
-        return known.setdefault(node, thunk(frame))
+        cache = values(frame)
+        if node in cache:
+            return cache[node]
+        return cache.setdefault(node, thunk(frame))
 
     return cached
 
@@ -552,14 +555,14 @@ def _variable(frame: Frame, name: str) -> Any:
     if not frame.scope.has_variable(name):
         element = frame.elements.get(None)
         if isinstance(element, dict) and name in element:
-            raise is_a_key(name)
+            raise key_not_variable_error(name)
     value = frame.scope.variable(name)
-    # Outside all queries it is passed on as it is.
+    # Outside all queries, it is returned unresolved.
     return resolved(value, frame) if isinstance(value, LazyList) and frame.elements else value
 
 
 def resolved(deferred: LazyList, frame: Frame) -> Any:
-    """The value of a deferred list in the query that uses it.
+    """Returns the value of a deferred list in the query that uses it.
 
     Raises:
         UnknownNameError: the query has no such source.

@@ -16,13 +16,13 @@ class Vertex(Generic[T]):
 
     Attributes:
         value: the row.
-        found: whether a path may end here; then it goes no further.
+        is_result: whether paths end here.
         next: the rows of its state, in order.
-        distance: how many steps it is from the nearest one that is found.
+        distance: the number of steps to the nearest result.
     """
 
     value: T
-    found: bool
+    is_result: bool
     next: list[Vertex[T]] = field(default_factory=list)
     distance: int | None = None
 
@@ -30,26 +30,26 @@ class Vertex(Generic[T]):
 def simple_paths(
     roots: Sequence[Vertex[T]],
     vertices: Sequence[Vertex[T]],
-    longest: int | None,
+    max_length: int | None,
     count: Callable[[], None],
 ) -> Iterator[list[T]]:
-    """The simple paths from a root to a vertex that is found, shortest first.
+    """Yields the simple paths from a root to a result, shortest first.
 
-    All simple paths of any length are more than anybody can wait for: without a longest length
-    they are those that are as short as the shortest.
+    There may be too many simple paths of any length; without a maximum length, only the shortest
+    ones are yielded.
 
-    At the end the graph is taken apart, for the garbage collector would be slower.
+    At the end, the edges are removed, which is faster than garbage collection.
 
     Args:
-        roots: where paths begin.
-        vertices: all there are.
-        longest: how many vertices a path may have; None for as few as any path has.
-        count: is called once a step.
+        roots: the first vertices of paths.
+        vertices: all vertices.
+        max_length: the largest number of vertices of a path; None for that of the shortest path.
+        count: a function that is called once a step.
     """
-    _measure(vertices)
-    most = _shortest(roots) if longest is None else min(longest, len(vertices))
+    _set_distances(vertices)
+    limit = _shortest(roots) if max_length is None else min(max_length, len(vertices))
     try:
-        for length in range(1, most + 1):
+        for length in range(1, limit + 1):
             for root in roots:
                 if root.distance is not None and root.distance < length:
                     for path in _paths_of_length(root, length, count):
@@ -60,51 +60,51 @@ def simple_paths(
 
 
 def _shortest(roots: Sequence[Vertex[T]]) -> int:
-    """The number of vertices of the shortest path; 0 if there is none."""
+    """Returns the number of vertices of the shortest path; 0 if there is none."""
     return min((1 + root.distance for root in roots if root.distance is not None), default=0)
 
 
-def _measure(vertices: Sequence[Vertex[T]]) -> None:
-    before: dict[Vertex[T], list[Vertex[T]]] = {}
+def _set_distances(vertices: Sequence[Vertex[T]]) -> None:
+    predecessors: dict[Vertex[T], list[Vertex[T]]] = {}
     for vertex in vertices:
-        for following in vertex.next:
-            before.setdefault(following, []).append(vertex)
-    waiting = deque(vertex for vertex in vertices if vertex.found)
-    for vertex in waiting:
+        for successor in vertex.next:
+            predecessors.setdefault(successor, []).append(vertex)
+    queue = deque(vertex for vertex in vertices if vertex.is_result)
+    for vertex in queue:
         vertex.distance = 0
-    while waiting:
-        vertex = waiting.popleft()
+    while queue:
+        vertex = queue.popleft()
         assert vertex.distance is not None
-        for earlier in before.get(vertex, ()):
-            if earlier.distance is None:
-                earlier.distance = vertex.distance + 1
-                waiting.append(earlier)
+        for predecessor in predecessors.get(vertex, ()):
+            if predecessor.distance is None:
+                predecessor.distance = vertex.distance + 1
+                queue.append(predecessor)
 
 
 def _paths_of_length(
     root: Vertex[T], length: int, count: Callable[[], None]
 ) -> Iterator[list[Vertex[T]]]:
-    if root.found:
+    if root.is_result:
         if length == 1:
             yield [root]
         return
     path = [root]
-    met = {root}
-    open_ones = [iter(root.next)]
-    while open_ones:
+    visited = {root}
+    stack = [iter(root.next)]
+    while stack:
         count()
-        vertex = next(open_ones[-1], None)
+        vertex = next(stack[-1], None)
         if vertex is None:
-            open_ones.pop()
-            met.discard(path.pop())
+            stack.pop()
+            visited.discard(path.pop())
             continue
-        left = length - len(path) - 1
-        if vertex.distance is None or vertex.distance > left or vertex in met:
+        remaining = length - len(path) - 1
+        if vertex.distance is None or vertex.distance > remaining or vertex in visited:
             continue
-        if vertex.found:
-            if left == 0:
+        if vertex.is_result:
+            if remaining == 0:
                 yield [*path, vertex]
             continue
         path.append(vertex)
-        met.add(vertex)
-        open_ones.append(iter(vertex.next))
+        visited.add(vertex)
+        stack.append(iter(vertex.next))

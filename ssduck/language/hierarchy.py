@@ -1,12 +1,13 @@
 """Runs hierarchical queries row by row: START WITH … CONNECT BY … STOP WITH.
 
 A state is the values of the state variables. In a state, each combination of the sources is a
-row; SELECT, WHERE and STOP WITH see the state before the row's step, and CONNECT BY makes of
-both the next state. At a row: where WHERE holds, the path up to it is a result and ends;
-else, where STOP WITH holds, it is none and ends; else the search goes on from the next state.
-Without WHERE the paths that STOP WITH ends are the results.
+row; SELECT, WHERE and STOP WITH see the state before the row's step, and CONNECT BY computes the
+next state from the row and the state. If WHERE holds at a row, the path up to it is a result and
+ends. Otherwise, if STOP WITH holds, the path ends without a result. Otherwise, the search goes on
+from the next state. Without WHERE, the paths that STOP WITH ends are the results.
 
-A row that ends a path in vain is not selected, as in SQL, unless the query does something.
+A row that ends a path without a result is a dead end. As in SQL, it is not selected, unless the
+query has side effects.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from ssduck.language.operators import check_size, truth
 from ssduck.language.tree import Assignment, Name, Node, Query, Recursion, TimeIndex
 from ssduck.language.value_keys import ValueKeys
 
-# So many states keep their rows, so that a state that is reached again costs nothing.
+# The largest number of states whose rows are cached.
 MAX_STATES = 10_000
-# Where the calls of a row are, what is selected of it is kept, too; no call is written so.
+# The key of the selected values among the cached calls of a row; no call has it.
 _SELECT = "SELECT"
 
 
@@ -37,9 +38,9 @@ class RowSelection:
     """The selected values of a row.
 
     Attributes:
-        values: what is selected.
-        names: what it is called.
-        key: a number for both, which rows are told apart by; None while it is not known.
+        values: the values.
+        names: the names of the columns.
+        key: a number that identifies both; None while it is unknown.
     """
 
     __slots__ = ("key", "names", "values")
@@ -54,31 +55,31 @@ class PathStep:
     """A row in a state that is not a dead end.
 
     Attributes:
-        frame: what the row's expressions see.
-        found: whether a path up to this row is a result.
-        stops: whether STOP WITH holds; nobody asks where a row is found, but under UNIQUE.
-        selection: what is selected; None while it is not known.
-        after: the rows of the state after its step; None while they are not known.
+        frame: the frame of the row.
+        is_result: whether a path up to this row is a result.
+        stops: whether STOP WITH holds; for a result, it is evaluated only under UNIQUE.
+        selection: the selected values; None while they are unknown.
+        successors: the rows of the state after its step; None while they are unknown.
     """
 
-    __slots__ = ("after", "found", "frame", "selection", "stops")
+    __slots__ = ("frame", "is_result", "selection", "stops", "successors")
 
     def __init__(
         self,
         frame: Frame,
         selection: RowSelection | None,
-        found: bool,  # there are many of these, and names take time
+        is_result: bool,  # positional, because keywords take time
         stops: bool,
     ) -> None:
         self.frame = frame
         self.selection = selection
-        self.found = found
+        self.is_result = is_result
         self.stops = stops
-        self.after: Steps | None = None
+        self.successors: Steps | None = None
 
 
-# The rows of a state, in order, each one made when it is first asked for: what `tee` gives,
-# left at the first row.
+# The rows of a state, in order, each made at its first use: an iterator of `tee` that stays at the
+# first row.
 Steps: TypeAlias = Iterator[PathStep]
 RowsOf: TypeAlias = Callable[[dict[str, Any]], Iterable[Mapping[str | None, Any]]]
 Calls: TypeAlias = dict[str, Any]
@@ -87,68 +88,69 @@ Calls: TypeAlias = dict[str, Any]
 class _States:
     """The rows of each state that was reached; equal states share them.
 
-    Rows of different states share what users' functions gave if the states differ only in
+    Rows of different states share the results of users' functions if the states differ only in
     variables that the calls do not mention.
 
     Args:
-        made: makes the rows of a state; it is given what users' functions gave for each one.
-        called_with: the state variables that calls of users' functions mention; None if rows
+        make_steps: a function that yields the rows of a state, with the results of users'
+            functions for each row.
+        call_variables: the state variables that calls of users' functions mention; None if rows
             of different states share nothing.
-        most: so many states are kept; the others are made each time.
+        max_states: the largest number of cached states.
 
     Attributes:
-        keys: numbers for values.
+        keys: the numbers that identify rows.
     """
 
     def __init__(
         self,
-        made: Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]],
-        called_with: Collection[str] | None,
-        most: int,
+        make_steps: Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]],
+        call_variables: Collection[str] | None,
+        max_states: int,
     ) -> None:
         self.keys = ValueKeys()
-        self._made = made
-        self._called_with = called_with
-        self._most = most
+        self._make_steps = make_steps
+        self._call_variables = call_variables
+        self._max_states = max_states
         self._known: dict[Any, Steps] = {}
         self._calls: dict[Any, dict[int, Calls]] = defaultdict(lambda: defaultdict(dict))
         self._picks: dict[int, Callable[[tuple[Any, ...]], Any]] = {}
 
     def __call__(self, state: dict[str, Any]) -> Steps:
-        """The rows of a state."""
+        """Returns the rows of a state."""
         try:
             key = self.keys.exact(state.values())
-        except ArgumentError:  # it cannot be told apart from others
+        except ArgumentError:  # its values have no keys
             return self._steps(state, None)
         result = self._known.get(key)
         if result is not None:
             return result
-        if len(self._known) >= self._most:
+        if len(self._known) >= self._max_states:
             return self._steps(state, None)
         result = self._known[key] = self._steps(state, key)
         return result
 
     def _steps(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Steps:
-        return tee(self._made(state, self._calls_of(state, key)), 1)[0]
+        return tee(self._make_steps(state, self._calls_of(state, key)), 1)[0]
 
     def _calls_of(self, state: dict[str, Any], key: tuple[Any, ...] | None) -> Iterator[Calls]:
-        """The results of users' functions for each row of a state."""
-        if key is None or self._called_with is None:
+        """Yields the results of users' functions for each row of a state."""
+        if key is None or self._call_variables is None:
             return iter(dict, None)
         pick = self._picks.get(len(state))  # CONNECT BY may set more variables than START WITH
         if pick is None:
-            places = [place for place, name in enumerate(state) if name in self._called_with]
+            places = [place for place, name in enumerate(state) if name in self._call_variables]
             pick = self._picks[len(state)] = itemgetter(*places) if places else _nothing
         return map(self._calls[pick(key)].__getitem__, count())
 
 
 def _nothing(_: object) -> None:
-    """The key of a state for calls that mention none of its variables."""
+    """Returns the key of a state for calls that mention none of its variables."""
 
 
-def _again(steps: Steps) -> Iterator[PathStep]:
-    """The rows of a state from the first one."""
-    return tee(steps)[1]  # the other one is what it was given
+def _from_start(steps: Steps) -> Iterator[PathStep]:
+    """Yields the rows of a state from the first one."""
+    return tee(steps)[1]  # the first one stays at the first row
 
 
 class Hierarchy:
@@ -156,13 +158,13 @@ class Hierarchy:
 
     Args:
         query: the query.
-        clauses: SELECT, and what is applied to the paths.
-        compiler: makes functions of its parts.
-        deepest: how many rows a path may have.
+        clauses: SELECT, and the clauses that apply to the paths.
+        compiler: the compiler of its parts.
+        max_depth: the largest number of rows of a path.
     """
 
     def __init__(
-        self, query: Query, clauses: Clauses, compiler: ExpressionCompiler, deepest: int
+        self, query: Query, clauses: Clauses, compiler: ExpressionCompiler, max_depth: int
     ) -> None:
         assert query.recursion is not None
         self._query = query
@@ -177,22 +179,23 @@ class Hierarchy:
             for node in (query.recursion.memorize, query.recursion.maximum)
             if node is not None
         }
-        self._deepest = deepest
-        # What happens at a row of a query that does something is to happen each time.
-        self._happens = is_impure(query)
-        self._called_with = _called_with(query, compiler)
-        selected = _read(query.items, states(query), compiler)
+        self._deepest = max_depth
+        self._has_side_effects = is_impure(query)
+        self._call_variables = _call_variables(query, compiler)
+        selected = _variables_read(query.items, states(query), compiler)
         self._shares_selected = (
-            self._called_with is not None and selected is not None and selected <= self._called_with
+            self._call_variables is not None
+            and selected is not None
+            and selected <= self._call_variables
         )
 
     def selected(self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]) -> Selected:
-        """The paths.
+        """Returns the paths.
 
         Args:
-            outer: what is around the query.
-            rows: the elements of the sources at each row of a state, in order.
-            cached: the values of parts that are the same for all rows, once they are known.
+            outer: the frame of the outer query.
+            rows: a function that returns the elements of the sources at each row of a state.
+            cached: the values of constant parts that are evaluated already.
         """
         recursion = self._recursion
         state = dict(outer.local)
@@ -201,14 +204,14 @@ class Hierarchy:
             made = value(frame)
             if name is not None:
                 state[name] = resolved(made, frame) if isinstance(made, LazyList) else made
-        most_states = 0 if self._happens else MAX_STATES
-        states = _States(self._steps_of(outer, rows, cached), self._called_with, most_states)
+        most_states = 0 if self._has_side_effects else MAX_STATES
+        states = _States(self._steps_of(outer, rows, cached), self._call_variables, most_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)
-        most = self._number(recursion.maximum, "MAXIMUM", outer)
+        max_states = self._number(recursion.maximum, "MAXIMUM", outer)
         meter = outer.scope.meter
         result: list[list[PathStep]] = []
-        for path in islice(paths, most):
+        for path in islice(paths, max_states):
             result.append(path)
             meter.check_rows(len(result))
         limit = self._clauses.count(outer)
@@ -230,12 +233,12 @@ class Hierarchy:
 
     def _rows(self, path: Sequence[PathStep]) -> Rows:
         selections = [self._selection(step) for step in path]
-        return self._clauses.items.gathered(
+        return self._clauses.items.rows_of_values(
             [selection.names for selection in selections],
             [selection.values for selection in selections],
         )
 
-    # -- what a row is --------------------------------------------------------------------
+    # -- rows ------------------------------------------------------------------------------
 
     def _steps_of(
         self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
@@ -243,9 +246,9 @@ class Hierarchy:
         """Returns a function that yields the rows of a state, without dead ends."""
         stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
         found_at = stop_at if self._query.where is None else self._query.where
-        # Under UNIQUE it matters of a row that is found whether it counts.
+        # Under UNIQUE, STOP WITH decides whether a result counts as visited.
         always_stops = where is None or self._recursion.unique
-        scope, placeholders, look = (
+        scope, placeholders, count = (
             outer.scope,
             outer.placeholders,
             outer.scope.meter.combination_counter(),
@@ -255,11 +258,11 @@ class Hierarchy:
             of_state: dict[Node, Any] = {}
             frame = None
             for elements, known in zip(rows(state), calls, strict=False):
-                look()
+                count()
                 if frame is None:
                     frame = Frame(scope, elements, state, placeholders, (), cached, of_state)
                 frame.elements, frame.calls = elements, known
-                selection = self._selected_of(frame) if self._happens else None
+                selection = self._selected_of(frame) if self._has_side_effects else None
                 result = False if where is None else where(frame)
                 if result is not True and result is not False:
                     result = truth(result, found_at)
@@ -270,12 +273,12 @@ class Hierarchy:
                     result = stops
                 if result or not stops:
                     yield PathStep(frame, selection, result, stops)
-                    frame = None  # else nobody knows of it
+                    frame = None  # the step refers to it; a dead end's frame is reused
 
         return steps
 
     def _selection(self, step: PathStep) -> RowSelection:
-        """The selected values of a row, evaluated on first use."""
+        """Returns the selected values of a row, evaluated on first use."""
         if step.selection is None:
             step.selection = self._selected_of(step.frame)
         return step.selection
@@ -291,62 +294,62 @@ class Hierarchy:
         return selection
 
     def _key(self, step: PathStep, keys: ValueKeys) -> int:
-        """The key by which rows are distinguished."""
+        """Returns the key by which rows are distinguished."""
         selection = step.selection or self._selection(step)
         if selection.key is None:
             selection.key = keys.of(selection.values, selection.names)
         return selection.key
 
-    def _after(self, step: PathStep, states: _States) -> Iterator[PathStep]:
-        """The rows of the state after a row; all of CONNECT BY sees the state before it."""
-        if step.after is None:
+    def _successors(self, step: PathStep, states: _States) -> Iterator[PathStep]:
+        """Yields the rows of the state after a row; all of CONNECT BY sees the state before it."""
+        if step.successors is None:
             state = dict(step.frame.local)
             for name, value in self._next:
                 made = value(step.frame)
                 check_size(made, self._recursion.span)
                 if name is not None:
                     state[name] = made
-            step.after = states(state)
-        return _again(step.after)
+            step.successors = states(state)
+        return _from_start(step.successors)
 
     # -- searches -------------------------------------------------------------------------
 
     def _depth_first(
         self, outer: Frame, states: _States, state: dict[str, Any]
     ) -> Iterator[list[PathStep]]:
-        """The paths in depth-first order of the sources."""
+        """Yields the paths in depth-first order of the sources."""
         unique = self._recursion.unique
-        tells_apart = unique or self._recursion.no_cycle
+        skips_visited = unique or self._recursion.no_cycle
         keys = states.keys
         visited: set[int | None] = set()
         path: list[PathStep] = []
-        open_rows = [_again(states(state))]
-        look = outer.scope.meter.combination_counter()
+        open_rows = [_from_start(states(state))]
+        count = outer.scope.meter.combination_counter()
         while open_rows:
             for step in open_rows[-1]:
-                look()
-                if tells_apart and self._key(step, keys) in visited:
+                count()
+                if skips_visited and self._key(step, keys) in visited:
                     continue
-                if step.found:
+                if step.is_result:
                     yield [*path, step]
-                goes_on = not (step.found or step.stops)
-                if tells_apart and (not step.stops if unique else goes_on):
+                continues = not (step.is_result or step.stops)
+                if skips_visited and (not step.stops if unique else continues):
                     visited.add(self._key(step, keys))
-                if goes_on:
+                if continues:
                     path.append(step)
                     self._check_depth(len(path), "a path", "rows")
-                    open_rows.append(self._after(step, states))
+                    open_rows.append(self._successors(step, states))
                     break
             else:
                 open_rows.pop()
-                left = path.pop() if path else None
-                if left is not None and tells_apart and not unique:
-                    visited.discard(self._key(left, keys))
+                finished = path.pop() if path else None
+                if finished is not None and skips_visited and not unique:
+                    visited.discard(self._key(finished, keys))
 
-    def _check_depth(self, depth: int, what: str, parts: str) -> None:
+    def _check_depth(self, depth: int, subject: str, parts: str) -> None:
         if depth >= self._deepest:
             raise LimitError(
-                f"{what} has more than {self._deepest} {parts}; bound the search in STOP WITH, "
+                f"{subject} has more than {self._deepest} {parts}; bound the search in STOP WITH, "
                 "or with MEMORIZE n, or raise Limits(depth=…)",
                 span=self._recursion.span,
             )
@@ -354,7 +357,7 @@ class Hierarchy:
     def _graph_paths(
         self, outer: Frame, states: _States, state: dict[str, Any]
     ) -> Iterator[list[PathStep]]:
-        """The simple paths through the graph of distinct selected rows, shortest first."""
+        """Yields the simple paths through the graph of distinct selected rows, shortest first."""
         levels = self._number(self._recursion.memorize, "MEMORIZE", outer)
         roots, vertices = self._graph(states, state, levels)
         return simple_paths(roots, vertices, levels, outer.scope.meter.step)
@@ -362,43 +365,43 @@ class Hierarchy:
     def _graph(
         self, states: _States, state: dict[str, Any], levels: int | None
     ) -> tuple[list[Vertex[PathStep]], list[Vertex[PathStep]]]:
-        """The distinct rows that are reached, breadth first, and those of the first level.
+        """Returns the distinct rows that are reached, breadth first, and those of the first level.
 
         Without a number of levels there are as many as it takes to find a path.
         """
         keys = states.keys
-        deepest = levels
-        known: dict[int, Vertex[PathStep]] = {}
-        waiting: deque[tuple[Vertex[PathStep], int]] = deque()
+        max_depth = levels
+        vertices: dict[int, Vertex[PathStep]] = {}
+        queue: deque[tuple[Vertex[PathStep], int]] = deque()
 
         def reached(steps: Iterator[PathStep], level: int) -> list[Vertex[PathStep]]:
-            nonlocal deepest
-            result: dict[Vertex[PathStep], None] = {}  # in order, each one once
+            nonlocal max_depth
+            result: dict[Vertex[PathStep], None] = {}  # an ordered set
             for step in steps:
                 key = self._key(step, keys)
-                vertex = known.get(key)
+                vertex = vertices.get(key)
                 if vertex is None:
-                    vertex = known[key] = Vertex(step, step.found)
-                    if not step.found:
-                        waiting.append((vertex, level))
-                    elif deepest is None:  # what lies deeper is on no shortest path
-                        deepest = level
+                    vertex = vertices[key] = Vertex(step, step.is_result)
+                    if not step.is_result:
+                        queue.append((vertex, level))
+                    elif max_depth is None:  # no shortest path is longer
+                        max_depth = level
                 result[vertex] = None
             return list(result)
 
-        roots = reached(_again(states(state)), 1) if levels != 0 else []
-        while waiting:
-            vertex, level = waiting.popleft()
-            if deepest is None or level < deepest:
+        roots = reached(_from_start(states(state)), 1) if levels != 0 else []
+        while queue:
+            vertex, level = queue.popleft()
+            if max_depth is None or level < max_depth:
                 self._check_depth(level, "the graph", "levels")
-                vertex.next = reached(self._after(vertex.value, states), level + 1)
-        return roots, list(known.values())
+                vertex.next = reached(self._successors(vertex.value, states), level + 1)
+        return roots, list(vertices.values())
 
 
 def _assignments(
     parts: Sequence[Node], compiler: ExpressionCompiler
 ) -> list[tuple[str | None, Thunk]]:
-    """The state variables and their values; without a name, the other expressions."""
+    """Returns the state variables and their values; without a name, the other expressions."""
     return [
         (part.name, compiler.thunk(part.value))
         if isinstance(part, Assignment)
@@ -407,8 +410,8 @@ def _assignments(
     ]
 
 
-def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] | None:
-    """The state variables that calls of users' functions mention.
+def _call_variables(query: Query, compiler: ExpressionCompiler) -> frozenset[str] | None:
+    """Returns the state variables that calls of users' functions mention.
 
     None where there is no such call, or where each state has rows of its own.
     """
@@ -416,13 +419,13 @@ def _called_with(query: Query, compiler: ExpressionCompiler) -> frozenset[str] |
     calls = [node for node in query.walk() if compiler.calls_once(node)]
     if not calls or any(mentions(source.value, names) for source in query.sources):
         return None
-    return _read(calls, names, compiler)
+    return _variables_read(calls, names, compiler)
 
 
-def _read(
+def _variables_read(
     nodes: Sequence[Node], names: frozenset[str], compiler: ExpressionCompiler
 ) -> frozenset[str] | None:
-    """The variables that the nodes read; None if unknown."""
+    """Returns the state variables that nodes read; None if unknown."""
     read = [part for node in nodes for part in node.walk() if isinstance(part, Name | TimeIndex)]
     if any(compiler.is_deferred(part) for part in read):
         return None

@@ -1,9 +1,8 @@
 """Intervals of simulated time during which something holds, and their relations.
 
-Between two recorded ticks nothing is known: what held at a tick is taken to hold until the next
-one. So an interval [start, end] begins at the first tick at which something held and ends at the
-first one at which it did not any more, or at the last tick there is. Where one thing ends at the
-tick at which another begins, the two meet.
+A condition that holds at a tick is assumed to hold until the next one. So an interval [start, end]
+begins at the first tick at which the condition holds, and ends at the first one at which it does
+not, or at the last tick. Two intervals meet if one ends at the tick at which the other begins.
 
 The relations are those of Allen, "Maintaining knowledge about temporal intervals", 1983.
 """
@@ -23,14 +22,14 @@ Interval: TypeAlias = list[float]
 
 
 def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interval]:
-    """The maximal intervals during which something held, in order.
+    """Returns the maximal intervals during which something held, in order.
 
     >>> intervals_of([0.0, 0.5, 1.0, 1.5], [True, True, False, True])
     [[0.0, 1.0], [1.5, 1.5]]
 
     Args:
-        times: of the recorded ticks, s.
-        holding: whether it held at each.
+        times: the times of the recorded ticks, s.
+        holding: whether the condition held at each tick.
     """
     result: list[Interval] = []
     start: float | None = None
@@ -46,7 +45,7 @@ def intervals_of(times: Sequence[float], holding: Sequence[bool]) -> list[Interv
 
 
 def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]:
-    """The list [time, value] at the first tick, and at each tick where the value changes.
+    """Returns the list [time, value] at the first tick, and at each tick where the value changes.
 
     >>> changes_of([0.0, 0.5, 1.0], ["on", "on", "off"])
     [[0.0, 'on'], [1.0, 'off']]
@@ -57,7 +56,7 @@ def changes_of(times: Sequence[float], values: Sequence[Any]) -> list[list[Any]]
 
 
 def _same(a: Any, b: Any) -> bool:
-    is_nan = a != a and b != b  # noqa: PLR0124  # what is no number is as it was
+    is_nan = a != a and b != b  # noqa: PLR0124  # NaN has not changed
     return type(a) is type(b) and (is_nan or bool(a == b))
 
 
@@ -73,10 +72,10 @@ class Allen:
     """A relation of two intervals.
 
     Attributes:
-        name: in the language and in SQL.
-        holds: whether it holds of [a, b] and [c, d].
-        formula: the same in DuckDB's SQL, of the lists a and b.
-        about: what it means.
+        name: its name in the language and in SQL.
+        holds: a function that checks whether it holds of [a, b] and [c, d].
+        formula: the same in DuckDB's SQL, for the lists a and b.
+        about: its meaning.
     """
 
     name: str
@@ -120,28 +119,28 @@ _LISTED = (
     ),
 )
 
-# One of them is called as a relation of entities is: what it is given tells which is meant.
+# `overlaps` is also a relation of entities; the arguments decide which is meant.
 RELATIONS_OF_INTERVALS: dict[str, Allen] = {allen.name: allen for allen in _LISTED}
 
-# The maximal intervals of a table or view with columns `time` and `holds`, a row a tick.
+# The maximal intervals of a table or view with columns `time` and `holds` and a row for each tick.
 INTERVALS = """
-    WITH told AS (
+    WITH ticks AS (
         SELECT time, coalesce(holds, FALSE) AS held, lead(time) OVER (ORDER BY time) AS following,
             max(time) OVER () AS latest
         FROM query_table(source)
     ), islands AS (
-        SELECT *, sum((NOT held)::INTEGER) OVER (ORDER BY time) AS island FROM told
+        SELECT *, sum((NOT held)::INTEGER) OVER (ORDER BY time) AS island FROM ticks
     )
     SELECT min(time) AS "start", max(coalesce(following, latest)) AS "end",
         bool_or(following IS NULL) AS still
     FROM islands WHERE held GROUP BY island ORDER BY 1
 """
 ABOUT_INTERVALS = (
-    "A row is a maximal interval during which something held, by the table or view of that name, "
-    "which has the columns time and holds and a row a tick."
+    "A row is a maximal interval, in seconds, during which a condition held, from a table or view "
+    "with the columns time and holds and a row for each tick."
 )
 
 
 def are_intervals(values: Sequence[Any]) -> bool:
-    """Whether two values are intervals: lists of two numbers, not entities."""
+    """Checks whether two values are intervals: lists of two numbers, not entities."""
     return len(values) == 2 and all(isinstance(v, list) and len(v) == 2 for v in values)

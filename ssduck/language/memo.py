@@ -7,78 +7,83 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, SourceSpan
 from ssduck.language.tree import Placeholder
-from ssduck.language.value_keys import ValueKeys, exactly
+from ssduck.language.value_keys import ValueKeys, exact_key
 
-# A frame keeps the memos of a query under this part, which no program has.
+# The key of a query's memos in a frame's cache; no program contains this part.
 MEMOS = Placeholder(SourceSpan(0, 0), "memos")
-# So many values are kept of a function; then all are forgotten.
+# The largest number of results of a function; when it is reached, all are dropped.
 MAX_STORED = 10_000
-# After so many calls a function that is hardly ever asked twice alike is not remembered.
-TRIED = 2_000
-_WORTH = 8
+# After TRIAL_CALLS calls, a function with fewer hits than one in _MIN_CALLS_PER_HIT is not cached.
+TRIAL_CALLS = 2_000
+_MIN_CALLS_PER_HIT = 8
 
 
 class Memo:
     """A function that remembers its results.
 
-    Values are told apart as exactly as a function could: 1, 1.0 and True differ, and so do 0.0
-    and -0.0. Those that cannot be told apart are not remembered. What is the very same object
-    as before is not looked into, since lists do not change while a query runs.
+    Arguments are compared exactly: 1, 1.0 and True differ, and so do 0.0 and -0.0. Calls whose
+    arguments have no keys are not cached. Identical objects are not compared, because lists do not
+    change while a query runs.
 
     Args:
         call: the function.
-        keeps_same: whether the same objects may be given again; SQL makes new ones each time.
+        by_identity: whether calls may repeat the same objects; SQL makes new ones for each call.
     """
 
-    def __init__(self, call: Callable[[list[Any]], Any], *, keeps_same: bool = True) -> None:
+    def __init__(self, call: Callable[[list[Any]], Any], *, by_identity: bool = True) -> None:
         self._call = call
-        self._keeps_same = keeps_same
+        self._uses_identity = by_identity
         self._keys = ValueKeys()
-        self._same: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
-        self._alike: dict[tuple[Any, ...], Any] = {}
-        self._asked = self._found = 0
-        self._is_worth_it = True
+        self._by_identity: dict[tuple[int, ...], tuple[Sequence[Any], Any]] = {}
+        self._by_key: dict[tuple[Any, ...], Any] = {}
+        self._call_count = self._hit_count = 0
+        self._is_useful = True
 
     def __call__(self, arguments: list[Any]) -> Any:
-        """The result of the function for these values."""
-        if not self._is_worth_it:
+        """Returns the result of the function for these values."""
+        if not self._is_useful:
             return self._call(arguments)
-        self._asked += 1
-        same = tuple(map(id, arguments))
-        known = self._same.get(same)
-        if known is not None:
-            self._found += 1
-            return known[1]
+        self._call_count += 1
+        identity = tuple(map(id, arguments))
+        entry = self._by_identity.get(identity)
+        if entry is not None:
+            self._hit_count += 1
+            return entry[1]
         try:
-            alike = (
-                self._keys.exact(arguments) if self._keeps_same else tuple(map(exactly, arguments))
+            key = (
+                self._keys.exact(arguments)
+                if self._uses_identity
+                else tuple(map(exact_key, arguments))
             )
         except (ArgumentError, RecursionError):
             return self._call(arguments)
-        if alike in self._alike:
-            self._found += 1
-            value = self._alike[alike]
+        if key in self._by_key:
+            self._hit_count += 1
+            value = self._by_key[key]
         else:
-            value = self._alike[alike] = self._call(arguments)
-        if self._keeps_same:  # which keeps them, so that no other has their ids
-            self._same[same] = (arguments, value)
+            value = self._by_key[key] = self._call(arguments)
+        if self._uses_identity:  # it keeps them alive, so that their ids stay theirs
+            self._by_identity[identity] = (arguments, value)
         self._tidy()
         return value
 
     def _tidy(self) -> None:
-        if len(self._same) > MAX_STORED or len(self._alike) > MAX_STORED:
+        if len(self._by_identity) > MAX_STORED or len(self._by_key) > MAX_STORED:
             self._clear()
-        if self._asked == TRIED and self._found * _WORTH < self._asked:
-            self._is_worth_it = False
+        if (
+            self._call_count == TRIAL_CALLS
+            and self._hit_count * _MIN_CALLS_PER_HIT < self._call_count
+        ):
+            self._is_useful = False
             self._clear()
 
     def forget(self) -> None:
-        """Forgets all results, for the next query."""
+        """Drops all results, for the next query."""
         self._clear()
-        self._asked = self._found = 0
-        self._is_worth_it = True
+        self._call_count = self._hit_count = 0
+        self._is_useful = True
 
     def _clear(self) -> None:
-        self._same.clear()
-        self._alike.clear()
+        self._by_identity.clear()
+        self._by_key.clear()
         self._keys = ValueKeys()

@@ -9,10 +9,10 @@ from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan, UnknownN
 from ssduck.formatting import first_line, short_repr
 
 
-def no_element(
+def missing_source_error(
     alias: str | None, elements: Mapping[str | None, Any], span: SourceSpan
 ) -> SelectScriptError:
-    """The error for `this`, or `alias.this`, where there is no such source."""
+    """Returns the error for `this`, or `alias.this`, where there is no such source."""
     names = [name for name in elements if name is not None]
     if alias is not None:
         return UnknownNameError(
@@ -28,8 +28,8 @@ def no_element(
     )
 
 
-def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
-    """The error for a bare name that is no key of the current element, a dict."""
+def unknown_name_error(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownNameError:
+    """Returns the error for a bare name that is no key of the current element, a dict."""
     texts = [key for key in keys if isinstance(key, str)]
     return UnknownNameError(
         f"there is no key, variable or function {short_repr(name)}",
@@ -37,8 +37,8 @@ def no_name(name: str, keys: Iterable[Any], known: Iterable[str]) -> UnknownName
     )
 
 
-def is_a_key(name: str) -> UnknownNameError:
-    """The error for an unknown variable, where the current element has a key of that name."""
+def key_not_variable_error(name: str) -> UnknownNameError:
+    """Returns the error for an unknown variable whose name is a key of the current element."""
     return UnknownNameError(
         f"there is no variable {short_repr(name)}; write this.{first_line(name)}"
     )

@@ -1,7 +1,7 @@
 """Chains of operators of one precedence level, and the nodes that they become.
 
-A few are nested as they are evaluated, from the left. Many are kept flat, so that neither parsing
-nor evaluating them is nested deeply.
+Few operands are nested from the left. Many are kept in a flat node, so that neither parsing nor
+evaluation recurses deeply.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from ssduck.errors import SourceSpan
 from ssduck.language.tree import Binary, Node, OperatorChain
 
-# So many operands are nested. It is less than what a statement of SQL may nest.
+# The largest number of nested operands; SQL allows more.
 MAX_NESTING = 32
-# So many conditions are joined in SQL; DuckDB's time grows with their square.
+# The largest number of joined conditions in SQL; DuckDB's time grows with their square.
 MAX_CHAIN = 400
 
 
@@ -47,7 +47,7 @@ class OperandRow:
         self._ends.append(end)
 
     def node(self) -> Node:
-        """The node of the whole chain."""
+        """Returns the node of the whole chain."""
         if len(self._operands) > MAX_NESTING:
             span = SourceSpan(self._start, self._ends[-1])
             return OperatorChain(
@@ -60,7 +60,7 @@ class OperandRow:
 
 
 def conjuncts(node: Node | None) -> Iterator[Node]:
-    """The parts of a condition that are joined by AND, in order; one part if they are too many.
+    """Yields the parts of a condition that AND joins, in order; the whole if they are too many.
 
     >>> from ssduck.language.parser import parse
     >>> [part.outline() for part in conjuncts(parse("a AND b AND c;").statements[0])]

@@ -6,7 +6,15 @@ from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 
 from ssduck.errors import SourceSpan
-from ssduck.language.operators import CHAINS, GROWING, OPERATORS, QUICK, apply, apply_unary, truth
+from ssduck.language.operators import (
+    GROWING,
+    OPERATORS,
+    SAFE_TYPES,
+    SHORT_CIRCUIT,
+    apply,
+    apply_unary,
+    truth,
+)
 from ssduck.language.overrides import written_name
 from ssduck.language.tree import Binary, Call, ListLiteral, Literal, Node, OperatorChain, Unary
 
@@ -19,17 +27,17 @@ class OperandCompiler(Protocol):
     """Compiles operands to functions of frames."""
 
     def thunk(self, node: Node) -> Thunk:
-        """A part as a function of a frame."""
+        """Returns a part as a function of a frame."""
 
     def condition(self, node: Node) -> Callable[[Frame], bool]:
-        """A part as a condition."""
+        """Returns a part as a condition."""
 
-    def made(self, node: ListLiteral) -> Any:
-        """A list that is written out, made once."""
+    def constant_value(self, node: ListLiteral) -> Any:
+        """Returns a list that is written out, made once."""
 
 
 def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
-    """`-x`, `+x`, `NOT x`, `x IS NULL`."""
+    """Compiles `-x`, `+x`, `NOT x` or `x IS NULL`."""
     if node.operator == "NOT":
         holds = compiler.condition(node.operand)
         return lambda frame: not holds(frame)
@@ -40,14 +48,14 @@ def unary(compiler: OperandCompiler, node: Unary) -> Thunk:
 
 
 def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
-    """Two sides with an operator between them."""
+    """Returns two sides with an operator between them."""
     sign = node.operator
-    if sign in CHAINS:
-        return _decided(compiler, sign, (node.left, node.right))
+    if sign in SHORT_CIRCUIT:
+        return _short_circuit(compiler, sign, (node.left, node.right))
     operate = OPERATORS[sign]
     if sign in GROWING:
         left, right = compiler.thunk(node.left), compiler.thunk(node.right)
-        quick = QUICK[sign]
+        quick = SAFE_TYPES[sign]
 
         def growing(frame: Frame) -> Any:
             a, b = left(frame), right(frame)
@@ -62,16 +70,16 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
         a, b = left(frame), right(frame)
         try:
             return operate(a, b)
-        except Exception:  # noqa: BLE001  # `apply` tells which
+        except Exception:  # noqa: BLE001  # `apply` raises the right error
             return apply(sign, a, b, node.span)
 
     return operation
 
 
 def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
-    """Many operands of one level, from the left."""
-    if node.operators[0] in CHAINS:
-        return _decided(compiler, node.operators[0], node.operands)
+    """Returns many operands of one level, from the left."""
+    if node.operators[0] in SHORT_CIRCUIT:
+        return _short_circuit(compiler, node.operators[0], node.operands)
     first, *others = map(compiler.thunk, node.operands)
     steps = [
         (_step(sign, node.until(index)), operand)
@@ -88,7 +96,7 @@ def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
 
 
 def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
-    """One operator of a chain: one of the language, or a user's function in its place."""
+    """Returns one operator of a chain: one of the language, or a user's function in its place."""
     if sign in OPERATORS:
         return lambda _, left, right: apply(sign, left, right, span)
     call, is_in = Call(span, sign, (), span), written_name(sign) == "in"
@@ -98,10 +106,10 @@ def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
 
 
 def _operand(compiler: OperandCompiler, node: Node) -> Thunk:
-    """A side of an operator, which keeps nothing of it: a list is made once."""
+    """Returns a side of an operator, which keeps nothing of it: a list is made once."""
     if not isinstance(node, ListLiteral) or not _is_written_out(node):
         return compiler.thunk(node)
-    fixed = compiler.made(node)
+    fixed = compiler.constant_value(node)
     return lambda _: fixed
 
 
@@ -111,18 +119,18 @@ def _is_written_out(node: Node) -> bool:
     return isinstance(node, Literal)
 
 
-def is_decided(node: Node) -> bool:
-    """Whether a part is True or False because operands are asked one after another."""
+def is_short_circuit(node: Node) -> bool:
+    """Checks whether a part is True or False because operands are asked one after another."""
     match node:
         case Binary(operator=sign) | OperatorChain(operators=(sign, *_)):
-            return sign in CHAINS
+            return sign in SHORT_CIRCUIT
     return False
 
 
-def _decided(
+def _short_circuit(
     compiler: OperandCompiler, sign: str, operands: tuple[Node, ...]
 ) -> Callable[[Frame], bool]:
-    """AND, OR: what comes next counts if what was before does not decide."""
+    """Compiles AND or OR: evaluation stops at the first operand that decides."""
     decides = sign == "OR"
     parts = [(compiler.thunk(operand), operand) for operand in operands]
 

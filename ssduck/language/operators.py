@@ -13,13 +13,13 @@ from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, Sou
 from ssduck.formatting import MAX_KEYS, as_evaluation_error, error_text, short_repr, type_in_words
 from ssduck.language.tree import Node
 
-# Larger results are refused: they are mistakes, and nothing could stop them.
+# The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
 MAX_BITS = 1_000_000
 MAX_ELEMENTS = 10_000_000
 
 
 def _is_like(text: Any, pattern: Any) -> bool:
-    """Whether a text is as a pattern says: `%` for any letters, `_` for any one."""
+    """Checks whether a text matches a pattern: `%` for any characters, `_` for any one."""
     if not isinstance(text, str) or not isinstance(pattern, str):
         raise TypeError
     return _pattern(pattern).fullmatch(text) is not None
@@ -33,7 +33,7 @@ def _pattern(pattern: str) -> re.Pattern[str]:
 
 
 def _remainder(left: Any, right: Any) -> Any:
-    """A remainder: of a text, Python's % would be its formatting, of whatever length."""
+    """Returns a remainder: of a text, Python's % would be its formatting, of whatever length."""
     if isinstance(left, str | bytes | bytearray):
         raise TypeError("texts have no remainder")
     return left % right
@@ -61,19 +61,19 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
     "+": operator.pos,
 }
 GROWING = frozenset("+*^")
-# Of two values of these types a result is never too large.
-QUICK = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
-CHAINS = frozenset(("AND", "OR"))
+# The types of operands whose result is never too large.
+SAFE_TYPES = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
+SHORT_CIRCUIT = frozenset(("AND", "OR"))
 
 
 def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> Any:
-    """The value of a binary operator other than AND and OR.
+    """Returns the value of a binary operator other than AND and OR.
 
     Raises:
         EvaluationError: a division by zero, or a result that is too large.
         ArgumentError: values that the operator does not take.
     """
-    if sign in GROWING and _is_endless(sign, left, right):
+    if sign in GROWING and _is_too_large(sign, left, right):
         raise EvaluationError(f"the result of {sign} is too large", span=span)
     try:
         value = OPERATORS[sign](left, right)
@@ -94,8 +94,8 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
     return value
 
 
-def _is_endless(sign: str, left: Any, right: Any) -> bool:
-    """Whether a power, a product or a repetition would take all time and memory there is."""
+def _is_too_large(sign: str, left: Any, right: Any) -> bool:
+    """Checks whether a power, a product or a repetition would be too large."""
     if isinstance(left, int) and isinstance(right, int):
         if sign == "^":
             return abs(left) > 1 and right * left.bit_length() > MAX_BITS
@@ -110,17 +110,17 @@ def _is_endless(sign: str, left: Any, right: Any) -> bool:
 
 
 def check_size(value: Any, span: SourceSpan) -> None:
-    """Rejects a nested list that would take forever to print or to compare.
+    """Checks the size of a nested list, which may be too large to print or to compare.
 
     Raises:
-        EvaluationError: it has more than `MAX_ELEMENTS`, all the way down.
+        EvaluationError: it and the lists in it have more than `MAX_ELEMENTS` elements.
     """
-    if type(value) is list and _leaves(value, {}) > MAX_ELEMENTS:
+    if type(value) is list and _element_total(value, {}) > MAX_ELEMENTS:
         raise EvaluationError("the list is too large", span=span)
 
 
-def _leaves(values: list[Any], counted: dict[int, int]) -> int:
-    """The number of elements of a list and of the lists in it; each list is counted once."""
+def _element_total(values: list[Any], counted: dict[int, int]) -> int:
+    """Returns the number of elements of a list and of all lists in it."""
     count = len(values)
     for value in values:
         if type(value) is not list:
@@ -130,16 +130,16 @@ def _leaves(values: list[Any], counted: dict[int, int]) -> int:
         elif id(value) in counted:
             count += counted[id(value)]
         else:
-            known = counted[id(value)] = _leaves(value, counted)
-            count += known
+            total = counted[id(value)] = _element_total(value, counted)
+            count += total
     return count
 
 
 def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
-    """The value of - or +.
+    """Returns the value of - or +.
 
     Raises:
-        ArgumentError: a sign before what is no number.
+        ArgumentError: the operand is not a number.
     """
     try:
         return _UNARY[sign](value)
@@ -152,7 +152,7 @@ def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:
 
 
 def truth(value: Any, node: Node) -> bool:
-    """Whether a value holds.
+    """Checks whether a value holds.
 
     Raises:
         EvaluationError: it is neither true nor false.
@@ -166,7 +166,7 @@ def truth(value: Any, node: Node) -> bool:
 
 
 def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
-    """An element of a value.
+    """Returns an element of a value.
 
     Raises:
         EvaluationError: there is no such element.
@@ -176,11 +176,11 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
         return value[index]
     except RecursionError:
         raise
-    except SelectScriptError as error:  # a world knows its entities, and not where they stand
+    except SelectScriptError as error:  # a world's error lacks the place in the program
         error.span = error.span or span
         raise
     except (IndexError, KeyError) as error:
-        raise _no_such(value, index, span, error) from error
+        raise _missing_element_error(value, index, span, error) from error
     except TypeError as error:
         message = f"{type_in_words(value)} has no element {short_repr(index)}"
         hint = getattr(type(value), "KEY_HINT", None)
@@ -191,8 +191,10 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
         raise as_evaluation_error(error, span) from error
 
 
-def _no_such(value: Any, index: Any, span: SourceSpan, error: Exception) -> EvaluationError:
-    """Of an element that is not there, with what is there."""
+def _missing_element_error(
+    value: Any, index: Any, span: SourceSpan, error: Exception
+) -> EvaluationError:
+    """Returns the error for a missing element, with the elements that there are."""
     missing = f"no element {short_repr(index)}"
     if isinstance(value, dict):
         keys = list(islice(value, MAX_KEYS))

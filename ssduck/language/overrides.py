@@ -1,7 +1,7 @@
 """Lets users' functions replace relations, functions and operators of the language.
 
-Such a function is called by a name that no text has. The parts of a program that mean it are
-changed before the program runs, so that everything else sees plain calls of a user's function.
+Such a function has a marked name, which no text can contain. The calls of it are rewritten before
+the program runs, so that all later stages see plain calls of a user's function.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from dataclasses import replace
 
 from ssduck.language.tree import Binary, Call, Node, OperatorChain, Program, Unary
 
-# What operators are called as functions: those of two values, and those of one.
-NAMES: dict[str, str] = {
+# The names of operators as functions: those of two operands, and those of one.
+BINARY_NAMES: dict[str, str] = {
     "+": "add",
     "-": "sub",
     "*": "mul",
@@ -30,31 +30,31 @@ NAMES: dict[str, str] = {
     "AND": "and",
     "IN": "in",
 }
-NAMES_OF_ONE: dict[str, str] = {"NOT": "not", "-": "neg"}
-SIGNS = {name: sign for sign, name in NAMES.items()}
-SIGNS_OF_ONE = {name: sign for sign, name in NAMES_OF_ONE.items()}
-NAMED = frozenset((*SIGNS, *SIGNS_OF_ONE))
-# What is no function like others: it names columns, does something, or looks at other ticks.
-FIXED = frozenset(("to", "print", "eval", "clear", "var", "help"))
+UNARY_NAMES: dict[str, str] = {"NOT": "not", "-": "neg"}
+BINARY_SIGNS = {name: sign for sign, name in BINARY_NAMES.items()}
+UNARY_SIGNS = {name: sign for sign, name in UNARY_NAMES.items()}
+OPERATOR_NAMES = frozenset((*BINARY_SIGNS, *UNARY_SIGNS))
+# Functions that name columns, have side effects, or read variables.
+NOT_OVERRIDABLE = frozenset(("to", "print", "eval", "clear", "var", "help"))
 
 _MARK = " of the user"
 
 
 def marked_name(name: str) -> str:
-    """The marked name under which a user's function is called that replaces a built-in one."""
+    """Returns the marked name of a user's function that replaces a built-in one."""
     return name + _MARK
 
 
 def written_name(name: str) -> str:
-    """A function's name as programs write it."""
+    """Returns a function's name as programs write it."""
     return name.removesuffix(_MARK)
 
 
 def with_overrides(program: Program, names: Collection[str]) -> Program:
-    """A program in which users' functions stand where they replace something.
+    """Returns a program in which calls of replaced functions are calls of users' functions.
 
     Args:
-        program: as it was parsed.
+        program: the parsed program.
         names: the names of the functions that are replaced.
     """
 
@@ -62,12 +62,12 @@ def with_overrides(program: Program, names: Collection[str]) -> Program:
         match part:
             case Call(name=name, arguments=arguments) if name in names:
                 return replace(part, name=marked_name(name), arguments=changed(arguments))
-            case Unary(operator=sign, operand=operand) if NAMES_OF_ONE.get(sign) in names:
-                return _call(part, NAMES_OF_ONE[sign], changed((operand,)))
-            case Binary(operator=sign, left=left, right=right) if NAMES.get(sign) in names:
-                # What contains comes first, as in Python's operator of that name.
+            case Unary(operator=sign, operand=operand) if UNARY_NAMES.get(sign) in names:
+                return _call(part, UNARY_NAMES[sign], changed((operand,)))
+            case Binary(operator=sign, left=left, right=right) if BINARY_NAMES.get(sign) in names:
+                # The container comes first, as in Python's `operator.contains`.
                 sides = (right, left) if sign == "IN" else (left, right)
-                return _call(part, NAMES[sign], changed(sides))
+                return _call(part, BINARY_NAMES[sign], changed(sides))
             case OperatorChain(operators=operators, operands=operands):
                 signs = tuple(_sign(sign, names) for sign in operators)
                 return replace(part, operators=signs, operands=changed(operands))
@@ -80,7 +80,7 @@ def with_overrides(program: Program, names: Collection[str]) -> Program:
 
 
 def _sign(sign: str, names: Collection[str]) -> str:
-    return marked_name(NAMES[sign]) if NAMES[sign] in names else sign
+    return marked_name(BINARY_NAMES[sign]) if BINARY_NAMES[sign] in names else sign
 
 
 def _call(part: Node, name: str, arguments: tuple[Node, ...]) -> Call:

@@ -1,9 +1,9 @@
 """Parses SelectScript text into a tree.
 
 The tokenizer is sqlglot's with SelectScript's quotes and comments; the parser is a recursive
-descent over its tokens, one method a precedence level. docs/reference/language.md has the grammar.
-The tree is made of frozen nodes that know their place in the text. It knows no simulator,
-no database and no variable: names are looked up when a program runs.
+descent over its tokens, with precedence climbing. docs/reference/language.md has the grammar. The
+tree consists of frozen nodes with their places in the text. Names are looked up when a program
+runs.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class SelectScriptTokenizer(Tokenizer):
 
 
 def is_reserved(name: str) -> bool:
-    """Whether a program could not call a variable so."""
+    """Checks whether a name cannot be that of a variable."""
     return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
@@ -96,7 +96,7 @@ def parse(text: str) -> Program:
         The program's tree; the same object for the same text.
 
     Raises:
-        ParseError: with the place of the first thing that is wrong.
+        ParseError: the text is not a program; the error has the place.
     """
     return _Parser(text).program()
 
@@ -105,7 +105,7 @@ def _tokenize(text: str) -> list[Token]:
     try:
         return SelectScriptTokenizer().tokenize(without_dashes(text))
     except TokenError as error:
-        # The only thing that this tokenizer refuses is a text or a comment without an end.
+        # The tokenizer's only error is a text or a comment without an end.
         message = "a text or a comment is opened here and never closed"
         span = SourceSpan(last_opening(text), len(text))
         raise ParseError(message, text=text, span=span) from error
@@ -126,7 +126,7 @@ class _Parser(SqlForms):
             statements.append(self.statement())
             if self.token is not None:
                 self.expect(TokenType.SEMICOLON, "';'")
-        return Program(self.text, tuple(statements), explain, tuple(self.doubts))
+        return Program(self.text, tuple(statements), explain, tuple(self.suspicions))
 
     def statement(self) -> Node:
         self.descend()
@@ -140,7 +140,7 @@ class _Parser(SqlForms):
         return node
 
     def at_assignment(self) -> bool:
-        """Whether `name =` or `name{…} =` comes next."""
+        """Checks whether `name =` or `name{…} =` comes next."""
         if not self.at(TokenType.VAR):
             return False
         offset = 1
@@ -168,15 +168,15 @@ class _Parser(SqlForms):
         value = self.statement()
         return Assignment(self.since(start), name.text, horizon, value)
 
-    def plain_assignment(self, what: str) -> Assignment:
-        """An assignment to what has no history."""
+    def plain_assignment(self, target: str) -> Assignment:
+        """Parses an assignment to a name without history."""
         if is_kind(self.ahead(), TokenType.L_BRACE):
             self.index += 1
-            self.fail(f"expected '=' ({what} has no history)")
+            self.fail(f"expected '=' ({target} has no history)")
         return self.assignment()
 
     def state(self) -> Node:
-        """An assignment to a state variable, or what is evaluated beside those."""
+        """Returns an assignment to a state variable, or another expression."""
         if self.at_assignment():
             return self.plain_assignment("a state variable")
         return self.expression()
@@ -189,9 +189,9 @@ class _Parser(SqlForms):
         compares, self.compares = self.compares, False
         is_listed, self.is_listed = self.is_listed, True
         self.expect_word("SELECT")
-        distinct = self.takes_distinct()
+        distinct = self.take_distinct()
         star = self.at(TokenType.STAR)
-        items = () if self.take(TokenType.STAR) else self.separated(self.selected)
+        items = () if self.take(TokenType.STAR) else self.separated(self.select_item)
         if star and not self.at_word("FROM"):
             self.fail("expected FROM after *")
         if not self.take_words("FROM"):
@@ -199,7 +199,7 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         sources = self.separated(self.source)
         self.is_listed = True
-        where = self.filtered() if self.take_words("WHERE") else None
+        where = self.where_part() if self.take_words("WHERE") else None
         if distinct and self.at_word("START", "CONNECT"):
             self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
         recursion = self.recursion()
@@ -223,25 +223,25 @@ class _Parser(SqlForms):
             adapter,
             distinct,
         )
-        self.note_condition(where)
-        self.note_condition(having)
-        self.note_keys(query)
-        return self.dotted(query)
+        self.check_condition(where)
+        self.check_condition(having)
+        self.check_keys(query)
+        return self.with_qualified_names(query)
 
-    def assigned(self) -> Node:
-        """An assignment that stands as a whole in SELECT or WHERE."""
+    def bare_assignment(self) -> Node:
+        """Returns an assignment that stands as a whole in SELECT or WHERE."""
         self.descend()
         node = replace(self.assignment(), is_bare=True)
         self.depth -= 1
         return node
 
-    def selected(self) -> Node:
-        """An item of SELECT: a value, perhaps with a name, or an assignment to a variable."""
-        return self.assigned() if self.at_assignment() else self.item()
+    def select_item(self) -> Node:
+        """Returns an item of SELECT: a value, named or not, or an assignment to a variable."""
+        return self.bare_assignment() if self.at_assignment() else self.item()
 
-    def filtered(self) -> Node:
-        """A part of WHERE: a condition, or an assignment to a variable."""
-        return self.assigned() if self.at_assignment() else self.condition()
+    def where_part(self) -> Node:
+        """Returns a part of WHERE: a condition, or an assignment to a variable."""
+        return self.bare_assignment() if self.at_assignment() else self.condition()
 
     def source(self) -> Source:
         start = self.here()
@@ -255,7 +255,7 @@ class _Parser(SqlForms):
         value = self.query() if self.at_word("SELECT") else self.expression()
         self.is_listed = is_listed
         if alias is None:
-            alias = self.alias_behind(is_listed=is_listed)
+            alias = self.source_alias(is_listed=is_listed)
         if alias is None and isinstance(value, Name | TimeIndex):
             alias = value.name
         return Source(self.since(start), alias, value)
@@ -287,7 +287,7 @@ class _Parser(SqlForms):
         if not self.take_words("STOP", "WITH"):
             self.fail("expected STOP WITH")
         stop = self.condition()
-        self.note_condition(stop)
+        self.check_condition(stop)
         return Recursion(
             self.since(start), initial, no_cycle, unique, memorizes, memorize, maximum, step, stop
         )
@@ -328,7 +328,7 @@ class _Parser(SqlForms):
             left = self.unary()
         while (level := self.operator_level(left)) >= loosest:
             if self.condition_level() >= 0:
-                left = self.conditioned(start, left)
+                left = self.condition_operator(start, left)
                 continue
             row = OperandRow(start.start, left, self.end())
             while self.operator_level(row.last) == level and self.condition_level() < 0:
@@ -337,16 +337,16 @@ class _Parser(SqlForms):
                 self.index += 1
                 place = self.here()
                 right = self.members() if operator == "IN" else self.operation(level + 1)
-                self.note_chain(operator, (row.last, start, right, place))
+                self.check_chain(operator, (row.last, start, right, place))
                 row.add(operator, right, self.end())
             left = row.node()
         return left
 
     def operator_level(self, left: Node) -> int:
-        """The level of the operator that comes next, -1 if none does.
+        """Returns the level of the operator that comes next, -1 if none does.
 
         Args:
-            left: what is on its left side; a name is not compared by a single `=`.
+            left: the left operand; a name is not compared by a single `=`.
         """
         token = self.token
         if token is None or token.token_type == TokenType.STRING:
@@ -418,7 +418,7 @@ class _Parser(SqlForms):
             return int(text) if text.isdigit() else float(text)
         except ValueError:
             raise ParseError(
-                f"{text!r} is no number", text=self.text, span=span_of(token)
+                f"{text!r} is not a number", text=self.text, span=span_of(token)
             ) from None
 
     def word(self) -> Node:
@@ -434,16 +434,16 @@ class _Parser(SqlForms):
         if self.begins_case():
             return self.case()
         if self.at_word("IF") and is_kind(self.ahead(), TokenType.L_PAREN):
-            return self.choice()
+            return self.if_expression()
         name = self.expect_name("an expression")
         if self.at(TokenType.DOT) and is_word(self.ahead(), "THIS"):
             self.index += 2
             return This(self.since(start), name.text)
         if self.take(TokenType.L_PAREN):
-            of_all = self.of_all(name.text)
+            aggregate_argument = self.aggregate_argument(name.text)
             called = name.text
-            if of_all is not None:
-                arguments: tuple[Node, ...] = (of_all,)
+            if aggregate_argument is not None:
+                arguments: tuple[Node, ...] = (aggregate_argument,)
                 called = called.lower()
             else:
                 arguments = () if self.at(TokenType.R_PAREN) else self.parts()
@@ -462,51 +462,51 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         return result
 
-    def choice(self) -> If:
-        """`IF(condition; …; …)`; an `IF` that is a whole else branch is a branch of this one."""
+    def if_expression(self) -> If:
+        """Parses `IF(condition; …; …)`; an `IF` that is the whole else branch becomes a branch."""
         start = self.here()
         self.index += 2
         branches = [self.branch(start)]
         otherwise: tuple[Node, ...] = ()
-        open_ones = 1
+        depth = 1
         while self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
             if not self.at_last_choice():
                 otherwise = self.parts()
                 break
             inner = self.here()
             self.index += 2
-            open_ones += 1
+            depth += 1
             branches.append(self.branch(inner))
-        for _ in range(open_ones):
+        for _ in range(depth):
             self.expect(TokenType.R_PAREN, "')'")
         first, *further = branches
         return If(self.since(start), first.condition, first.then, otherwise, tuple(further))
 
     def branch(self, start: SourceSpan) -> Branch:
-        """`condition; then, …`; without a then it is True, as in the published grammar."""
+        """Parses `condition; then, …`; without values it is True, as in the published grammar."""
         condition = self.statement()
-        self.note_condition(condition)
+        self.check_condition(condition)
         if self.at(TokenType.R_PAREN):
             return Branch(self.since(start), condition, (Literal(self.since(start), True),))
         self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")
         return Branch(self.since(start), condition, self.parts())
 
     def at_last_choice(self) -> bool:
-        """Whether an `IF(…)` comes next, and then the end of the one that it is in."""
+        """Checks whether an `IF(…)` comes next, and then the end of the one that it is in."""
         if not self.at_word("IF") or not is_kind(self.ahead(), TokenType.L_PAREN):
             return False
         close = self.closings.get(self.index + 1)
-        behind = None if close is None else self.ahead(close + 1 - self.index)
-        return is_kind(behind, TokenType.R_PAREN)
+        following = None if close is None else self.ahead(close + 1 - self.index)
+        return is_kind(following, TokenType.R_PAREN)
 
     @cached_property
     def closings(self) -> dict[int, int]:
         """The place of each closing parenthesis, by the place of the opening one."""
         result: dict[int, int] = {}
-        open_ones: list[int] = []
+        stack: list[int] = []
         for index, token in enumerate(self.tokens):
             if token.token_type == TokenType.L_PAREN:
-                open_ones.append(index)
-            elif token.token_type == TokenType.R_PAREN and open_ones:
-                result[open_ones.pop()] = index
+                stack.append(index)
+            elif token.token_type == TokenType.R_PAREN and stack:
+                result[stack.pop()] = index
         return result

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-_JOIN = "sources stand behind FROM with commas, what joins them in WHERE: FROM a=x, b=y WHERE …"
+_JOIN = "list sources behind FROM with commas, and join them in WHERE: FROM a=x, b=y WHERE …"
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _COMPARE = "write (SELECT … AS list), and IN, min or max of it"
-_RAW = "that is SQL's alone: ask it of the tables, by ss.sql or ssduck query --sql"
+_RAW = "only SQL has it: query the tables by ss.sql or ssduck query --sql"
 _LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
 _CAST = "write int(x), float(x) or str(x)"
-_MISSING = "there is no word for nothing; write x IS NULL, or x IS NOT NULL"
+_MISSING = "there is no NULL; write x IS NULL, or x IS NOT NULL"
 _INSTEAD = "write IF(x IS NULL; 0; x)"
-_TEXTS = "a text is compared as it is written; a part of it is found by 'part' IN text, or by LIKE"
+_TEXTS = "texts are compared exactly; find a part of one by 'part' IN text, or by LIKE"
 
 _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "ON", "USING"): _JOIN,
@@ -23,7 +23,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
     ("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,
     ("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL"): _RAW,
-    ("WITH",): "name what a query gives: found = SELECT … AS list; SELECT … FROM found",
+    ("WITH",): "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
     ("VALUES",): "write a list: FROM [[1, 2], [3, 4]]",
     ("ILIKE", "GLOB", "SIMILAR", "REGEXP", "RLIKE", "ESCAPE", "COLLATE"): _TEXTS,
     ("UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM", "STARTS_WITH"): _TEXTS,
@@ -49,7 +49,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("`",): "names are written without quotes",
     ("~", "~~"): "write LIKE",
     ("{",): "no braces here; a world's past is kitchen{12.5}",
-    ("?", "$"): "values come in as variables: ss.add_variable('name', value)",
+    ("?", "$"): "pass values as variables: ss.add_variable('name', value)",
 }
 
 HABITS = {word: suggestion for words, suggestion in _INSTEAD_OF.items() for word in words}
@@ -61,14 +61,14 @@ CLAUSES = frozenset(
 )
 
 
-# What these words of SQL begin is no statement here.
+# The words that begin statements of SQL, but not of SelectScript.
 STATEMENTS = frozenset(
     (
         *("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"),
         *("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL", "WITH", "TOP"),
     )
 )
-# These are words of SQL wherever they are names.
+# The words that mean SQL even where a name is possible.
 _NAMES = frozenset(
     (
         *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
@@ -79,15 +79,15 @@ _NAMES = frozenset(
 )
 
 
-def instead_of_name(name: str) -> str:
-    """The suggestion for an unknown name; empty if it is no word of SQL."""
+def suggestion_for_name(name: str) -> str:
+    """Returns the suggestion for an unknown name; empty if it is no word of SQL."""
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 
-def instead_of(word: str) -> str:
-    """The suggestion for a word or a sign of SQL; empty if there is none.
+def suggestion_for(word: str) -> str:
+    """Returns the suggestion for a word or a sign of SQL; empty if there is none.
 
-    >>> instead_of("coalesce")
+    >>> suggestion_for("coalesce")
     'write IF(x IS NULL; 0; x)'
 
     Args:
@@ -95,5 +95,5 @@ def instead_of(word: str) -> str:
     """
     word = word.upper()
     if word in CLAUSES:
-        return f"the clauses behind FROM stand in this order: {ORDER}"
+        return f"the order of the clauses behind FROM is: {ORDER}"
     return HABITS.get(word, "")

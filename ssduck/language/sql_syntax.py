@@ -1,6 +1,6 @@
 """Parses forms that come from SQL: CASE, IN (…), LIKE, BETWEEN, IS NULL, count(*).
 
-Each becomes what the language has for it, but LIKE and IS NULL, which are operators of their own.
+LIKE and IS NULL become operators of their own; all others become existing nodes.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ AGGREGATES = frozenset(("count", "sum", "min", "max", "avg", "uniq"))
 FORMS = frozenset(("dict", "dictionary", "list", "val", "value"))
 _CONDITIONS = ("LIKE", "BETWEEN", "IS")
 _RELATIONAL = ("<", "<=", ">", ">=")
-# What may stand behind a source's alias.
+# The words that may follow a source's alias.
 _BEHIND_SOURCE = ("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "AS")
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 
 def _is_written_out(value: Node) -> bool:
-    """Whether a value depends on nothing."""
+    """Checks whether a value depends on nothing."""
     kinds = (Literal, ListLiteral, Unary, Binary, OperatorChain, Assignment)
     return all(isinstance(part, kinds) for part in value.walk())
 
 
 class SqlForms(Cursor):
-    """The part of the parser that is about SQL's forms."""
+    """The part of the parser for forms that come from SQL."""
 
     # Whether `=` compares here, and whether a comma may follow a query's result form.
     compares = False
@@ -65,18 +65,18 @@ class SqlForms(Cursor):
 
     @abstractmethod
     def statement(self) -> Node:
-        """A statement."""
+        """Returns a statement."""
 
     @abstractmethod
     def expression(self) -> Node:
-        """An expression."""
+        """Returns an expression."""
 
     @abstractmethod
     def operation(self, loosest: int) -> Node:
         """Operators of the level `loosest` and tighter ones."""
 
     def condition(self) -> Node:
-        """An expression in which `=` compares."""
+        """Returns an expression in which `=` compares."""
         before, self.compares = self.compares, True
         node = self.expression()
         self.compares = before
@@ -85,13 +85,13 @@ class SqlForms(Cursor):
     # -- operators ------------------------------------------------------------------------
 
     def condition_level(self) -> int:
-        """The level of `LIKE`, `BETWEEN`, `IS` and `NOT IN`; -1 if none of them comes next."""
+        """Returns the level of `LIKE`, `BETWEEN`, `IS` and `NOT IN`; -1 if none is next."""
         negated = is_word(self.ahead(), "IN", *_CONDITIONS[:2])
         is_next = self.at_word(*_CONDITIONS) or (self.at_word("NOT") and negated)
         return LEVEL_OF["IN"] if is_next else -1
 
-    def conditioned(self, start: SourceSpan, left: Node) -> Node:
-        """The condition that `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
+    def condition_operator(self, start: SourceSpan, left: Node) -> Node:
+        """Returns the condition that `LIKE`, `BETWEEN`, `IS` or `NOT IN` makes of its left side."""
         is_not = self.take_words("NOT")
         if self.take_words("IS"):
             is_not = self.take_words("NOT")
@@ -113,7 +113,7 @@ class SqlForms(Cursor):
         return Unary(self.since(start), "NOT", node) if is_not else node
 
     def members(self) -> Node:
-        """The right side of IN: `(1, 2)` is a list."""
+        """Returns the right side of IN: `(1, 2)` is a list."""
         start = self.here()
         if not self.at(TokenType.L_PAREN):
             right = self.operation(LEVEL_OF["IN"] + 1)
@@ -130,18 +130,18 @@ class SqlForms(Cursor):
             if isinstance(right, Unary) and isinstance(right.operand, Literal):
                 return ListLiteral(self.since(start), (right,))
         if isinstance(right, Query) and right.adapter is None and right.items:
-            message = "what is behind IN gives dicts; for their values write AS list"
-            self.doubt(right.span, message)
+            message = "the query behind IN yields dicts; for their values write AS list"
+            self.add_suspicion(right.span, message)
         return right
 
     def _only_member(self, start: SourceSpan, right: Literal) -> Node:
         if not isinstance(right.value, str):
             return ListLiteral(self.since(start), (right,))
-        self.doubt(right.span, "IN looks for a part of this text; a list of it is in [ ]")
+        self.add_suspicion(right.span, "IN looks for a part of this text; write a list in [ ]")
         return right
 
     def _is_list(self) -> bool:
-        """Whether the parentheses that come next have commas in them, or nothing."""
+        """Checks whether the parentheses that come next have commas in them, or nothing."""
         if is_word(self.ahead(), "SELECT"):
             return False
         depth = offset = 0
@@ -157,8 +157,8 @@ class SqlForms(Cursor):
             offset += 1
         return False
 
-    def note_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
-        """Doubt `0 < z < 1`, which compares True or False with 1.
+    def check_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
+        """Reports `0 < z < 1`, which compares True or False with 1, as suspicious.
 
         Args:
             operator: the operator.
@@ -166,10 +166,10 @@ class SqlForms(Cursor):
         """
         left, left_start, right, right_start = sides
         for side, start in ((left, left_start), (right, right_start)):
-            is_bare = side.span.start == start.start  # it is in no parentheses
+            has_no_parentheses = side.span.start == start.start  # not in parentheses
             is_comparison = isinstance(side, Binary) and side.operator in _RELATIONAL
-            if operator in _RELATIONAL and is_comparison and is_bare:
-                self.doubt(
+            if operator in _RELATIONAL and is_comparison and has_no_parentheses:
+                self.add_suspicion(
                     self.since(left_start),
                     "one side of this comparison is True or False; "
                     "write a < b AND b < c, or b BETWEEN a AND c",
@@ -178,7 +178,7 @@ class SqlForms(Cursor):
     # -- CASE -----------------------------------------------------------------------------
 
     def begins_case(self) -> bool:
-        """Whether CASE comes next, and not a variable of that name."""
+        """Checks whether CASE comes next, and not a variable of that name."""
         if not self.at_word("CASE"):
             return False
         token = self.ahead()
@@ -188,7 +188,7 @@ class SqlForms(Cursor):
         return token.token_type != TokenType.VAR or token.text.upper() not in words
 
     def case(self) -> Node:
-        """`CASE WHEN … THEN … ELSE … END`, and `CASE x WHEN value THEN …`, as IF."""
+        """Parses `CASE WHEN … THEN … ELSE … END` or `CASE x WHEN value THEN …` as an IF."""
         start = self.here()
         self.expect_word("CASE")
         compared = None if self.at_word("WHEN") else self.expression()
@@ -211,8 +211,8 @@ class SqlForms(Cursor):
 
     # -- calls ----------------------------------------------------------------------------
 
-    def of_all(self, name: str) -> Node | None:
-        """The argument of `count(*)` or `count(DISTINCT x)`; None if it is neither."""
+    def aggregate_argument(self, name: str) -> Node | None:
+        """Returns the argument of `count(*)` or `count(DISTINCT x)`; None if it is neither."""
         if self.at(TokenType.STAR) and is_kind(self.ahead(), TokenType.R_PAREN):
             if name.lower() != "count":
                 self.fail("expected an expression (only count takes *)")
@@ -230,15 +230,15 @@ class SqlForms(Cursor):
 
     # -- clauses --------------------------------------------------------------------------
 
-    def takes_distinct(self) -> bool:
+    def take_distinct(self) -> bool:
         """Takes DISTINCT after SELECT, unless it is a name or a call."""
         word, token = self.token, self.ahead()
         if word is None or token is None or not self.at_word("DISTINCT"):
             return False
         if is_word(token, "FROM", "AS", *OPERATOR_WORDS[:3], "IN"):
             return False
-        is_apart = token.start > word.end + 1
-        opens = token.token_type == TokenType.L_PAREN and is_apart
+        has_space = token.start > word.end + 1
+        opens = token.token_type == TokenType.L_PAREN and has_space
         is_star = token.token_type == TokenType.STAR and is_word(self.ahead(2), "FROM")
         if token.token_type not in _BEGINS and not opens and not is_star:
             return False
@@ -246,7 +246,7 @@ class SqlForms(Cursor):
         return True
 
     def item(self) -> Node:
-        """A selected value; `z AS height` is `to(z, 'height')`."""
+        """Returns a selected value; `z AS height` is `to(z, 'height')`."""
         start = self.here()
         node = self.expression()
         if not self.take_words("AS"):
@@ -255,14 +255,14 @@ class SqlForms(Cursor):
         place = self.since(start)
         return Call(place, "to", (node, Literal(span_of(name), name.text)), place)
 
-    def alias_behind(self, *, is_listed: bool) -> str | None:
-        """The alias in `FROM kitchen k` and `FROM kitchen AS k`; None if there is none."""
-        behind = self.ahead(2)
+    def source_alias(self, *, is_listed: bool) -> str | None:
+        """Returns the alias in `FROM kitchen k` and `FROM kitchen AS k`; None if there is none."""
+        second = self.ahead(2)
         if self.at_word("AS"):
-            follows = is_word(behind, *_BEHIND_SOURCE) or (
-                is_kind(behind, TokenType.COMMA) and not is_listed
+            is_followed = is_word(second, *_BEHIND_SOURCE) or (
+                is_kind(second, TokenType.COMMA) and not is_listed
             )
-            if not follows:
+            if not is_followed:
                 return None
             self.index += 1
             if self.token is not None and self.token.text.lower() in FORMS:
@@ -286,12 +286,12 @@ class SqlForms(Cursor):
         return self.expect_own_name("a source's name").text
 
     def form_name(self) -> str:
-        """The name of a result form; that of a basic one in any case."""
+        """Returns the name of a result form; that of a basic one in any case."""
         name = self.expect_name("the name of a result form").text
         return name.lower() if name.lower() in FORMS else name
 
-    def dotted(self, query: Query) -> Query:
-        """A query with `a.id` told from an element of a variable, where `a` is an alias in it."""
+    def with_qualified_names(self, query: Query) -> Query:
+        """Returns a query in which `a.id` is a `QualifiedName` wherever `a` is an alias."""
         aliases = {s.alias for s in query.sources if s.alias is not None}
         aliases -= {s.value.name for s in query.sources if isinstance(s.value, Name | TimeIndex)}
 
@@ -308,32 +308,32 @@ class SqlForms(Cursor):
         assert isinstance(changed, Query)
         return changed
 
-    # -- doubts ---------------------------------------------------------------------------
+    # -- suspicions -----------------------------------------------------------------------
 
-    def doubt(self, span: SourceSpan, message: str) -> None:
-        """Notes a probable mistake."""
-        self.doubts.append(Suspicion(span, message))
+    def add_suspicion(self, span: SourceSpan, message: str) -> None:
+        """Records a probable mistake."""
+        self.suspicions.append(Suspicion(span, message))
 
-    def note_condition(self, node: Node | None) -> None:
-        """Doubt a condition that assigns a constant, and so is the same for all rows."""
+    def check_condition(self, node: Node | None) -> None:
+        """Reports a condition that assigns a constant, and so is the same for all rows."""
         match node:
             case (
                 Binary(operator="AND" | "OR" | "XOR")
                 | OperatorChain(operators=("AND" | "OR" | "XOR", *_))
             ):
                 for side in node.children():
-                    self.note_condition(side)
+                    self.check_condition(side)
             case Unary(operator="NOT", operand=operand):
-                self.note_condition(operand)
+                self.check_condition(operand)
             case Assignment(name=name, value=value) if _is_written_out(value):
-                self.doubt(node.span, f"this sets the variable {name}; write == to compare")
+                self.add_suspicion(node.span, f"this sets the variable {name}; write == to compare")
 
-    def note_keys(self, query: Query) -> None:
-        """Doubt keys that are numbers, which are no columns here."""
+    def check_keys(self, query: Query) -> None:
+        """Reports keys that are numbers; they do not refer to columns here."""
         keys = [("ORDER BY", key.value) for key in query.order]
         keys += [("GROUP BY", node) for node in query.group]
         for clause, node in keys:
             if isinstance(node, Literal) and type(node.value) is int:
-                self.doubt(
-                    node.span, f"{clause} a number is the same for all rows; write what it is of"
+                self.add_suspicion(
+                    node.span, f"{clause} a number is the same for all rows; write the column"
                 )

@@ -8,12 +8,12 @@ from typing import NoReturn, TypeVar
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import ParseError, SourceSpan, nearest
-from ssduck.language.sql_suggestions import STATEMENTS, instead_of
+from ssduck.language.sql_suggestions import STATEMENTS, suggestion_for
 from ssduck.language.tree import Suspicion
 
 T = TypeVar("T")
 
-# Parsing and evaluating recurse; deeper programs than this get an error, not a crash.
+# Parsing and evaluation recurse; a deeper program is an error instead of a crash.
 MAXIMUM_DEPTH = 60
 
 
@@ -25,7 +25,7 @@ CLAUSES = frozenset(
     )
 )
 OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")
-# These never begin an expression, so a name spelled so would be unreachable.
+# Words that never begin an expression, so that no name can be one of them.
 RESERVED = frozenset((*OPERATOR_WORDS, "FROM", "WHERE", "SELECT", "AS"))
 
 
@@ -59,8 +59,8 @@ class Cursor:
 
     Attributes:
         index: the number of the current token.
-        depth: how deep the parts are nested that it is in.
-        doubts: what of the text before it is probably a mistake.
+        depth: the nesting depth of the current token.
+        suspicions: the probable mistakes so far.
     """
 
     def __init__(self, text: str, tokens: list[Token]) -> None:
@@ -68,7 +68,7 @@ class Cursor:
         self.tokens = tokens
         self.index = 0
         self.depth = 0
-        self.doubts: list[Suspicion] = []
+        self.suspicions: list[Suspicion] = []
 
     @property
     def token(self) -> Token | None:
@@ -76,16 +76,16 @@ class Cursor:
         return self.tokens[self.index] if self.index < len(self.tokens) else None
 
     def ahead(self, offset: int = 1) -> Token | None:
-        """The token so many places further on."""
+        """Returns the token so many places further on."""
         index = self.index + offset
         return self.tokens[index] if index < len(self.tokens) else None
 
     def at(self, kind: TokenType) -> bool:
-        """Whether the current token is of that type."""
+        """Checks whether the current token is of that type."""
         return self.token is not None and self.token.token_type == kind
 
     def at_word(self, *words: str) -> bool:
-        """Whether the current token is one of these words, given in upper case."""
+        """Checks whether the current token is one of these words, given in upper case."""
         return is_word(self.token, *words)
 
     def take(self, kind: TokenType) -> Token | None:
@@ -102,16 +102,16 @@ class Cursor:
             return True
         return False
 
-    def expect(self, kind: TokenType, what: str) -> Token:
-        """Takes a token of that type; `what` names it in the message if there is none.
+    def expect(self, kind: TokenType, expected: str) -> Token:
+        """Takes a token of that type; `expected` describes it in the error.
 
         Raises:
             ParseError: something else comes next.
         """
-        taken = self.take(kind)
-        if taken is None:
-            self.fail(f"expected {what}")
-        return taken
+        token = self.take(kind)
+        if token is None:
+            self.fail(f"expected {expected}")
+        return token
 
     def expect_word(self, word: str) -> None:
         """Takes a keyword.
@@ -122,38 +122,38 @@ class Cursor:
         if not self.take_words(word):
             self.fail(f"expected {word}")
 
-    def expect_name(self, what: str) -> Token:
-        """Takes a name; `what` names it in the message if there is none.
+    def expect_name(self, expected: str) -> Token:
+        """Takes a name; `expected` describes it in the error.
 
         Raises:
             ParseError: something else comes next.
         """
         if self.token is not None and self.token.text.upper() in RESERVED:
-            self.fail(f"expected {what}")
-        return self.expect(TokenType.VAR, what)
+            self.fail(f"expected {expected}")
+        return self.expect(TokenType.VAR, expected)
 
-    def expect_own_name(self, what: str) -> Token:
+    def expect_own_name(self, expected: str) -> Token:
         """Takes a name that a program may define."""
         if self.at_word("TRUE", "FALSE", "THIS"):
-            self.fail(f"expected {what} (True, False and this are words of the language)")
-        return self.expect_name(what)
+            self.fail(f"expected {expected} (True, False and this are words of the language)")
+        return self.expect_name(expected)
 
     def here(self) -> SourceSpan:
-        """The place of the current token; behind the text once that is used up."""
+        """Returns the place of the current token, or of the end of the text."""
         if self.token is None:
             return SourceSpan(len(self.text.rstrip()), len(self.text.rstrip()) + 1)
         return span_of(self.token)
 
     def since(self, start: SourceSpan) -> SourceSpan:
-        """The place from there to the token before the current one."""
+        """Returns the place from there to the token before the current one."""
         return SourceSpan(start.start, self.end())
 
     def end(self) -> int:
-        """The end of the previous token in the text."""
+        """Returns the end of the previous token in the text."""
         return span_of(self.tokens[self.index - 1]).end
 
     def separated(self, part: Callable[[], T]) -> tuple[T, ...]:
-        """One or more parts with commas between them."""
+        """Returns one or more parts with commas between them."""
         parts = [part()]
         while self.take(TokenType.COMMA):
             parts.append(part())
@@ -163,7 +163,7 @@ class Cursor:
         """Goes one nesting level deeper.
 
         Raises:
-            ParseError: that is too deep.
+            ParseError: the program is nested too deeply.
         """
         self.depth += 1
         if self.depth > MAXIMUM_DEPTH:
@@ -175,7 +175,7 @@ class Cursor:
         """Raises the error for the current token.
 
         Raises:
-            ParseError: always; with what to write instead of a word of SQL.
+            ParseError: always; with a suggestion for a word of SQL.
         """
         token = self.token
         names: tuple[str, ...] = ()
@@ -183,26 +183,26 @@ class Cursor:
             result, instead = "the end of the text", ""
         else:
             result = repr(self.text[slice_of(token)])
-            instead = self._instead(token)
-            known = token.text.upper() in CLAUSES or instead
-            names = () if known else nearest(token.text, CLAUSES, 1)
-        told = f"{message}, found {result}" + (f"; {instead}" if instead else "")
-        raise ParseError(told, text=self.text, span=self.here(), suggestions=names)
+            instead = self._suggestion(token)
+            is_known = token.text.upper() in CLAUSES or instead
+            names = () if is_known else nearest(token.text, CLAUSES, 1)
+        text = f"{message}, found {result}" + (f"; {instead}" if instead else "")
+        raise ParseError(text, text=self.text, span=self.here(), suggestions=names)
 
-    def _instead(self, token: Token) -> str:
-        """The suggestion for a word of SQL that led to the current token."""
+    def _suggestion(self, token: Token) -> str:
+        """Returns the suggestion for a word of SQL that led to the current token."""
         before = self.tokens[self.index - 1] if self.index else None
         if before is not None and before.text.upper() in STATEMENTS:
-            return instead_of(before.text)
-        told = "" if token.token_type == TokenType.STRING else instead_of(token.text)
-        if told or before is None:
-            return told
-        around = [before, self._called()]
-        words = [t.text for t in around if t is not None and t.token_type == TokenType.VAR]
-        return next(filter(None, map(instead_of, words)), "")
+            return suggestion_for(before.text)
+        suggestion = "" if token.token_type == TokenType.STRING else suggestion_for(token.text)
+        if suggestion or before is None:
+            return suggestion
+        neighbours = [before, self._called_name()]
+        words = [t.text for t in neighbours if t is not None and t.token_type == TokenType.VAR]
+        return next(filter(None, map(suggestion_for, words)), "")
 
-    def _called(self) -> Token | None:
-        """The name before the bracket that is open at the current token."""
+    def _called_name(self) -> Token | None:
+        """Returns the name before the bracket that is open at the current token."""
         depth = 0
         for place in range(self.index - 1, 0, -1):
             kind = self.tokens[place].token_type
@@ -213,20 +213,20 @@ class Cursor:
 
 
 def is_kind(token: Token | None, kind: TokenType) -> bool:
-    """Whether there is a token, and of that type."""
+    """Checks whether there is a token, and of that type."""
     return token is not None and token.token_type == kind
 
 
 def is_word(token: Token | None, *words: str) -> bool:
-    """Whether a token is one of these words, given in upper case."""
+    """Checks whether a token is one of these words, given in upper case."""
     return token is not None and token.token_type == TokenType.VAR and token.text.upper() in words
 
 
 def slice_of(token: Token) -> slice:
-    """The place of a token in the text."""
+    """Returns the place of a token in the text."""
     return slice(token.start, token.end + 1)
 
 
 def span_of(token: Token) -> SourceSpan:
-    """The place of a token."""
+    """Returns the place of a token."""
     return SourceSpan(token.start, token.end + 1)

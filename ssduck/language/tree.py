@@ -1,6 +1,6 @@
 """The tree of a program: frozen nodes that know their place in the text.
 
-Nodes know no simulator, no database and no variable; names are looked up when a program runs.
+Names are looked up when a program runs.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ class Node:
     span: SourceSpan
 
     def children(self) -> Iterator[Node]:
-        """The nodes directly below this one, in text order."""
-        for name in self.__dataclass_fields__:  # as `fields` gives them, and quicker
+        """Yields the nodes directly below this one, in text order."""
+        for name in self.__dataclass_fields__:  # faster than `fields`
             value = getattr(self, name)
             for item in value if isinstance(value, tuple) else (value,):
                 if isinstance(item, Node):
                     yield item
 
     def walk(self) -> Iterator[Node]:
-        """The node itself and all below it."""
+        """Yields the node itself and all below it."""
         yield self
         for child in self.children():
             yield from child.walk()
 
     def outline(self) -> str:
-        """The node and all below it as text, without their places.
+        """Returns the node and all below it as text, without their places.
 
         >>> from ssduck.language.parser import parse
         >>> parse("IF(x > 1; 'far'; 'near');").statements[0].outline()
@@ -61,10 +61,10 @@ class Node:
         return f"{type(self).__name__}({', '.join(map(text, values))})"
 
     def replaced(self, change: Callable[[Node], Node | None]) -> Node:
-        """The node with parts of it changed, from the outside in.
+        """Returns the node with parts of it changed, from the outside in.
 
         Args:
-            change: a part to what stands in its place, None to look into it.
+            change: a function that returns the replacement of a part, or None to visit its parts.
 
         Returns:
             The node itself if nothing changes.
@@ -111,8 +111,8 @@ class Name(Node):
 class UnresolvedName(Node):
     """A name in SELECT, GROUP BY or ORDER BY whose meaning differs from row to row.
 
-    A key of the current element where that is a dict that has it, else a variable, else a
-    function of `this`. No text has it: a `Name` becomes one when the sources are known.
+    It is a key of the current element if that is a dict with the key, else a variable, else a
+    function of `this`. The parser makes none; a `Name` becomes one when the sources are known.
     """
 
     name: str
@@ -120,14 +120,14 @@ class UnresolvedName(Node):
 
 @dataclass(frozen=True, eq=False)
 class Placeholder(Node):
-    """A value that is given from outside; no text has it."""
+    """A value that the frame provides; the parser makes none."""
 
     name: str
 
 
 @dataclass(frozen=True, eq=False)
 class TimeIndex(Node):
-    """`v{5.0}`: of a variable's history; `v{}`, all of it, has no age."""
+    """`v{5.0}`: a value of a variable's history; `v{}`, the whole history, has no age."""
 
     name: str
     age: Node | None
@@ -142,9 +142,9 @@ class This(Node):
 
 @dataclass(frozen=True, eq=False)
 class QualifiedName(Node):
-    """`a.id`, where `a` is an alias: of the current element the key, or the function.
+    """`a.id`, where `a` is an alias: a key of the current element, or a function of it.
 
-    Where there is a variable of the alias's name, it is what `index` is: an element of that.
+    If there is a variable of the alias's name, it means `index`: an element of the variable.
     """
 
     alias: str
@@ -157,15 +157,15 @@ class QualifiedName(Node):
         return This(self.span, self.alias)
 
     def call(self, name: str) -> Call:
-        """The function of it.
+        """Returns the function of it.
 
         Args:
-            name: what calls that function: a user's one may replace one of the language.
+            name: the name that calls the function; it is marked for a user's function.
         """
         return Call(self.span, name, (self.this,), self.index.indices[0].span)
 
     def children(self) -> Iterator[Node]:
-        """None: what is in `index` counts where there is a variable only."""
+        """Yields no nodes: `index` is evaluated only if there is a variable of that name."""
         return iter(())
 
 
@@ -205,12 +205,12 @@ class Binary(Node):
 
 @dataclass(frozen=True, eq=False)
 class OperatorChain(Node):
-    """`a + b - c …`: so many operators of one level in a row that they are kept flat.
+    """`a + b - c …`: a long chain of operators of one level, which is kept flat.
 
     Attributes:
-        operators: one less than there are operands.
-        operands: from the left.
-        ends: where the text of each operand ends.
+        operators: the operators, one less than operands.
+        operands: the operands from the left.
+        ends: the end of each operand in the text.
     """
 
     operators: tuple[str, ...]
@@ -218,13 +218,13 @@ class OperatorChain(Node):
     ends: tuple[int, ...]
 
     def until(self, index: int) -> SourceSpan:
-        """The place of the operands up to this one."""
+        """Returns the place of the operands up to this one."""
         return SourceSpan(self.span.start, self.ends[index])
 
 
 @dataclass(frozen=True, eq=False)
 class Branch(Node):
-    """An `IF` that is all there is in the else branch of another one, without its own."""
+    """An `IF` that is the whole else branch of another one, without its own else branch."""
 
     condition: Node
     then: tuple[Node, ...]
@@ -232,24 +232,24 @@ class Branch(Node):
 
 @dataclass(frozen=True, eq=False)
 class If(Node):
-    """`IF(condition; then, …; else, …)`: of each branch the last value counts.
+    """`IF(condition; then, …; else, …)`: its value is the last one of a branch.
 
     Attributes:
-        condition: what decides.
-        then: what is evaluated where it holds.
-        otherwise: what is evaluated where nothing holds.
-        further: what is asked where it does not hold, one after another.
+        condition: the first condition.
+        then: the expressions to evaluate if it holds.
+        otherwise: the expressions to evaluate if no condition holds.
+        else_ifs: the further conditions, in order, and their expressions.
     """
 
     condition: Node
     then: tuple[Node, ...]
     otherwise: tuple[Node, ...]
-    further: tuple[Branch, ...] = ()
+    else_ifs: tuple[Branch, ...] = ()
 
     @property
     def branches(self) -> tuple[Branch, ...]:
-        """All conditions, with what is evaluated where they hold."""
-        return (Branch(self.span, self.condition, self.then), *self.further)
+        """All conditions and their expressions."""
+        return (Branch(self.span, self.condition, self.then), *self.else_ifs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,10 +262,10 @@ class Assignment(Node):
     """`name = value`, or `name{horizon} = value`.
 
     Attributes:
-        name: of the variable.
-        horizon: how long it keeps its values.
-        value: what it is assigned.
-        is_bare: whether it stands as a whole in SELECT or WHERE, where `==` may have been meant.
+        name: the name of the variable.
+        horizon: the time for which the variable keeps its values.
+        value: the new value.
+        is_bare: whether it is a whole item of SELECT or WHERE, where `==` may be meant.
     """
 
     name: str
@@ -276,7 +276,7 @@ class Assignment(Node):
 
 @dataclass(frozen=True, eq=False)
 class Source(Node):
-    """One entry of FROM: what it is called, and what it ranges over."""
+    """One entry of FROM: its alias, and the value whose elements are its rows."""
 
     alias: str | None
     value: Node
@@ -294,7 +294,7 @@ class OrderKey(Node):
 class Recursion(Node):
     """`START WITH … CONNECT BY … STOP WITH …`; `memorize` is the n of `MEMORIZE n`.
 
-    In `start` and `step` are assignments to state variables, and what is evaluated beside those.
+    `start` and `step` are assignments to state variables, and other expressions.
     """
 
     start: tuple[Node, ...]
@@ -337,8 +337,8 @@ class Suspicion:
     """A probable mistake: a construct that is valid, but rarely intended.
 
     Attributes:
-        span: where it is.
-        message: why, and what to write instead.
+        span: its place.
+        message: the reason, and a correction.
     """
 
     span: SourceSpan
@@ -347,9 +347,9 @@ class Suspicion:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A parsed text: its statements in order, and what in it is probably a mistake."""
+    """A parsed text: its statements in order, and the probable mistakes in it."""
 
     text: str
     statements: tuple[Node, ...]
     explain: bool = False
-    doubts: tuple[Suspicion, ...] = ()
+    suspicions: tuple[Suspicion, ...] = ()

@@ -14,63 +14,63 @@ from ssduck.formatting import type_in_words
 from ssduck.language.tree import Node, Query
 
 
-def written(node: Node) -> str:
-    """A part so that parts are written alike only if they mean the same where they stand."""
+def node_key(node: Node) -> str:
+    """Returns a key of a part of a tree; parts with equal keys have the same meaning."""
     if isinstance(node, Query):
         return f"Query({id(node)})"
     values = (getattr(node, field.name) for field in fields(node))
-    parts = ", ".join(_written(value) for value in values if not isinstance(value, SourceSpan))
+    parts = ", ".join(_field_key(value) for value in values if not isinstance(value, SourceSpan))
     return f"{type(node).__name__}({parts})"
 
 
-def _written(value: Any) -> str:
-    """The key of a part's field: a part, several parts, or a name, a number, a text."""
+def _field_key(value: Any) -> str:
+    """Returns the key of a part's field: a part, several parts, or a name, a number, a text."""
     if isinstance(value, tuple):
-        return f"({', '.join(map(_written, value))})"
-    return written(value) if isinstance(value, Node) else repr(value)
+        return f"({', '.join(map(_field_key, value))})"
+    return node_key(value) if isinstance(value, Node) else repr(value)
 
 
 ATOMS = frozenset((int, float, str, bool, type(None)))
 NUMPYS = (np.bool_, np.integer, np.floating, np.str_)
 
 
-def plain(value: Any) -> Any:
-    """A value whose lists, tuples and dicts hold Python's numbers, truths and texts, not numpy's.
+def python_value(value: Any) -> Any:
+    """Returns a value in which Python's numbers, booleans and texts replace NumPy's.
 
-    numpy's would overflow, and be infinite where Python's raise. It is the value itself where
-    there are none.
+    NumPy's numbers overflow, and are infinite where Python's raise. The result is the value itself
+    if it contains none.
     """
     kind = type(value)
     if kind is dict:
-        parts = {plain(key): plain(part) for key, part in value.items()}
+        parts = {python_value(key): python_value(part) for key, part in value.items()}
         same = all(map(operator.is_, parts.values(), value.values()))
         return value if same and all(map(operator.is_, parts, value)) else parts
     if kind is list or kind is tuple:
         if ATOMS.issuperset(map(type, value)):
             return value
-        elements = kind(map(plain, value))
+        elements = kind(map(python_value, value))
         return value if all(map(operator.is_, elements, value)) else elements
     return value.item() if isinstance(value, NUMPYS) else value
 
 
-def hashable(value: Any) -> Any:
-    """A hashable key of a value: equal for equal values, lists and dicts included.
+def equality_key(value: Any) -> Any:
+    """Returns a hashable key of a value: equal for equal values, lists and dicts included.
 
     Raises:
-        ArgumentError: values of its type cannot be told apart.
+        ArgumentError: values of its type have no keys.
     """
     kind = type(value)
     if kind in ATOMS:
         return value
     if kind is list or kind is tuple:
-        return (kind, *[part if type(part) in ATOMS else hashable(part) for part in value])
+        return (kind, *[part if type(part) in ATOMS else equality_key(part) for part in value])
     if kind is dict:
-        return (dict, frozenset((key, hashable(part)) for key, part in value.items()))
+        return (dict, frozenset((key, equality_key(part)) for key, part in value.items()))
     try:
         hash(value)
     except TypeError as error:
         raise ArgumentError(
-            f"{type_in_words(value)} cannot be told apart from others: {error}"
+            f"{type_in_words(value)} cannot be compared with others: {error}"
         ) from error
     return cast("Any", value)
 
@@ -78,14 +78,14 @@ def hashable(value: Any) -> Any:
 _EXACT_ATOMS = frozenset((int, str, bool, type(None)))
 
 
-def exactly(value: Any) -> Any:
-    """A hashable key of a value: equal only for values that no function can distinguish.
+def exact_key(value: Any) -> Any:
+    """Returns a hashable key of a value: equal only for values that no function can distinguish.
 
-    1, 1.0 and True are equal, and so are 0.0 and -0.0; `str` tells them apart. So it may be
-    with equal values of any other type.
+    1, 1.0 and True are equal, and so are 0.0 and -0.0, but `str` distinguishes them. Equal values
+    of other types may differ in such ways, too.
 
     Raises:
-        ArgumentError: values of its type cannot be told apart.
+        ArgumentError: values of its type have no keys.
     """
     kind = type(value)
     if kind in _EXACT_ATOMS:
@@ -96,25 +96,24 @@ def exactly(value: Any) -> Any:
         types = tuple(map(type, value))
         if _EXACT_ATOMS.issuperset(types):
             return (kind, types, *value)
-        return (kind, *map(exactly, value))
+        return (kind, *map(exact_key, value))
     if kind is dict:
-        return (dict, *[(exactly(key), exactly(part)) for key, part in value.items()])
+        return (dict, *[(exact_key(key), exact_key(part)) for key, part in value.items()])
     moment = getattr(value, "moment", None)  # an entity at another tick is another one
-    return (kind, hashable(value), _distinguished(value), moment and moment.tick)
+    return (kind, equality_key(value), _distinguishing_text(value), moment and moment.tick)
 
 
-def _distinguished(value: Any) -> str:
+def _distinguishing_text(value: Any) -> str:
     try:
         return repr(value)
     except Exception as error:
-        raise ArgumentError(f"{type_in_words(value)} cannot be told apart from others") from error
+        raise ArgumentError(f"{type_in_words(value)} cannot be compared with others") from error
 
 
 class ValueKeys:
     """Short keys of values, quick to look up, for one search.
 
-    Lists that were seen before are known by what they are, without being looked into; they
-    must not change meanwhile.
+    Lists that occurred before are recognized by identity; they must not change meanwhile.
     """
 
     def __init__(self) -> None:
@@ -124,32 +123,35 @@ class ValueKeys:
         self._numbers: dict[Any, int] = {}
 
     def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
-        """A key of each value, equal only for values that no function can distinguish."""
+        """Returns a key of each value, equal only for values that no function can distinguish."""
         seen = self._seen
         return tuple(
-            [seen[id(value)][1] if id(value) in seen else self._exactly(value) for value in values]
+            [
+                seen[id(value)][1] if id(value) in seen else self._exact_key(value)
+                for value in values
+            ]
         )
 
-    def _exactly(self, value: Any) -> Any:
+    def _exact_key(self, value: Any) -> Any:
         if type(value) is not list:
-            return exactly(value)
-        number = self._exact.setdefault(exactly(value), len(self._exact))
+            return exact_key(value)
+        number = self._exact.setdefault(exact_key(value), len(self._exact))
         self._seen[id(value)] = (value, number)
         return number
 
     def of(self, values: tuple[Any, ...], names: tuple[Any, ...]) -> int:
-        """A number for what is selected of a row and what it is called, alike for equal ones."""
+        """Returns a number for the selected values and names of a row, the same for equal rows."""
         parts = [value if type(value) in ATOMS else self._part(value) for value in values]
-        called = names if ATOMS.issuperset(map(type, names)) else hashable(names)
+        called = names if ATOMS.issuperset(map(type, names)) else equality_key(names)
         return self._numbers.setdefault((*parts, called), len(self._numbers))
 
     def _part(self, value: Any) -> Any:
         if type(value) is not list:
-            return hashable(value)
+            return equality_key(value)
         seen = self._seen.get(id(value))
         if seen is None:
             return (list, *[part if type(part) in ATOMS else self._part(part) for part in value])
         part = self._equal.get(seen[1])
         if part is None:
-            part = self._equal[seen[1]] = hashable(value)
+            part = self._equal[seen[1]] = equality_key(value)
         return part

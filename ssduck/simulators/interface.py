@@ -1,6 +1,6 @@
 """The interface between ssduck and a simulator.
 
-A simulator describes its bodies once and then answers, tick after tick, where their links are.
+A simulator describes its bodies once, and returns the poses of their links tick after tick.
 Link 0 of a body is its base, link i + 1 is the link of joint i. Poses are those of the link frames
 (not of the centres of mass), in the world frame. Lengths are metres, angles radians, and
 quaternions w, x, y, z.
@@ -24,7 +24,7 @@ from ssduck.simulators.scenes import Camera
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
 # The types of joints whose position is one number.
 SCALAR_JOINTS = ("revolute", "prismatic")
-# The simulator of worlds that name no other.
+# The simulator of worlds that do not name one.
 DEFAULT_BACKEND = "pybullet"
 
 
@@ -226,9 +226,8 @@ class CameraView:
 class Simulator(Protocol):
     """One running simulation.
 
-    Ticks need `describe`, the properties and the methods `read_…`. Each of the other methods is
-    needed by one function of worlds. A simulator that cannot do what a method says raises
-    `UnsupportedError` there.
+    Ticks need `describe`, the properties and the methods `read_…`. Each of the other methods serves
+    one function of worlds. A method that a simulator does not support raises `UnsupportedError`.
     """
 
     @property

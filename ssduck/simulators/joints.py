@@ -15,18 +15,18 @@ from typing import Protocol
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint
 
-# The least openness of an open joint and the greatest of a closed one, by default.
+# The default least openness of an open joint, and greatest openness of a closed one.
 OPEN, CLOSED = 0.5, 0.05
 # The rounding error of an openness.
-ROUNDED = 1e-9
+OPENNESS_TOLERANCE = 1e-9
 
 
 class JointError(UnknownNameError):
-    """An entity has no joint of a name, or not one that can be used so."""
+    """An entity has no joint of a name, or the joint has no position or openness."""
 
 
 class HasLimits(Protocol):
-    """A joint of a model, or one at a tick. Limits are rad or m."""
+    """A joint of a model or at a tick, with limits in rad or m."""
 
     @property
     def type(self) -> str:
@@ -80,11 +80,11 @@ class EntityJoints:
         Raises:
             JointError: there is no such joint, or its position is not one number.
         """
-        joint, position = self._named(name)
+        joint, position = self._find(name)
         if joint.type not in SCALAR_JOINTS:
             raise JointError(
-                f"{self.entity}: joint {name!r} is {joint.type}; a position of one number has "
-                f"what is {' or '.join(SCALAR_JOINTS)}"
+                f"{self.entity}: joint {name!r} is {joint.type}; only a joint that is "
+                f"{' or '.join(SCALAR_JOINTS)} has a position of one number"
             )
         return None if math.isnan(position) else position
 
@@ -94,7 +94,7 @@ class EntityJoints:
         Raises:
             JointError: there is no such joint, or it has no limits.
         """
-        joint, position = self._named(name)
+        joint, position = self._find(name)
         fraction = openness(joint, position)
         if fraction is None:
             raise JointError(
@@ -108,11 +108,11 @@ class EntityJoints:
 
         None if a position is unknown.
         """
-        openness_ = map(openness, self.joints, self.positions)
-        shares = [fraction for fraction in openness_ if fraction is not None]
-        return None if any(map(math.isnan, shares)) else max(shares, default=-math.inf)
+        all_joints = map(openness, self.joints, self.positions)
+        fractions = [fraction for fraction in all_joints if fraction is not None]
+        return None if any(map(math.isnan, fractions)) else max(fractions, default=-math.inf)
 
-    def _named(self, name: str) -> tuple[Joint, float]:
+    def _find(self, name: str) -> tuple[Joint, float]:
         for joint, position in zip(self.joints, self.positions, strict=True):
             if joint.name == name:
                 return joint, position

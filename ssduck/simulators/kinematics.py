@@ -27,7 +27,7 @@ JointValues: TypeAlias = Mapping[str, float] | Sequence[float]
 LIMIT_TOLERANCE = 1e-3
 
 
-# -- what may be asked for ----------------------------------------------------------------------
+# -- checks of requested poses, positions and motor targets -------------------------------------
 
 
 def parse_pose(values: Sequence[float], of: str) -> Pose:
@@ -43,16 +43,16 @@ def parse_pose(values: Sequence[float], of: str) -> Pose:
 
 
 def unit(orientation: Array, of: str) -> Array:
-    """Returns a quaternion made of unit length.
+    """Returns a quaternion, scaled to unit length.
 
     Raises:
-        StateError: it is all 0.
+        StateError: all its numbers are 0.
     """
-    # Without this, the squares of huge numbers would be infinite, and of tiny ones 0.
-    most = float(np.abs(orientation).max())
-    if most < 1e-9:
+    # Otherwise the squares of huge numbers would be infinite, and those of tiny ones 0.
+    largest = float(np.abs(orientation).max())
+    if largest < 1e-9:
         raise StateError(f"{of}: orientation: w, x, y, z are all 0")
-    scaled: Array = orientation / most
+    scaled: Array = orientation / largest
     return scaled / float(np.linalg.norm(scaled))
 
 
@@ -60,9 +60,9 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
     """Returns the positions of joints, rad or m, by the indices of the links that they move.
 
     Args:
-        values: by the joint's name; or one for each joint whose position is a number, in order.
+        values: positions by joint name, or one for each revolute or prismatic joint, in order.
         body: the body that has the joints.
-        name: its name in errors.
+        name: the name of the body in errors.
 
     Raises:
         UnknownNameError: there is no joint of a name; with the nearest names.
@@ -82,7 +82,9 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
         values = dict(zip(settable, values, strict=True))
     return {
         joint.link: _position(value, joint, name)
-        for joint, value in ((_named(key, joints, name), value) for key, value in values.items())
+        for joint, value in (
+            (_scalar_joint(key, joints, name), value) for key, value in values.items()
+        )
     }
 
 
@@ -94,21 +96,23 @@ def motor_targets(
     name: str,
 ) -> dict[int, MotorTarget]:
     """Returns the targets of motors by the indices of their links; see `Entity.drive`."""
-    for values, what in ((velocities, "velocities"), (efforts, "efforts")):
-        validation.mapping(values, f"{name}: {what} are given by the joints' names, in a dict")
+    for values, quantity in ((velocities, "velocities"), (efforts, "efforts")):
+        validation.mapping(values, f"{name}: {quantity} are given by the joints' names, in a dict")
     joints = {joint.name: joint for joint in body.joints}
     position_values = joint_positions(positions, body, name) if positions is not None else {}
     velocity_values = {
-        _named(key, joints, name).link: _bounded(value, joints[key], "velocity", name)
+        _scalar_joint(key, joints, name).link: _bounded(value, joints[key], "velocity", name)
         for key, value in (velocities or {}).items()
     }
     effort_values = {
-        _named(key, joints, name).link: _bounded(value, joints[key], "effort", name)
+        _scalar_joint(key, joints, name).link: _bounded(value, joints[key], "effort", name)
         for key, value in (efforts or {}).items()
     }
     by_link = {joint.link: joint for joint in body.joints}
     for link in position_values.keys() & velocity_values.keys():
-        raise ArgumentError(f"{name}: joint {by_link[link].name!r}: a position or a velocity")
+        raise ArgumentError(
+            f"{name}: joint {by_link[link].name!r} has both a position and a velocity"
+        )
     for link in effort_values.keys() - position_values.keys() - velocity_values.keys():
         raise ArgumentError(
             f"{name}: joint {by_link[link].name!r} has an effort, but no position or velocity"
@@ -125,7 +129,7 @@ def motor_targets(
 
 
 def _check_sequence(values: Any, name: str) -> None:
-    """Refuses values that are not in a sequence."""
+    """Raises an error if values are not a sequence."""
     if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
         raise ArgumentError(
             f"{name}: joint values are given in a list, or by the joints' names in a dict, not as "
@@ -133,17 +137,16 @@ def _check_sequence(values: Any, name: str) -> None:
         )
 
 
-def _bounded(value: float, joint: Joint, what: str, name: str) -> float:
-    """Returns a velocity or an effort that the joint's model allows."""
-    given = float(validation.finite_array([value], 1, f"{name}: joint {joint.name!r}: {what}")[0])
-    most = joint.max_velocity if what == "velocity" else joint.max_effort
-    if (most is not None and abs(given) > most) or (what == "effort" and given < 0.0):
-        raise StateError(
-            f"{name}: joint {joint.name!r}: {what} {given:g} is more than the joint's {most:g}"
-            if given > 0.0 or what == "velocity"
-            else f"{name}: joint {joint.name!r}: effort {given:g} is below 0"
-        )
-    return given
+def _bounded(value: float, joint: Joint, quantity: str, name: str) -> float:
+    """Checks a velocity or an effort against the limit of the joint's model."""
+    place = f"{name}: joint {joint.name!r}: {quantity}"
+    number = float(validation.finite_array([value], 1, place)[0])
+    if quantity == "effort" and number < 0.0:
+        raise StateError(f"{place} {number:g} is below 0")
+    maximum = joint.max_velocity if quantity == "velocity" else joint.max_effort
+    if maximum is not None and abs(number) > maximum:
+        raise StateError(f"{place} {number:g} is more than the joint's {maximum:g}")
+    return number
 
 
 def link_index(body: Body, link: str, name: str) -> int:
@@ -152,28 +155,28 @@ def link_index(body: Body, link: str, name: str) -> int:
     Raises:
         UnknownNameError: there is none; with the nearest names.
     """
-    names = [one.name for one in body.links]
+    names = [part.name for part in body.links]
     if link not in names:
         raise UnknownNameError(f"{name} has no link {link!r}", suggestions=nearest(link, names))
     return names.index(link)
 
 
 def descendant_links(body: Body, link: int) -> set[int]:
-    """Returns the indices of a link and of all links beyond it."""
-    found = {link}
-    for number, one in enumerate(body.links):  # parents come first
-        if one.parent in found:
-            found.add(number)
-    return found
+    """Returns the indices of a link and of all its descendants."""
+    descendants = {link}
+    for number, part in enumerate(body.links):  # parents come first
+        if part.parent in descendants:
+            descendants.add(number)
+    return descendants
 
 
-def _named(key: str, joints: Mapping[str, Joint], name: str) -> Joint:
+def _scalar_joint(key: str, joints: Mapping[str, Joint], name: str) -> Joint:
     if key not in joints:
         raise UnknownNameError(f"{name} has no joint {key!r}", suggestions=nearest(key, joints))
     if joints[key].type not in SCALAR_JOINTS:
         raise ArgumentError(
-            f"{name}: joint {key!r} is {joints[key].type}; what can be set has one number for a "
-            f"position: {' or '.join(SCALAR_JOINTS)}"
+            f"{name}: joint {key!r} is {joints[key].type}; only a joint that is "
+            f"{' or '.join(SCALAR_JOINTS)} can be set"
         )
     return joints[key]
 
@@ -190,7 +193,7 @@ def _position(value: float, joint: Joint, name: str) -> float:
     return position
 
 
-# -- where the links are then -------------------------------------------------------------------
+# -- the poses of moved links -------------------------------------------------------------------
 
 
 def moved_link_poses(
@@ -225,23 +228,23 @@ def moved_link_poses(
 def _relative_states(parents: Array, links: Array) -> Array:
     """Returns the states of links (n, 13), at their frames' origins, relative to their parents."""
     arms = links[:, :3] - parents[:, :3]
-    away = parents[:, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
+    inverse = parents[:, 3:7] * np.array([1.0, -1.0, -1.0, -1.0])
     positions, orientations = compose(
         *invert(parents[:, :3], parents[:, 3:7]), links[:, :3], links[:, 3:7]
     )
-    back = rotation_matrices(away)
+    to_parent = rotation_matrices(inverse)
     drift = links[:, 7:10] - parents[:, 7:10] - cross(parents[:, 10:], arms)
     spin = links[:, 10:] - parents[:, 10:]
-    return np.hstack((positions, orientations, rotate(back, drift), rotate(back, spin)))
+    return np.hstack((positions, orientations, rotate(to_parent, drift), rotate(to_parent, spin)))
 
 
 def _absolute_states(parents: Array, links: Array) -> Array:
     """Returns the inverse of `_relative_states`: the states of links (n, 13) in the world."""
-    turn = rotation_matrices(parents[:, 3:7])
+    to_world = rotation_matrices(parents[:, 3:7])
     positions, orientations = compose(parents[:, :3], parents[:, 3:7], links[:, :3], links[:, 3:7])
-    swept = cross(parents[:, 10:], positions - parents[:, :3])
-    velocities = parents[:, 7:10] + swept + rotate(turn, links[:, 7:10])
-    spins = parents[:, 10:] + rotate(turn, links[:, 10:])
+    lever_velocities = cross(parents[:, 10:], positions - parents[:, :3])
+    velocities = parents[:, 7:10] + lever_velocities + rotate(to_world, links[:, 7:10])
+    spins = parents[:, 10:] + rotate(to_world, links[:, 10:])
     return np.hstack((positions, orientations, velocities, spins))
 
 
@@ -257,7 +260,7 @@ def _move_joint(within: Array, joint: Joint, change: float) -> None:
 
 
 def _generations(parents: Indices) -> list[Indices]:
-    """Returns the links except the base: its children, their children, and so on."""
+    """Groups the links except the base by depth: its children, their children, and so on."""
     depths = np.zeros(len(parents), dtype=np.intp)
     for link, parent in enumerate(parents[1:].tolist(), 1):
         depths[link] = depths[parent] + 1

@@ -41,8 +41,8 @@ class BodySpec:
         name: the name; None for that of the model.
         kind: robot or kinbody; None to decide by the joints.
         model: the model file.
-        position: of the base link frame, metres.
-        orientation: of the base link frame, w, x, y, z.
+        position: the position of the base link frame, metres.
+        orientation: the orientation of the base link frame, w, x, y, z.
         fixed: whether the base is fixed to the world.
         joints: initial positions by the joints' names, rad or m.
         velocity: initial velocity of the base link frame, m/s, then angular velocity, rad/s, in the
@@ -83,17 +83,17 @@ class ConstraintSpec:
         type: one of `CONSTRAINT_TYPES`.
         on: the body.
         to: the other body; None for the world.
-        link: of the body; None for its base.
-        to_link: of the other body; None for its base.
-        axis: of a prismatic constraint.
+        link: the link of the body; None for its base.
+        to_link: the link of the other body; None for its base.
+        axis: the axis of a prismatic constraint.
         position: in the frame of the link's centre of mass, metres.
         orientation: in that frame, w, x, y, z.
         to_position: in the frame of the other link's centre of mass, or in the world, metres.
         to_orientation: in that frame, w, x, y, z.
         max_force: newtons.
-        gear_ratio: of a gear.
-        gear_link: of a gear, the number of a third link.
-        gear_target: of a gear, the relative position to reach.
+        gear_ratio: the ratio of a gear.
+        gear_link: the number of the third link of a gear.
+        gear_target: the relative position that a gear reaches.
         erp: the fraction of an error that a step corrects; 0 for PyBullet's default.
     """
 
@@ -212,7 +212,7 @@ def find_scene(name: str | Path) -> Scene:
     'kitchen'
 
     Raises:
-        UnknownNameError: there is neither; with the nearest shipped names.
+        UnknownNameError: there is no such scene and no such file; with the nearest shipped names.
         SceneError: the file cannot be used: file, key and reason.
     """
     shipped = shipped_scenes()
@@ -236,13 +236,12 @@ def find_scene(name: str | Path) -> Scene:
         body = BodySpec(name=None, kind=None, model=path.resolve())
         return Scene(name=variable_name(path.stem), path=path, bodies=(body,))
     raise SceneError(
-        f"{path}: cannot tell what this is; a scene ends in .toml, "
-        f"a model in {', '.join(MODEL_SUFFIXES)}"
+        f"{path}: unknown file type; a scene ends in .toml, a model in {', '.join(MODEL_SUFFIXES)}"
     )
 
 
 def _is(path: Path, check: Callable[[Path], bool]) -> bool:
-    """Returns the result of a check; False for a name that no file can have."""
+    """Applies a check to a path; False for a name that no file can have."""
     try:
         return check(path)
     except OSError:
@@ -280,12 +279,12 @@ def _scene(table: TomlTable, path: Path) -> Scene:
         name=table.text("name", _default_name(path)),
         path=path,
         description=table.text("description", "", empty=True),
-        gravity=_three(table.numbers("gravity", 3, Scene.gravity)),
+        gravity=_vector(table.numbers("gravity", 3, Scene.gravity)),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
         time=table.number("time", Scene.time, at_least=0.0),
         camera=Camera(
-            _three(camera.numbers("eye", 3, Camera.eye)),
-            _three(camera.numbers("target", 3, Camera.target)),
+            _vector(camera.numbers("eye", 3, Camera.eye)),
+            _vector(camera.numbers("target", 3, Camera.target)),
             camera.number("fov", Camera.fov, above=0.0, below=180.0),
         ),
         bodies=bodies,
@@ -299,7 +298,7 @@ def _scene(table: TomlTable, path: Path) -> Scene:
         ),
     )
     if scene.camera.eye == scene.camera.target:
-        camera.fail("target", "the camera looks at where it is")
+        camera.fail("target", "the target is where the camera is")
     if not scene.name.isidentifier():
         table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
     camera.end()
@@ -321,17 +320,17 @@ def _body(table: TomlTable, path: Path) -> BodySpec:
         table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
     if model.suffix.lower() != ".urdf":
         table.fail("urdf", f"{model.name!r} does not end in .urdf")
-    joints, speeds, held = map(table.table, ("joints", "joint_velocities", "held"))
+    joints, velocities, held = map(table.table, ("joints", "joint_velocities", "held"))
     spec = BodySpec(
         name=table.text("name"),
         kind=kind,  # type: ignore[arg-type]  # checked above
         model=model,
-        position=_three(table.numbers("position", 3, BodySpec.position)),
+        position=_vector(table.numbers("position", 3, BodySpec.position)),
         orientation=_unit(table, "orientation"),
         fixed=table.flag("fixed", False),
         joints=joints.all_numbers(),
         velocity=table.numbers("velocity", 6, BodySpec.velocity),
-        joint_velocities=speeds.all_numbers(),
+        joint_velocities=velocities.all_numbers(),
         hold=table.flag("hold", True),
         held=held.all_numbers(),
         enabled=table.flag("enabled", True),
@@ -339,7 +338,7 @@ def _body(table: TomlTable, path: Path) -> BodySpec:
         own_inertia=table.flag("own_inertia", False),
     )
     if spec.fixed and any(spec.velocity):
-        table.fail("velocity", "what is fixed does not move")
+        table.fail("velocity", "a fixed body does not move")
     table.end()
     return spec
 
@@ -352,22 +351,22 @@ def _constraint(table: TomlTable, bodies: Collection[str]) -> ConstraintSpec:
     for key, body in zip(("on", "to"), ends, strict=True):
         if body is not None and body not in bodies:
             table.fail(key, f"the scene has no body {body!r}", nearest(body, bodies))
-    plain = ConstraintSpec
+    default = ConstraintSpec
     spec = ConstraintSpec(
         type,
         *ends,
         link=table.text("link", "") or None,
         to_link=table.text("to_link", "") or None,
-        axis=_three(table.numbers("axis", 3, plain.axis)),
-        position=_three(table.numbers("position", 3, plain.position)),
+        axis=_vector(table.numbers("axis", 3, default.axis)),
+        position=_vector(table.numbers("position", 3, default.position)),
         orientation=_unit(table, "orientation"),
-        to_position=_three(table.numbers("to_position", 3, plain.to_position)),
+        to_position=_vector(table.numbers("to_position", 3, default.to_position)),
         to_orientation=_unit(table, "to_orientation"),
-        max_force=table.number("max_force", plain.max_force, at_least=0.0),
-        gear_ratio=table.number("gear_ratio", plain.gear_ratio),
-        gear_link=table.whole("gear_link") or plain.gear_link,
-        gear_target=table.number("gear_target", plain.gear_target),
-        erp=table.number("erp", plain.erp, at_least=0.0),
+        max_force=table.number("max_force", default.max_force, at_least=0.0),
+        gear_ratio=table.number("gear_ratio", default.gear_ratio),
+        gear_link=table.whole("gear_link") or default.gear_link,
+        gear_target=table.number("gear_target", default.gear_target),
+        erp=table.number("erp", default.erp, at_least=0.0),
     )
     table.end()
     return spec
@@ -395,7 +394,7 @@ def _sensor(table: TomlTable, bodies: Collection[str]) -> SensorSpec:
         on=on,
         link=table.text("link", "") or None,
         type=name,
-        position=_three(table.numbers("position", 3, (0.0, 0.0, 0.0))),
+        position=_vector(table.numbers("position", 3, (0.0, 0.0, 0.0))),
         orientation=_unit(table, "orientation"),
         period=table.number("period", 0.0, at_least=0.0),
         max_range=table.number("max_range", above=0.0) if kind.has_range else 0.0,
@@ -438,27 +437,27 @@ def _unit(table: TomlTable, key: str) -> Quaternion:
     return (w / length, x / length, y / length, z / length)
 
 
-def _three(values: tuple[float, ...]) -> Vector:
+def _vector(values: tuple[float, ...]) -> Vector:
     x, y, z = values
     return (x, y, z)
 
 
 def _check_unique(
-    path: Path, what: str, names: Sequence[str | None], others: Sequence[BodySpec] = ()
+    path: Path, table: str, names: Sequence[str | None], others: Sequence[BodySpec] = ()
 ) -> None:
-    taken = {body.name for body in others}
+    other_names = {body.name for body in others}
     for index, name in enumerate(names):
-        if name in taken or name in names[:index]:
-            raise SceneError(f"{path}: {what}[{index}].name: {name!r} is there already")
+        if name in other_names or name in names[:index]:
+            raise SceneError(f"{path}: {table}[{index}].name: {name!r} is there already")
 
 
 def _default_name(path: Path) -> str:
     """Returns the name of a scene by its file: `name.toml`, or `name/scene.toml`."""
-    place = path.resolve()
-    return variable_name(place.parent.name if place.name == "scene.toml" else place.stem)
+    full = path.resolve()
+    return variable_name(full.parent.name if full.name == "scene.toml" else full.stem)
 
 
 def variable_name(text: str) -> str:
-    """Returns a name for a scene, which is a variable of programs, made from another one."""
+    """Makes a valid name of a scene, which is a variable in programs, from a text."""
     name = "".join(letter if letter.isalnum() or letter == "_" else "_" for letter in text)
     return name if name.isidentifier() else f"world_{name}".rstrip("_")

@@ -23,8 +23,8 @@ Settings: TypeAlias = Mapping[str, float]
 
 # A sensor with more rays is probably a mistake; it needs a renderer.
 MAX_RAYS = 1_000_000
-# Angles that differ by less are equal, relative to the angle between two rays.
-_SAME = 1e-9
+# The rounding error of angles, degrees or relative to the angle between two rays.
+_ANGLE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class SensorSetting:
     """A numeric setting of a sensor.
 
     Attributes:
-        name: in scene files and in Python.
+        name: its name in scene files and in Python.
         unit: m, degrees or pixels; empty for a count.
         about: its meaning.
         default: the default; None if it is required.
@@ -59,15 +59,15 @@ class SensorType:
     """A type of sensor.
 
     Attributes:
-        name: in scene files and in Python.
-        about: a sentence that says what it measures.
+        name: its name in scene files and in Python.
+        about: a sentence about what it measures.
         settings: its settings, except its maximum range.
         rays: the ends of its rays, (n, 3) in its own frame, from its maximum range and its
             settings; None for a sensor without rays and range.
         shape: the number of its rays, (n,) or (height, width), before they are made.
         has_picture: whether it has a colour image.
-        view: which points (n, 3) in its own frame are in its field of view, from its maximum range,
-            its settings, and the distance from a flat field of view within which points count, m.
+        view: tests which points (n, 3) in its own frame are in its field of view, from its maximum
+            range, its settings, and the tolerance for points beside a flat field of view, m.
     """
 
     name: str
@@ -98,15 +98,15 @@ class SensorType:
         return None
 
 
-# -- where rays go --------------------------------------------------------------------------------
+# -- rays -----------------------------------------------------------------------------------------
 
 
 def _steps(settings: Settings) -> int:
     """Returns the number of rays of a sweep, with both ends unless they are the same direction."""
     span = settings["max_angle"] - settings["min_angle"]
-    count = int(min(span / settings["resolution"] + _SAME, 10.0 * MAX_RAYS)) + 1
-    turned = (count - 1) * settings["resolution"]
-    return count - 1 if count > 1 and turned >= 360 - _SAME else count
+    count = int(min(span / settings["resolution"] + _ANGLE_TOLERANCE, 10.0 * MAX_RAYS)) + 1
+    covered = (count - 1) * settings["resolution"]
+    return count - 1 if count > 1 and covered >= 360 - _ANGLE_TOLERANCE else count
 
 
 def _sweep(settings: Settings) -> Array:
@@ -118,11 +118,12 @@ def _sweep(settings: Settings) -> Array:
 
 def _directions(azimuths: Array, elevations: Array) -> Array:
     """Returns unit vectors (n, 3) from azimuths to the left and elevations."""
-    flat = np.cos(elevations)
-    return np.stack([flat * np.cos(azimuths), flat * np.sin(azimuths), np.sin(elevations)], axis=-1)
+    level = np.cos(elevations)
+    x, y = level * np.cos(azimuths), level * np.sin(azimuths)
+    return np.stack([x, y, np.sin(elevations)], axis=-1)
 
 
-def _one(reach: float, _: Settings) -> Array:
+def _single_ray(reach: float, _: Settings) -> Array:
     return np.array([[reach, 0.0, 0.0]])
 
 
@@ -132,7 +133,7 @@ def _plane(reach: float, settings: Settings) -> Array:
 
 
 def _layers(reach: float, settings: Settings) -> Array:
-    """Layers from the lowest to the highest, each a sweep."""
+    """Returns rays layer by layer, from the lowest to the highest, each a sweep."""
     low, high = settings["min_elevation"], settings["max_elevation"]
     layers = np.radians(np.linspace(low, high, int(settings["layers"])))
     elevations, azimuths = np.meshgrid(layers, _sweep(settings), indexing="ij")
@@ -141,70 +142,72 @@ def _layers(reach: float, settings: Settings) -> Array:
 
 def _pixels(reach: float, settings: Settings) -> Array:
     """Returns rays row by row from the upper left, all to the same depth."""
-    height, width = _image(settings)
+    height, width = _image_shape(settings)
     half = math.tan(math.radians(settings["fov"]) / 2)
-    up = half * (1 - (2 * np.arange(height) + 1) / height)
-    left = half * width / height * (1 - (2 * np.arange(width) + 1) / width)
-    upward, leftward = np.meshgrid(up, left, indexing="ij")
-    ends: Array = reach * np.stack([np.ones_like(upward), leftward, upward], axis=-1)
+    z = half * (1 - (2 * np.arange(height) + 1) / height)
+    y = half * width / height * (1 - (2 * np.arange(width) + 1) / width)
+    z_grid, y_grid = np.meshgrid(z, y, indexing="ij")
+    ends: Array = reach * np.stack([np.ones_like(z_grid), y_grid, z_grid], axis=-1)
     return ends.reshape(-1, 3)
 
 
-def _image(settings: Settings) -> tuple[int, int]:
+def _image_shape(settings: Settings) -> tuple[int, int]:
     return int(settings["height"]), int(settings["width"])
 
 
 # -- the field of view ----------------------------------------------------------------------------
 
 
-def _on_ray(points: Array, reach: float, _: Settings, off: float) -> Flags:
+def _on_ray(points: Array, reach: float, _: Settings, tolerance: float) -> Flags:
     """Tests points against the view of a single ray: within a distance from it."""
     x, y, z = points.T
-    seen: Flags = (x > 0.0) & (x <= reach) & (np.hypot(y, z) <= off)
-    return seen
+    visible: Flags = (x > 0.0) & (x <= reach) & (np.hypot(y, z) <= tolerance)
+    return visible
 
 
 def _in_image(points: Array, reach: float, settings: Settings, _: float) -> Flags:
     """Tests points against the view of a camera: the pyramid of its image, up to a depth."""
     x, y, z = points.T
-    height, width = _image(settings)
-    half = math.tan(math.radians(settings["fov"]) / 2) * (1 + _SAME)
+    height, width = _image_shape(settings)
+    half = math.tan(math.radians(settings["fov"]) / 2) * (1 + _ANGLE_TOLERANCE)
     inside = (abs(z) <= half * x) & (abs(y) <= half * width / height * x)
-    seen: Flags = inside & (x > 0.0) & (x <= reach)
-    return seen
+    visible: Flags = inside & (x > 0.0) & (x <= reach)
+    return visible
 
 
-def _in_sweep(points: Array, reach: float, settings: Settings, off: float) -> Flags:
+def _in_sweep(points: Array, reach: float, settings: Settings, tolerance: float) -> Flags:
     """Tests points against the view of fans: between the outer rays, or near a single fan."""
     x, y, z = points.T
     distance = np.linalg.norm(points, axis=1)
-    turn = np.degrees(np.arctan2(y, x)) - settings["min_angle"] + _SAME
-    seen: Flags = (distance > 0.0) & (distance <= reach)
-    seen &= turn % 360.0 <= settings["max_angle"] - settings["min_angle"] + 2 * _SAME
+    azimuth = np.degrees(np.arctan2(y, x)) - settings["min_angle"] + _ANGLE_TOLERANCE
+    visible: Flags = (distance > 0.0) & (distance <= reach)
+    visible &= (
+        azimuth % 360.0 <= settings["max_angle"] - settings["min_angle"] + 2 * _ANGLE_TOLERANCE
+    )
     low, high = (settings.get(f"{side}_elevation", 0.0) for side in ("min", "max"))
-    if low == high or settings.get("layers") == 1:  # which is the lowest
-        up = np.arctan2(z, np.hypot(x, y)) - math.radians(low)
-        seen &= abs(distance * np.sin(up)) <= off
-        return seen
-    up = np.degrees(np.arctan2(z, np.hypot(x, y)))
-    seen &= (up >= low - _SAME) & (up <= high + _SAME)
-    return seen
+    if low == high or settings.get("layers") == 1:  # a single layer is the lowest
+        elevation = np.arctan2(z, np.hypot(x, y)) - math.radians(low)
+        visible &= abs(distance * np.sin(elevation)) <= tolerance
+        return visible
+    elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+    visible &= (elevation >= low - _ANGLE_TOLERANCE) & (elevation <= high + _ANGLE_TOLERANCE)
+    return visible
 
 
 # -- the registry ---------------------------------------------------------------------------------
 
 
 def _angle(
-    name: str, about: str, default: float | None = None, most: float = 360.0
+    name: str, about: str, default: float | None = None, maximum: float = 360.0
 ) -> SensorSetting:
-    return SensorSetting(name, "degrees", about, default, at_least=-most, at_most=most)
+    return SensorSetting(name, "degrees", about, default, at_least=-maximum, at_most=maximum)
 
 
 def _count(name: str, unit: str, about: str, default: float | None = None) -> SensorSetting:
     return SensorSetting(name, unit, about, default, above=0.0, whole=True)
 
 
-_LISTED = (
+_TYPES = (
     SensorType(
         "depth_camera",
         "A pinhole camera: for each pixel what it sees, how deep, and its colour.",
@@ -214,7 +217,7 @@ _LISTED = (
             SensorSetting("fov", "degrees", "the vertical angle of view", above=0.0, below=180.0),
         ),
         rays=_pixels,
-        shape=_image,
+        shape=_image_shape,
         has_picture=True,
         view=_in_image,
     ),
@@ -245,7 +248,7 @@ _LISTED = (
         shape=lambda settings: (int(settings["layers"]) * _steps(settings),),
         view=_in_sweep,
     ),
-    SensorType("range_finder", "One ray along the sensor's +x.", rays=_one, view=_on_ray),
+    SensorType("range_finder", "One ray along the sensor's +x.", rays=_single_ray, view=_on_ray),
     SensorType(
         "contact_sensor",
         "What presses on the link that the sensor sits on, or on the whole body if no link is "
@@ -254,4 +257,4 @@ _LISTED = (
     ),
 )
 
-SENSOR_TYPES: dict[str, SensorType] = {kind.name: kind for kind in _LISTED}
+SENSOR_TYPES: dict[str, SensorType] = {kind.name: kind for kind in _TYPES}

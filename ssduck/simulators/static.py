@@ -22,11 +22,11 @@ class StaticSimulator:
 
     Attributes:
         time: simulated seconds.
-        link_poses: the poses of the links, by the bodies that are read together.
+        link_poses: the poses of the links, by the sequence of bodies that are read together.
         joints: position, velocity and effort of each body's joints, (joints, 3).
         disabled: the bodies that take no part in collisions.
         hidden: the bodies that are not drawn.
-        description: the name of such a world in errors.
+        description: the noun for the world in errors.
         backend: the backend that makes running simulations of its bodies.
     """
 
@@ -72,7 +72,7 @@ class StaticSimulator:
         """Raises `UnsupportedError`."""
         raise UnsupportedError(
             f"{self.description} is not simulated: it cannot be stepped; step the world that it "
-            "was taken of"
+            "was taken from"
         )
 
     def _refuse_change(self, *_: Any) -> NoReturn:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from ssduck import validation
 from ssduck.errors import SceneError, nearest
 
-# What a key's default is if the key is required.
+# The default of required keys.
 REQUIRED: Any = object()
 
 
@@ -21,7 +21,7 @@ class TomlTable:
         self.path = path
         self.where = where
         self.values = values
-        self.asked: set[str] = set()
+        self.read_keys: set[str] = set()
 
     def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
         """Raises an error about a key."""
@@ -32,8 +32,8 @@ class TomlTable:
     def end(self) -> None:
         """Raises an error if there are keys that were not read."""
         for key in self.values:
-            if key not in self.asked:
-                self.fail(key, "there is no such key", nearest(key, self.asked))
+            if key not in self.read_keys:
+                self.fail(key, "there is no such key", nearest(key, self.read_keys))
 
     def text(self, key: str, default: str = REQUIRED, *, empty: bool = False) -> str:
         """Returns a string; not blank unless `empty` allows it."""
@@ -87,7 +87,7 @@ class TomlTable:
     def whole(self, key: str, at_least: float = -math.inf) -> int | None:
         """Returns an integer; None if the key is missing."""
         if key not in self.values:
-            self.asked.add(key)
+            self.read_keys.add(key)
             return None
         value = self.number(key, at_least=at_least)
         if not value.is_integer():
@@ -108,18 +108,18 @@ class TomlTable:
         for index, values in enumerate(self._get(key, [], fits, f"tables, written [[{key}]]")):
             yield TomlTable(self.path, f"{key}[{index}]", values)
 
-    def _get(self, key: str, default: Any, fits: Callable[[Any], bool], what: str) -> Any:
-        self.asked.add(key)
+    def _get(self, key: str, default: Any, fits: Callable[[Any], bool], expected: str) -> Any:
+        self.read_keys.add(key)
         if key not in self.values:
             if default is REQUIRED:
-                self.fail(key, "missing", nearest(key, set(self.values) - self.asked))
+                self.fail(key, "missing", nearest(key, set(self.values) - self.read_keys))
             return default
         value = self.values[key]
         if not fits(value):
-            self.fail(key, f"expected {what}, found {value!r}")
+            self.fail(key, f"expected {expected}, found {value!r}")
         return value
 
 
 def _is_number(value: Any) -> bool:
-    # By comparison: math.isfinite cannot take an integer of 400 digits.
+    # math.isfinite would fail on an integer of 400 digits.
     return validation.is_number(value) and -1e300 < value < 1e300

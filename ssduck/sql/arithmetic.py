@@ -24,7 +24,7 @@ MAX_EXPONENT = 64
 def arithmetic(
     context: StatementContext, node: Binary, left: SqlValue, right: SqlValue
 ) -> SqlValue:
-    """The value of + - * / % ^ of two numbers.
+    """Returns the value of + - * / % ^ of two numbers.
 
     Raises:
         NotSqlError: SQL has other ideas of it.
@@ -80,7 +80,7 @@ def _quotient(context: StatementContext, node: Binary, left: SqlValue, right: Sq
 def _remainder(
     context: StatementContext, node: Binary, left: SqlValue, right: SqlValue, sql_type: SqlType
 ) -> SqlValue:
-    """Python's: it has the sign of the divisor."""
+    """Returns Python's remainder, which has the sign of the divisor."""
     a, b = wrapped(left.sql), wrapped(right.sql)
     rest = exp.paren(exp.Mod(this=a, expression=b))
     copied(rest)
@@ -126,7 +126,7 @@ def _unless_zero(
 
 
 def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: SqlType) -> SqlValue:
-    """With a small whole exponent; of other powers SQL has other ideas."""
+    """Returns a power with a small whole exponent; SQL computes others differently."""
     match node.right:
         case tree.Literal(value=exponent) if (
             type(exponent) is int and 0 <= exponent <= MAX_EXPONENT
@@ -143,7 +143,7 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: Sq
 
 
 def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
-    """The domain of a sum, a product or a quotient: finite numbers may add up to infinity."""
+    """Returns the domain of a sum, a product or a quotient; the operation may overflow."""
     extents = (left.domain, right.domain)
     if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
         return FloatDomain.NAN
@@ -155,7 +155,7 @@ def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDom
 
 
 def double_of(value: SqlValue) -> exp.Expr:
-    """A number as a DOUBLE."""
+    """Returns a number as a DOUBLE."""
     return (
         value.sql.copy()
         if value.sql_type.type == "double"

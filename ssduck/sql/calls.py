@@ -8,7 +8,7 @@ from sqlglot import exp
 
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import IMPURE, OVER_TIME
-from ssduck.language.overrides import SIGNS, SIGNS_OF_ONE
+from ssduck.language.overrides import BINARY_SIGNS, UNARY_SIGNS
 from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.arithmetic import double_of
@@ -29,11 +29,11 @@ from ssduck.sql.sql_values import (
 from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
 
 # Functions of reals that C has, so that SQL and Python agree to the last digit.
-_OF_REALS = ("sin", "cos", "tan", "atan")
+_REAL_FUNCTIONS = ("sin", "cos", "tan", "atan")
 
 
 def call(sql: ExpressionScope, node: Call) -> SqlValue:
-    """A function call.
+    """Returns a function call.
 
     Raises:
         NotSqlError: it is left to Python.
@@ -44,11 +44,11 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
         raise NotSqlError
     if node.name in RELATIONS:
         return _relation(sql, RELATIONS[node.name], node)
-    if node.name in SIGNS:
+    if node.name in BINARY_SIGNS:
         left, right = node.arguments
-        return sql.value(Binary(node.span, SIGNS[node.name], left, right))
-    if node.name in SIGNS_OF_ONE:
-        return sql.value(Unary(node.span, SIGNS_OF_ONE[node.name], *node.arguments))
+        return sql.value(Binary(node.span, BINARY_SIGNS[node.name], left, right))
+    if node.name in UNARY_SIGNS:
+        return sql.value(Unary(node.span, UNARY_SIGNS[node.name], *node.arguments))
     if node.name == "count" and isinstance(node.arguments[0], Query):
         return subqueries.counted(sql, node.arguments[0])
     values = [sql.value(argument) for argument in node.arguments]
@@ -74,7 +74,7 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
 
 def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     count = len(node.arguments)
-    if relation.may_fail and (sql.rows or sql.around is not None):
+    if relation.may_fail and (sql.rows or sql.outer is not None):
         sql.context.note_possible_failure()  # of rows that no condition before it has left
     values = {
         parameter.name: _argument(sql, relation, parameter, argument)
@@ -135,24 +135,24 @@ def _argument(
         and element.is_number
     ):
         if value.sql_type.length != 3:
-            raise _wrong(sql, relation, parameter, "a list of another length", node)
+            raise _argument_error(sql, relation, parameter, "a list of another length", node)
         index = {"x": 1, "y": 2, "z": 3}
         return replace(value, column=lambda name: element_at(value, index[name]))
-    raise _wrong(sql, relation, parameter, value.sql_type.words, node)
+    raise _argument_error(sql, relation, parameter, value.sql_type.words, node)
 
 
-def _wrong(
+def _argument_error(
     sql: ExpressionScope, relation: Relation, parameter: Parameter, found: str, node: Node
 ) -> Exception:
-    """The error for an argument; in a query it is an error only if a row reaches it."""
-    if sql.rows or sql.around is not None:
+    """Returns the error for an argument; in a query it is an error only if a row reaches it."""
+    if sql.rows or sql.outer is not None:
         return NotSqlError()
     message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
     return ArgumentError(message, span=node.span)
 
 
 def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> SqlValue | None:
-    """A function of the language that SQL has too."""
+    """Returns a function of the language that SQL has too."""
     match name, values:
         case "count", [SqlValue(sql_type=SqlType(type="list")) as value]:
             return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
@@ -161,9 +161,9 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
         ):
             return SqlValue(exp.func("abs", value.sql.copy()), value.sql_type, domain=value.domain)
         case name, [value] if (
-            name in _OF_REALS and value.sql_type.is_number and not value.may_exceed_double
+            name in _REAL_FUNCTIONS and value.sql_type.is_number and not value.may_exceed_double
         ):
-            return _of_real(context, name, value)
+            return _real_function(context, name, value)
         case "floor" | "ceil", [SqlValue(sql_type=SqlType(type="double")) as value]:
             context.note_possible_failure()
             whole = exp.Anonymous(this=name, expressions=[value.sql.copy()])
@@ -176,7 +176,7 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             SqlValue(sql_type=SqlType(type="list", element=SqlType(type="integer"))) as value
         ]:
             context.note_possible_failure()
-            total = exp.cast(_of_list("sum", value), "BIGINT")
+            total = exp.cast(_list_function("sum", value), "BIGINT")
             nothing = exp.Literal.number(0)
             return SqlValue(
                 exp.Coalesce(this=total, expressions=[nothing]), INTEGER, may_exceed_double=True
@@ -185,7 +185,7 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             SqlValue(sql_type=SqlType(type="list", element=SqlType(type="double"))) as value
         ]:
             zero = exp.cast(exp.Literal.number(0), "DOUBLE")
-            result = exp.Coalesce(this=_of_list("sum", value), expressions=[zero])
+            result = exp.Coalesce(this=_list_function("sum", value), expressions=[zero])
             # The sum of nothing is an integer.
             domain = FloatDomain.NAN if value.domain else FloatDomain.INFINITE
             return SqlValue(result, SqlType("number"), domain=domain)
@@ -193,12 +193,12 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
             SqlValue(sql_type=SqlType(type="list", element=SqlType() as element)) as v
         ] if element.type in ("double", "integer", "string"):
             context.note_possible_failure()
-            return SqlValue(or_failure(_of_list(name, v), element), element, domain=v.domain)
+            return SqlValue(or_failure(_list_function(name, v), element), element, domain=v.domain)
     return None
 
 
-def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
-    """A function of a real number; it fails for infinity, where Python raises and SQL gives NaN."""
+def _real_function(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
+    """Returns a function of a real number; for infinity it fails, as in Python; SQL's is NaN."""
     context.note_possible_failure()
     sql: exp.Expr = exp.Anonymous(this=name, expressions=[double_of(value)])
     if value.domain:
@@ -207,5 +207,5 @@ def _of_real(context: StatementContext, name: str, value: SqlValue) -> SqlValue:
     return SqlValue(sql, DOUBLE)
 
 
-def _of_list(function: str, value: SqlValue) -> exp.Expr:
+def _list_function(function: str, value: SqlValue) -> exp.Expr:
     return exp.Anonymous(this=f"list_{function}", expressions=[value.sql.copy()])

@@ -9,23 +9,23 @@ from ssduck.sql.types import BOOLEAN, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
 # Of these values none is equal to one of another kind.
-_APART = ("string", "list", "number")
+_DISJOINT_KINDS = ("string", "list", "number")
 
 
 def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
-    """One of the six comparisons."""
+    """Returns one of the six comparisons."""
     if left.sql_type.nullable or right.sql_type.nullable:
         raise NotSqlError  # NULL is equal to nothing, not even to NULL
     kinds = tuple("number" if v.sql_type.is_number else v.sql_type.type for v in (left, right))
     equality = sign in ("==", "!=")
-    if equality and kinds[0] != kinds[1] and all(kind in _APART for kind in kinds):
+    if equality and kinds[0] != kinds[1] and all(kind in _DISJOINT_KINDS for kind in kinds):
         return SqlValue(exp.convert(sign == "!="), BOOLEAN)
-    alike = kinds in (("number", "number"), ("string", "string")) or (
+    comparable = kinds in (("number", "number"), ("string", "string")) or (
         equality and _may_be_equal(left.sql_type, right.sql_type)
     )
     if kinds == ("number", "number") and (left.may_exceed_double or right.may_exceed_double):
-        alike = left.sql_type.type == right.sql_type.type == "integer"
-    if not alike:
+        comparable = left.sql_type.type == right.sql_type.type == "integer"
+    if not comparable:
         raise NotSqlError
     kind = COMPARISONS[sign]
     if kinds == ("entity", "entity"):
@@ -44,7 +44,7 @@ def _may_be_equal(left: SqlType, right: SqlType) -> bool:
 
 
 def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> SqlValue:
-    """Whether a value is among the elements of a list, or a text is part of another."""
+    """Checks whether a value is among the elements of a list, or a text is part of another."""
     if left.sql_type.nullable or right.sql_type.nullable:
         raise NotSqlError
     if left.sql_type.type == right.sql_type.type == "string":
@@ -67,7 +67,7 @@ def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> Sq
 
 
 def like_match(left: SqlValue, right: SqlValue) -> SqlValue:
-    """Whether a text is as a pattern says."""
+    """Checks whether a text is as a pattern says."""
     if any(value.sql_type.type != "string" or value.sql_type.nullable for value in (left, right)):
         raise NotSqlError
     return SqlValue(
@@ -76,14 +76,14 @@ def like_match(left: SqlValue, right: SqlValue) -> SqlValue:
 
 
 def missing(value: SqlValue) -> SqlValue:
-    """Whether a value is nothing."""
+    """Checks whether a value is nothing."""
     if not value.sql_type.is_sql or value.sql_type.type in ("any", "record") or value.may_fail:
         raise NotSqlError
     return SqlValue(exp.paren(exp.Is(this=wrapped(value.sql), expression=exp.Null())), BOOLEAN)
 
 
 def truth(value: SqlValue) -> exp.Expr:
-    """A value as a condition: numbers are true unless 0, texts and lists unless empty."""
+    """Returns a value as a condition: numbers are true unless 0, texts and lists unless empty."""
     zero = exp.Literal.number(0)
     match value.sql_type.type:
         case "boolean":

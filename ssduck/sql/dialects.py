@@ -16,7 +16,7 @@ from ssduck.sql.plan import Plan
 from ssduck.sql.sql_values import with_values
 
 # What sqlglot writes for any engine, though only DuckDB, or few, have it.
-_OURS = (
+_DUCKDB_ONLY = (
     (exp.Array, "lists"),
     (exp.Unnest, "lists"),
     (exp.Explode, "lists"),
@@ -29,7 +29,7 @@ _OURS = (
 
 
 def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> str:
-    """The SQL of a query for an engine.
+    """Returns the SQL of a query for an engine.
 
     Args:
         query: the query.
@@ -48,9 +48,9 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         )
     if plan is None:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)
-    for node in plan.left:
+    for node in plan.python_parts:
         raise UnsupportedError("this is left to Python", span=node.span)
-    for clause in plan.rest.clauses:
+    for clause in plan.python_clauses.clauses:
         raise UnsupportedError(f"{clause} is left to Python", span=query.span)
     if plan.tables or plan.signatures:
         what = "a table of Python's" if plan.tables else "a Python function"
@@ -66,7 +66,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
 
 
 def _without_infinity(part: exp.Expr) -> exp.Expr:
-    """`x < infinity` by the largest number that there is: not all engines have infinities."""
+    """Replaces `x < infinity` by a comparison with the largest number, for engines without it."""
     match part:
         case exp.LT(this=value, expression=exp.Cast(this=exp.Literal(this="infinity"))):
             return exp.LTE(this=value, expression=exp.Literal.number(repr(sys.float_info.max)))
@@ -75,7 +75,7 @@ def _without_infinity(part: exp.Expr) -> exp.Expr:
 
 def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:
     for node in select.walk():
-        for kind, words in _OURS:
+        for kind, words in _DUCKDB_ONLY:
             if isinstance(node, kind):
                 raise UnsupportedError(
                     f"{dialect} has no {words} as DuckDB has them: "

@@ -18,16 +18,16 @@ from ssduck.sql.types import BOOLEAN, DOUBLE, INTEGER, STRING, Signature, SqlTyp
 class WorldNames:
     """The names of a program that has worlds and nothing else."""
 
-    deepest = 1000
+    max_depth = 1000
 
     def has_variable(self, name: str) -> bool:  # noqa: ARG002
-        """Whether there is a variable of that name."""
+        """Checks whether there is a variable of that name."""
         return False
 
     has_source = has_variable
 
     def sql_type(self, node: Node) -> SqlType:
-        """The type of a constant: a number or a text."""
+        """Returns the type of a constant: a number or a text."""
         match node:
             case Literal(value=bool()):
                 return BOOLEAN
@@ -40,27 +40,27 @@ class WorldNames:
         raise NotSqlError
 
     def world(self, node: Node) -> str | None:
-        """The schema of a world."""
+        """Returns the schema of a world."""
         return node.name if isinstance(node, Name) else None
 
     def deferred(self, name: str) -> Node | None:  # noqa: ARG002
-        """The list that a variable holds; there is none."""
+        """Returns the list that a variable holds; there is none."""
         return None
 
     def resolved_name(self, name: str) -> str:
-        """The name of a function."""
+        """Returns the name of a function."""
         return name
 
     def check_call(self, node: Call) -> None:
         """Accepts every call."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:  # noqa: ARG002
-        """The signature of a user's function; there is none."""
+        """Returns the signature of a user's function; there is none."""
         return None
 
 
 def query_of(text: str) -> Query:
-    """The query that a program consists of."""
+    """Returns the query that a program consists of."""
     (query,) = parse(text).statements
     assert isinstance(query, Query)
     return query
@@ -74,7 +74,7 @@ def _worlds(query: Query) -> list[SourceType]:
 
 
 def resolved_query(text: str) -> Query:
-    """The query with its bare names resolved.
+    """Returns the query with its bare names resolved.
 
     >>> resolved_query("SELECT id FROM kitchen WHERE isRobot;").where.outline()
     "Call('isRobot', [This(None)])"
@@ -84,7 +84,7 @@ def resolved_query(text: str) -> Query:
 
 
 def sql_of(text: str) -> str:
-    """The SQL of a query of worlds.
+    """Returns the SQL of a query of worlds.
 
     >>> sql_of("SELECT id FROM kitchen;")
     'SELECT kitchen.name FROM kitchen.entities AS kitchen'

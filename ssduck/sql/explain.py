@@ -31,7 +31,7 @@ def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) 
 
 
 def outermost(nodes: Iterable[Node]) -> list[Query]:
-    """The queries in parts of a program that are in no other query."""
+    """Returns the queries in parts of a program that are in no other query."""
     result: list[Query] = []
     for node in nodes:
         result.extend([node] if isinstance(node, Query) else outermost(node.children()))
@@ -39,7 +39,7 @@ def outermost(nodes: Iterable[Node]) -> list[Query]:
 
 
 def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, Plan | None]]:
-    """The queries with their plans, and those that are evaluated before them."""
+    """Yields the queries with their plans, and those that are evaluated before them."""
     for query in queries:
         plan = plan_of(query)
         yield query, plan
@@ -48,10 +48,10 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
             continue
         given = [
             source.value
-            for source, shape in zip(query.sources, plan.shapes, strict=True)
-            if shape.has_values
+            for source, source_type in zip(query.sources, plan.source_types, strict=True)
+            if source_type.has_values
         ]
-        yield from _plans(outermost([*given, *plan.constants, *plan.once]), plan_of)
+        yield from _plans(outermost([*given, *plan.constants, *plan.python_constants]), plan_of)
 
 
 def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:
@@ -59,8 +59,8 @@ def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) 
         lines = [f"-- row by row in Python: {_source(text, query)}"]
     else:
         lines = [plan.select.sql(dialect="duckdb", pretty=True)]
-        lines += [f"-- left to Python: {_source(text, node)}" for node in plan.left]
-        lines += [f"-- left to Python: {clause}" for clause in plan.rest.clauses]
+        lines += [f"-- left to Python: {_source(text, node)}" for node in plan.python_parts]
+        lines += [f"-- left to Python: {clause}" for clause in plan.python_clauses.clauses]
     return "\n".join([*lines, *_narrow_phase_lines(query), *_inexact_lines(query, stand_ins)])
 
 
@@ -76,7 +76,7 @@ def _narrow_phase_lines(query: Query) -> list[str]:
 
 
 def _called_name(node: Node) -> str:
-    """The function that a part may call; empty if it calls none."""
+    """Returns the function that a part may call; empty if it calls none."""
     match node:
         case (
             Call(name=name) | UnresolvedName(name=name) | Name(name=name) | QualifiedName(key=name)
@@ -86,7 +86,7 @@ def _called_name(node: Node) -> str:
 
 
 def _inexact_lines(query: Query, stand_ins: StandIns) -> list[str]:
-    """Of which entities boxes stand in for the shapes that relations ask."""
+    """Lists the entities whose boxes stand in for the shapes that relations use."""
     calls = (_called_name(node) for node in query.walk())
     names = [n for n in dict.fromkeys(calls) if n in RELATIONS and RELATIONS[n].depends_on_shapes]
     if not names:

@@ -57,7 +57,7 @@ class Expressions(ExpressionScope):
     """The expressions of one query, over the elements of its sources."""
 
     def value(self, node: Node) -> SqlValue:
-        """A part as SQL.
+        """Returns a part as SQL.
 
         Raises:
             NotSqlError: it is left to Python.
@@ -111,7 +111,7 @@ class Expressions(ExpressionScope):
                 return self._index(node)
             case ListLiteral(items=items):
                 return list_of(self.context, [self.value(item) for item in items])
-            case If(otherwise=(otherwise,)) if len(node.further) < MAX_NESTING:
+            case If(otherwise=(otherwise,)) if len(node.else_ifs) < MAX_NESTING:
                 return self._choice(node, otherwise)
         raise NotSqlError
 
@@ -122,7 +122,7 @@ class Expressions(ExpressionScope):
         return Index(node.span, node.this, node.index.indices)
 
     def _query(self, node: Query) -> SqlValue:
-        """A nested query: a part of the statement, else a constant if it sees no row of it."""
+        """Returns a nested query: a part of the statement, or a constant if it sees no row."""
         try:
             if is_impure(node):
                 raise NotSqlError
@@ -200,7 +200,7 @@ class Expressions(ExpressionScope):
         return arithmetic(self.context, node, left_value, right_value)
 
     def _chain(self, node: OperatorChain) -> SqlValue:
-        """AND, OR, XOR in any order of brackets; all else would be nested too deeply for SQL."""
+        """Translates long chains of AND, OR or XOR; others would be nested too deeply for SQL."""
         sign = node.operators[0]
         if sign not in LOGIC or len(node.operands) > MAX_CHAIN:
             raise NotSqlError
@@ -247,5 +247,5 @@ def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
 
 
 def _is_short(items: Sequence[Node]) -> bool:
-    """Whether a list is so short that it is written out."""
+    """Checks whether a list is so short that it is written out."""
     return 0 < len(items) <= MAX_WRITTEN_LENGTH and all(isinstance(i, tree.Literal) for i in items)

@@ -29,7 +29,7 @@ class FromItem:
 
 
 def product_of(elements: Sequence[FromItem]) -> exp.Select:
-    """A SELECT of all combinations of sources, without columns yet."""
+    """Returns a SELECT of all combinations of sources, without columns yet."""
     select = exp.Select()
     for index, element in enumerate(elements):
         table = element.table.copy()
@@ -41,7 +41,7 @@ def product_of(elements: Sequence[FromItem]) -> exp.Select:
 
 
 def world_table(schema: str, name: str) -> FromItem:
-    """The entities of a world."""
+    """Returns the entities of a world."""
     table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
     return FromItem(
         entity_value(schema, name),
@@ -58,7 +58,7 @@ def world_table(schema: str, name: str) -> FromItem:
 def past_table(
     schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
 ) -> FromItem:
-    """The entities of a world at recorded ticks, or one of them."""
+    """Returns the entities of a world at recorded ticks, or one of them."""
     rows = exp.Select(expressions=[exp.Star()])
     rows.from_(exp.table_("entities_history", db=schema), copy=False)
     rows.where(exp.Between(this=exp.column("tick"), low=first, high=last), copy=False)
@@ -68,7 +68,7 @@ def past_table(
 
 
 def present_table(schema: str, name: str) -> FromItem:
-    """The entities of a world at its current tick, beside its past."""
+    """Returns the entities of a world at its current tick, beside its past."""
     table = exp.table_("entities", db=schema, alias=exp.to_identifier(name, quoted=True))
     return replace(_past(schema, name), table=table)
 
@@ -80,19 +80,19 @@ def _past(schema: str, name: str) -> FromItem:
 
 
 def past_value(schema: str, name: str) -> SqlValue:
-    """The current row of a table of entities at recorded ticks."""
+    """Returns the current row of a table of entities at recorded ticks."""
     sql_type = SqlType("entity", schema=schema, past=True)
     return SqlValue(None, sql_type, lambda column: column_of(name, column))
 
 
 def entity_value(schema: str | None, name: str) -> SqlValue:
-    """The current row of a table of entities."""
+    """Returns the current row of a table of entities."""
     sql_type = SqlType("entity", schema=schema)
     return SqlValue(column_of(name, "id"), sql_type, lambda column: column_of(name, column))
 
 
 def unnested(name: str, values: SqlValue) -> FromItem:
-    """The elements of a list; of any other value itself."""
+    """Returns the elements of a list; of any other value itself."""
     rows, sql_type = values.sql, values.sql_type.element
     if values.sql_type.type != "list":
         rows, sql_type = exp.Array(expressions=[values.sql]), values.sql_type
@@ -124,7 +124,7 @@ class JoinedEntity:
 
 
 def joined_entity(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
-    """An entity at the tick of a row; unknown where it was not there."""
+    """Returns an entity at the tick of a row; unknown where it was not there."""
     table = exp.table_("entities_history", db=schema, alias=exp.to_identifier(name, quoted=True))
     same_tick = exp.EQ(this=column_of(name, "tick"), expression=tick.copy())
     same_id = exp.EQ(this=column_of(name, "id"), expression=id.copy())
@@ -140,7 +140,7 @@ def pairs_over_ticks(
     columns: tuple[exp.Expr, exp.Expr],
     name: str,
 ) -> JoinedEntity:
-    """Whether a relation holds of two entities at the tick of a row: all ticks asked at once.
+    """Returns whether a relation holds of two entities at the tick of a row, for all ticks at once.
 
     Args:
         search: finds the pairs: those that collide, touch, or are within a distance.
@@ -176,7 +176,7 @@ def pairs_over_ticks(
 
 
 def needed_joins(joined_entities: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
-    """The joins of those followers that a SELECT, or one behind them, reads a column of.
+    """Returns the joins of those followers that a SELECT, or one behind them, reads a column of.
 
     None of them makes rows more or fewer.
     """
@@ -235,7 +235,7 @@ class PairTable:
 
 
 def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
-    """The pairs of entities of a world that a search finds."""
+    """Returns the pairs of entities of a world that a search finds."""
     called = exp.to_identifier(search.name, quoted=True)
     arguments: list[exp.Expr] = [exp.Literal.string(schema)]
     if search.takes_distance:
@@ -256,7 +256,7 @@ def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -
 
 
 def counted_rows(name: str, parameter: exp.Expr) -> FromItem:
-    """As many rows as there are values that SQL does not know."""
+    """Returns a row for each value of a list whose values SQL cannot represent."""
     numbers = exp.func("generate_subscripts", parameter, exp.Literal.number(1))
     table = exp.select(exp.alias_(numbers, "n")).subquery(exp.to_identifier(name))
     value = SqlValue(column_of(name, "n"), ANY)
@@ -276,10 +276,10 @@ def record_table(name: str, table: str, sql_type: SqlType) -> FromItem:
 
 
 def column_of(table: str, name: str) -> exp.Expr:
-    """A column of a table."""
+    """Returns a column of a table."""
     return exp.column(exp.to_identifier(name, quoted=" " in name), table=exp.to_identifier(table))
 
 
 def ascending(key: exp.Expr) -> exp.Ordered:
-    """A key of ORDER BY, the least first."""
+    """Returns a key of ORDER BY, the least first."""
     return exp.Ordered(this=key, desc=False, nulls_first=False)

@@ -23,7 +23,7 @@ from ssduck.sql.types import ANY, EXACT, SqlType, merged
 
 
 def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
-    """A list that is written out."""
+    """Returns a list that is written out."""
     sql_type = merged(value.sql_type for value in values)
     if any(value.sql_type.nullable or value.may_exceed_double for value in values):
         raise NotSqlError
@@ -45,7 +45,7 @@ def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
 
 
 def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
-    """One list behind the other."""
+    """Returns one list behind the other."""
     sql_type = merged((left.sql_type, right.sql_type))
     if sql_type is None or not sql_type.comes_back:
         raise NotSqlError
@@ -58,7 +58,7 @@ def concatenation(left: SqlValue, right: SqlValue) -> SqlValue:
 
 
 def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
-    """An element of a list, or what a key of a record holds."""
+    """Returns an element of a list, or what a key of a record holds."""
     match index:
         case tree.Literal(value=str() as key) if key in value.fields:
             return value.fields[key]
@@ -78,7 +78,7 @@ def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
 
 
 def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
-    """An index as SQL counts: from 1, or from the end."""
+    """Returns an index as SQL counts: from 1, or from the end."""
     match index:
         case tree.Literal(value=number) if type(number) is int and number < EXACT:
             return exp.Literal.number(number + 1)
@@ -91,7 +91,7 @@ def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
 
 
 def element_at(value: SqlValue, place: int) -> exp.Expr:
-    """An element of a list that has so many, counted from 1."""
+    """Returns an element of a list that has so many, counted from 1."""
     if value.elements is not None:
         return value.elements[place - 1].sql
     return exp.func("list_extract", value.sql.copy(), exp.Literal.number(place))

@@ -48,7 +48,10 @@ class ResolvedQuery:
 
 
 def resolve(
-    query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, around: Collection[str] = ()
+    query: Query,
+    source_types: Sequence[SourceType],
+    names: TypeEnvironment,
+    outer: Collection[str] = (),
 ) -> ResolvedQuery:
     """Resolves the bare names in SELECT, GROUP BY, HAVING and ORDER BY, and in WHERE functions.
 
@@ -57,28 +60,28 @@ def resolve(
 
     Args:
         query: the query.
-        shapes: what its sources are.
+        source_types: what its sources are.
         names: variables and functions.
-        around: the state variables of hierarchical queries around it.
+        outer: the state variables of hierarchical queries around it.
 
     Raises:
         UnknownNameError: it is none of these.
     """
-    return _Resolver(query, shapes, names, around).resolved()
+    return _Resolver(query, source_types, names, outer).resolved()
 
 
 class _Resolver:
     def __init__(
         self,
         query: Query,
-        shapes: Sequence[SourceType],
+        source_types: Sequence[SourceType],
         names: TypeEnvironment,
-        around: Collection[str],
+        outer: Collection[str],
     ) -> None:
         self._query = query
-        self._shapes = shapes
+        self._source_types = source_types
         self._names = names
-        self._states = states(query).union(around)
+        self._states = states(query).union(outer)
         self._bare: dict[str, bool] = {}
         self._named_columns = dict(_named_columns(query))
 
@@ -95,8 +98,8 @@ class _Resolver:
 
     def _columns(self) -> Iterator[SelectedValue]:
         if not self._query.items:
-            for shape in self._shapes:
-                yield SelectedValue(This(self._query.span, shape.alias), shape.alias)
+            for source_type in self._source_types:
+                yield SelectedValue(This(self._query.span, source_type.alias), source_type.alias)
         for node in self._query.items:
             match node:
                 case Call(name="to", arguments=(value, Literal(value=str() as name))):
@@ -122,7 +125,7 @@ class _Resolver:
         return node.replaced(self._looked_up)
 
     def _key(self, node: Node) -> Node:
-        """A part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
+        """Returns a part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
         return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
 
     def _column_named(self, part: Node) -> Node | None:
@@ -130,7 +133,7 @@ class _Resolver:
             return None
         if part.name in self._states or self._names.has_variable(part.name):
             return None
-        only = self._shapes[0] if len(self._shapes) == 1 else None
+        only = self._source_types[0] if len(self._source_types) == 1 else None
         if only is not None and (only.sql_type is not None and only.sql_type.type == "record"):
             if any(key == part.name for key, _ in only.sql_type.fields):
                 return None
@@ -146,12 +149,12 @@ class _Resolver:
         return None
 
     def _in_where(self, part: Node) -> Node | None:
-        """A bare name in WHERE: a function of the only element, where there is no variable."""
+        """Returns a bare name in WHERE: a function of the only element if there is no variable."""
         if isinstance(part, Query | QualifiedName):
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return None
-        only = self._shapes[0] if len(self._shapes) == 1 else None
+        only = self._source_types[0] if len(self._source_types) == 1 else None
         known = self._bare[part.name] = self._names.has_variable(part.name)
         is_record = (
             only is not None and only.sql_type is not None and only.sql_type.type == "record"
@@ -171,7 +174,7 @@ class _Resolver:
             return part
         if not isinstance(part, Name) or part.name in self._states:
             return part if isinstance(part, Name) else None
-        only = self._shapes[0] if len(self._shapes) == 1 else None
+        only = self._source_types[0] if len(self._source_types) == 1 else None
         if only is not None and only.sql_type is not None and only.sql_type.type == "record":
             if any(key == part.name for key, _ in only.sql_type.fields):
                 key = Literal(part.span, part.name)
@@ -188,7 +191,7 @@ class _Resolver:
 
 
 def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:
-    """The columns that have names of their own: what `to` and AS name."""
+    """Yields the columns that have names of their own: what `to` and AS name."""
     for node in query.items:
         match node:
             case Call(name="to", arguments=(value, Literal(value=str() as name))):

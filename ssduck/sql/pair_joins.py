@@ -39,7 +39,7 @@ class PairJoin:
 
 
 def sides_of(node: Node) -> tuple[This, This] | None:
-    """The two sources of which a condition is whose pairs can be found at once."""
+    """Returns the two sources of which a condition is whose pairs can be found at once."""
     match node:
         case Call(name=name, arguments=(This() as a, This() as b, *_)) if a.alias != b.alias:
             relation = RELATIONS.get(name)
@@ -50,7 +50,7 @@ def sides_of(node: Node) -> tuple[This, This] | None:
 def pair_join(
     sql: Expressions, node: Call, sides: tuple[This, This], schema: str
 ) -> PairJoin | None:
-    """The join that finds all pairs of `near(a.this, b.this, 0.1)`; None if SQL cannot.
+    """Returns the join that finds all pairs of `near(a.this, b.this, 0.1)`; None if SQL cannot.
 
     >>> from ssduck.sql.examples import sql_of
     >>> query = "SELECT id(a.this) FROM a = kitchen, b = kitchen WHERE near(a.this, b.this, 0.1);"
@@ -88,7 +88,7 @@ def pair_join(
 
 
 def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
-    """The condition on boxes that `clearance(a, b) < 0.1` implies; None if there is none.
+    """Returns the condition on boxes that `clearance(a, b) < 0.1` implies; None if there is none.
 
     >>> from ssduck.sql.examples import sql_of
     >>> near = "clearance(a.this, b.this) < 1"

@@ -19,7 +19,7 @@ class QueryTicks:
     Args:
         context: what all expressions of the statement share.
         rows: the current element of each source, by alias.
-        around: the same of the query around this one.
+        outer: the same of the query around this one.
 
     Attributes:
         joined_entities: handles at the ticks of rows of the past, by both; and pairs of entities.
@@ -28,11 +28,11 @@ class QueryTicks:
     """
 
     def __init__(
-        self, context: StatementContext, rows: Mapping[str, SqlValue], around: QueryTicks | None
+        self, context: StatementContext, rows: Mapping[str, SqlValue], outer: QueryTicks | None
     ) -> None:
         self._context = context
         self._rows = rows
-        self._around = around
+        self._around = outer
         self.joined_entities: dict[tuple[str, ...], JoinedEntity] = {}
         self._parameters: dict[str, exp.Expr] = {}
         self.tick_ranges: dict[str, TickRange] = {}
@@ -75,7 +75,7 @@ class QueryTicks:
     def over_all_ticks(
         self, relation: Relation, values: Mapping[str, SqlValue], count: int
     ) -> SqlValue | None:
-        """A relation of shapes at all ticks of a window at once; None where there are none."""
+        """Returns a relation of shapes at all ticks of a window; None if there is no window."""
         candidates = relation.candidate_pairs
         if candidates is None or candidates.search.predicate is None:
             return None
@@ -136,7 +136,7 @@ class QueryTicks:
             self.tick_ranges[span.tick.sql()] = replace(span, id=id)
 
     def _leading(self, tick: exp.Expr) -> str:
-        """The tick of the source that a handle goes with; of a source its own."""
+        """Returns the tick of the source that a handle goes with; of a source its own."""
         for (row, *_), known in self.joined_entities.items():
             column = known.value.column
             if column is not None and column("tick").sql() == tick.sql():
@@ -144,7 +144,7 @@ class QueryTicks:
         return tick.sql()
 
     def _id_of(self, value: SqlValue) -> exp.Expr:
-        """The id of an entity: a parameter where it is the same at each tick."""
+        """Returns the id of an entity: a parameter where it is the same at each tick."""
         assert value.column is not None
         for (_, id, *_), known in self.joined_entities.items():
             if known.value is value:
@@ -153,7 +153,7 @@ class QueryTicks:
         return value.column("id") if span is None or span.id is None else span.id
 
     def _id_at_row(self, value: SqlValue) -> exp.Expr:
-        """The id of an entity at a row, for a table of pairs of those that were there.
+        """Returns the id of an entity at a row, for a table of pairs of those that were there.
 
         That of a handle is the same at each row: where it was, its own row need not be looked at.
         """
@@ -162,12 +162,12 @@ class QueryTicks:
         return self._id_of(value) if is_handle else value.column("id")
 
     def _all_rows(self) -> list[SqlValue]:
-        """The current elements of all sources, those of the queries around this one first."""
-        around = self._around._all_rows() if self._around is not None else []  # noqa: SLF001
-        return [*around, *self._rows.values()]
+        """Returns the current elements of all sources, those of outer queries first."""
+        outer = self._around._all_rows() if self._around is not None else []  # noqa: SLF001
+        return [*outer, *self._rows.values()]
 
     def _is_of_own_row(self, tick: exp.Expr) -> bool:
-        """Whether a tick is that of a source of this query, and not of one around it."""
+        """Checks whether a tick is that of a source of this query, and not of one around it."""
         own = {
             value.column("tick").sql()
             for value in self._rows.values()

@@ -12,7 +12,7 @@ from ssduck.language.clauses import PythonClauses, SelectedValue
 from ssduck.language.tree import Call, Node, Query
 from ssduck.sql.types import Signature, SqlType
 
-Moments: TypeAlias = Literal["", "instant", "window", "now"]
+PastKind: TypeAlias = Literal["", "instant", "window", "now"]
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class SourceType:
     Attributes:
         alias: what it is called.
         schema: of a world, its schema.
-        moments: of a world's past, whether it is one tick, or several, or the present one beside
+        past_kind: of a world's past, whether it is one tick, or several, or the present one beside
             its past.
-        of_one: whether that is the past of one entity.
+        is_one_entity: whether that is the past of one entity.
         sql_type: of values, what they are.
         has_values: whether its values are known before the query runs; else it is a part of it.
         dicts: whether some of its elements are dicts.
@@ -37,40 +37,40 @@ class SourceType:
     has_values: bool = True
     dicts: bool = False
     known: bool = True
-    moments: Moments = ""
-    of_one: bool = False
+    past_kind: PastKind = ""
+    is_one_entity: bool = False
 
 
 class TypeEnvironment(Protocol):
     """The names of the interpreter, as the translator needs them."""
 
     @property
-    def deepest(self) -> int:
+    def max_depth(self) -> int:
         """The most rows that a path of a hierarchical query may have."""
 
     def has_variable(self, name: str) -> bool:
-        """Whether there is a variable of that name."""
+        """Checks whether there is a variable of that name."""
 
     def has_source(self, alias: str) -> bool:
-        """Whether a query around this one has a source of that name."""
+        """Checks whether a query around this one has a source of that name."""
 
     def sql_type(self, node: Node) -> SqlType:
-        """The type of the value of an expression that depends on no row of this query."""
+        """Returns the type of the value of an expression that depends on no row of this query."""
 
     def world(self, node: Node) -> str | None:
-        """The schema of the world that such an expression is, None if it is none."""
+        """Returns the schema of the world that such an expression is, None if it is none."""
 
     def deferred(self, name: str) -> Node | None:
-        """The list that a variable holds for the query that uses it, None if it holds none."""
+        """Returns the list in a variable that the query evaluates; None for other values."""
 
     def resolved_name(self, name: str) -> str:
-        """The name under which the function is called: marked if a user's function replaces it."""
+        """Returns the name that calls a function: marked if a user's function replaces it."""
 
     def check_call(self, node: Call) -> None:
         """Rejects an unknown function, or a wrong number of arguments."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
-        """The signature of a user's function for such arguments; None if SQL cannot call it."""
+        """Returns the signature of a user's function for arguments; None if SQL cannot call it."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +106,8 @@ class OutputColumn:
 class PathSearch:
     """The search for paths over the edges that a statement yields: their length, their number."""
 
-    longest: int
-    most: int | None
+    max_length: int
+    max_paths: int | None
 
 
 @dataclass(eq=False)
@@ -116,7 +116,7 @@ class Plan:
 
     Attributes:
         query: what it is a plan of, bare names looked up.
-        shapes: what the sources are.
+        source_types: what the sources are.
         select: the SQL as sqlglot's tree.
         bindings: its parameters.
         tables: sources that SQL reads as tables of their own, by alias: the table's name.
@@ -125,8 +125,8 @@ class Plan:
         signatures: the users' functions that SQL calls.
         known: the columns by the part of the tree that they are the value of.
         elements: the column of each source's element, by alias.
-        once: constants that are evaluated in Python.
-        rest: what Python does with the rows.
+        python_constants: constants that are evaluated in Python.
+        python_clauses: what Python does with the rows.
         outputs: the selected columns, if nothing is left to Python.
         names: what the columns are called, if all of them are texts.
         paths: whether each row of the SQL is a path, or an edge of a graph of paths.
@@ -137,7 +137,7 @@ class Plan:
     """
 
     query: Query
-    shapes: tuple[SourceType, ...]
+    source_types: tuple[SourceType, ...]
     select: exp.Select = field(default_factory=exp.Select)
     bindings: list[ParameterBinding] = field(default_factory=list)
     tables: dict[str, str] = field(default_factory=dict)
@@ -146,8 +146,8 @@ class Plan:
     signatures: set[Signature] = field(default_factory=set)
     known: dict[Node, OutputColumn] = field(default_factory=dict)
     elements: dict[str, OutputColumn] = field(default_factory=dict)
-    once: list[Node] = field(default_factory=list)
-    rest: PythonClauses = field(default_factory=lambda: PythonClauses(()))
+    python_constants: list[Node] = field(default_factory=list)
+    python_clauses: PythonClauses = field(default_factory=lambda: PythonClauses(()))
     outputs: list[OutputColumn] | None = None
     names: tuple[str, ...] = ()
     paths: bool = False
@@ -174,21 +174,25 @@ class Plan:
         return types
 
     @property
-    def left(self) -> list[Node]:
+    def python_parts(self) -> list[Node]:
         """The parts left to Python."""
         if self.paths:
             return []
-        rest = self.rest
-        columns = [c.node for c in rest.columns if self.is_left(c.node)]
-        names = [c.name for c in rest.columns if isinstance(c.name, Node) and self.is_left(c.name)]
-        keys = [key.value for key in rest.order]
-        last = [node for node in (rest.having, rest.limit) if node is not None]
-        groups = [node for node in rest.group if self.is_left(node)]
-        return [*rest.conditions, *columns, *names, *keys, *groups, *last]
+        python_clauses = self.python_clauses
+        columns = [c.node for c in python_clauses.columns if self.is_in_python(c.node)]
+        names = [
+            c.name
+            for c in python_clauses.columns
+            if isinstance(c.name, Node) and self.is_in_python(c.name)
+        ]
+        keys = [key.value for key in python_clauses.order]
+        last = [node for node in (python_clauses.having, python_clauses.limit) if node is not None]
+        groups = [node for node in python_clauses.group if self.is_in_python(node)]
+        return [*python_clauses.conditions, *columns, *names, *keys, *groups, *last]
 
-    def is_left(self, node: Node) -> bool:
-        """Whether a part is evaluated in Python for each row."""
-        return node not in self.known and node not in self.once
+    def is_in_python(self, node: Node) -> bool:
+        """Checks whether a part is evaluated in Python for each row."""
+        return node not in self.known and node not in self.python_constants
 
 
 __all__ = [

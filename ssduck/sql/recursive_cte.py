@@ -49,7 +49,7 @@ class RecursiveSearch:
 def recursive_search(
     sql: Expressions, query: Query, columns: Sequence[SelectedValue], elements: Sequence[FromItem]
 ) -> RecursiveSearch:
-    """A hierarchical query as SQL.
+    """Returns a hierarchical query as SQL.
 
     Raises:
         NotSqlError: it runs row by row.
@@ -72,7 +72,9 @@ def recursive_search(
     levels = _number(recursion.memorize)
     place = SqlType("list", INTEGER)
     return RecursiveSearch(
-        search.edges(levels), (place, place, BOOLEAN, *items), PathSearch(levels, search.most())
+        search.edges(levels),
+        (place, place, BOOLEAN, *items),
+        PathSearch(levels, search.path_limit()),
     )
 
 
@@ -105,7 +107,7 @@ class _Search:
             raise NotSqlError
         self.stop = sql.condition(recursion.stop)
         where = query.where
-        self.found = self.stop if where is None else sql.condition(where)
+        self.is_result = self.stop if where is None else sql.condition(where)
         sql.context.note_possible_failure()  # it may be too broad
 
     def _started(self, value: tree.Node) -> SqlValue:
@@ -114,7 +116,7 @@ class _Search:
         return self.sql.value(value)
 
     def _states(self) -> dict[str, SqlValue]:
-        """The state variables after a step, once their types no longer change."""
+        """Returns the state variables after a step, once their types no longer change."""
         steps = self.steps
         if not steps.keys() <= self.sql_types.keys():
             raise NotSqlError
@@ -140,7 +142,7 @@ class _Search:
         raise NotSqlError
 
     def _state(self, name: str, sql_type: SqlType) -> SqlValue:
-        """A state variable; an entity is looked up by its id."""
+        """Returns a state variable; an entity is looked up by its id."""
         if sql_type.type != "entity":
             return SqlValue(self._state_column(name), sql_type, domain=FloatDomain.INFINITE)
         if name not in self.entities:
@@ -156,17 +158,17 @@ class _Search:
     # -- the statement ----------------------------------------------------------------------
 
     def select(self) -> exp.Select:
-        """The paths in depth-first order of the sources."""
+        """Returns the paths in depth-first order of the sources."""
         item_columns = [_column(_PATHS, f"item {index}") for index in range(len(self.items))]
         select = exp.select(*item_columns).from_(_table(_PATHS))
         select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
         union = exp.union(self._first(), self._following(), distinct=False)
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
-        most = self.most()
-        return select if most is None else select.limit(most)
+        path_limit = self.path_limit()
+        return select if path_limit is None else select.limit(path_limit)
 
-    def most(self) -> int | None:
-        """The limit of paths."""
+    def path_limit(self) -> int | None:
+        """Returns the limit of paths."""
         limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
         return min(map(_number, limits), default=None)
 
@@ -189,7 +191,7 @@ class _Search:
         ]
 
     def _following(self) -> exp.Select:
-        """The paths with a row more, of those that are open."""
+        """Returns the paths with a row more, of those that are open."""
         result = _column(_STEPS, "found")
         states = [
             exp.alias_(
@@ -210,7 +212,7 @@ class _Search:
         )
 
     def _steps(self) -> exp.Select:
-        ends = exp.paren(self.found.copy())
+        ends = exp.paren(self.is_result.copy())
         states = [
             exp.alias_(_column(_PATHS, name), name, quoted=True) for name in self.names.values()
         ]
@@ -242,22 +244,22 @@ class _Search:
         return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
 
     def _from(self, select: exp.Select, paths: exp.Expr) -> exp.Select:
-        """Each open path with each row, unless that ends it in vain."""
+        """Returns each open path with each row, unless that ends it in vain."""
         select = select.from_(paths)
         for element in (*self.entities.values(), *self.elements):
             select = select.join(element.table, join_type="cross")
         for name, element in self.entities.items():
             is_state = exp.EQ(this=element.value.sql, expression=self._state_column(name))
             select = select.where(is_state)
-        goes_on = exp.or_(self.found.copy(), exp.Not(this=exp.paren(self.stop.copy())))
+        goes_on = exp.or_(self.is_result.copy(), exp.Not(this=exp.paren(self.stop.copy())))
         return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
 
     def _open(self) -> exp.Expr:
-        """The paths of the last round; too many of them, and Python searches depth first."""
+        """Returns the paths of the last round; the statement fails if they are too many."""
         count = exp.Window(this=exp.Count(this=exp.Star()))
         many = exp.GT(this=count, expression=exp.Literal.number(MAX_OPEN_STATES))
         length = exp.func("len", _column(_PATHS, "item 0"))
-        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.deepest))
+        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.max_depth))
         endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
         checked = exp.case().when(exp.or_(many, endless), failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
@@ -271,7 +273,7 @@ class _Search:
         return exp.Array(expressions=[exp.cast(key.this.copy(), "BIGINT") for key in keys])
 
     def _is_visited(self) -> exp.Expr:
-        """Whether what is selected was selected before on the path."""
+        """Checks whether what is selected was selected before on the path."""
         numbers = exp.func("generate_subscripts", _column(_PATHS, "item 0"), exp.Literal.number(1))
         steps = exp.select(exp.alias_(numbers, "i")).subquery("before")
         alike = [
@@ -293,10 +295,9 @@ class _Search:
     # -- the graph of MEMORIZE ---------------------------------------------------------------
 
     def edges(self, levels: int) -> exp.Select:
-        """The edges of the graph of distinct selected rows, in the order of a breadth-first search.
+        """Returns the edges of the graph of distinct selected rows, in breadth-first order.
 
-        The first row of the recursive table is none of the graph's: what comes after it are
-        the roots.
+        The first row of the recursive table is not a vertex; its successors are the roots.
         """
         keys = [f"item {index}" for index in range(len(self.items))]
         nothing = [
@@ -324,7 +325,7 @@ class _Search:
         return select
 
     def _next_level(self, keys: Sequence[str], levels: int) -> exp.Select:
-        """The rows that come after those of the last level, and that no level had."""
+        """Returns the rows that come after those of the last level, and that no level had."""
         items = [
             exp.alias_(_cast(item.sql, item.sql_type), key, quoted=True)
             for key, item in zip(keys, self.items, strict=True)
@@ -332,7 +333,7 @@ class _Search:
         place = exp.Anonymous(
             this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
         )
-        result = exp.alias_(exp.paren(self.found.copy()), "found")
+        result = exp.alias_(exp.paren(self.is_result.copy()), "found")
         states = self._as_states(self.next)
         select = exp.select(*states, *items, exp.alias_(place, "place"), result)
         known = exp.select(exp.Literal.number(1)).from_(
@@ -345,22 +346,22 @@ class _Search:
         return select.distinct(*(item.this.copy() for item in items)).order_by(place.copy())
 
     def _checked(self, levels: int) -> exp.Expr:
-        """The rows of the last level; too many levels, and Python tells so."""
-        deepest = exp.Literal.number(self.sql.names.deepest)
-        deep = exp.GTE(this=self._level(), expression=deepest)
+        """Returns the rows of the last level; too many levels, and Python tells so."""
+        max_depth = exp.Literal.number(self.sql.names.max_depth)
+        deep = exp.GTE(this=self._level(), expression=max_depth)
         checked = exp.case().when(deep, failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(self._within(levels))
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
         return rows.subquery(_PATHS)
 
     def _within(self, levels: int) -> exp.Expr:
-        """The rows that others may come after."""
+        """Returns the rows that others may come after."""
         is_within = exp.LT(this=self._level(), expression=exp.Literal.number(levels))
         rows = exp.select("*").from_(_table(_PATHS)).where(is_within)
         return rows.subquery(_PATHS)
 
     def _level(self) -> exp.Expr:
-        """The number of rows that a place has."""
+        """Returns the number of rows that a place has."""
         keys = sum(len(element.position) for element in self.elements)
         length = exp.func("len", _column(_PATHS, "place"))
         return exp.IntDiv(this=length, expression=exp.Literal.number(keys))
@@ -373,7 +374,7 @@ class _Search:
 
 
 def _column_names(states: Iterable[str]) -> dict[str, str]:
-    """The column names of state variables; SQL does not distinguish upper and lower case."""
+    """Returns the column names of state variables, which differ in more than case."""
     names: dict[str, str] = {}
     for name in states:
         alike = sum(name.casefold() == other.casefold() for other in names)
@@ -382,7 +383,7 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
 
 
 def _assigned(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
-    """The values that state variables are assigned."""
+    """Returns the values that state variables are assigned."""
     result: dict[str, tree.Node] = {}
     for part in parts:
         if not isinstance(part, Assignment):

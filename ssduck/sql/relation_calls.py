@@ -28,7 +28,7 @@ def expanded(
         name: the column to be taken instead of `name`, for a relation that yields an entity.
     """
 
-    def put_in(part: exp.Expr) -> exp.Expr:
+    def substitute(part: exp.Expr) -> exp.Expr:
         if not isinstance(part, exp.Column):
             return part
         if (part.table or part.name) not in values:
@@ -39,7 +39,7 @@ def expanded(
         assert column is not None, f"{part.table} has no columns"
         return column(name if name is not None and part.name == "name" else part.name)
 
-    result: exp.Expr = formula.copy().transform(put_in)
+    result: exp.Expr = formula.copy().transform(substitute)
     return exp.paren(result) if isinstance(result, exp.Connector | exp.In) else result
 
 
@@ -89,7 +89,7 @@ _MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometrie
 
 
 def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr:
-    """A formula with the tables of a world at the tick of its entities."""
+    """Returns a formula with the tables of a world at the tick of its entities."""
     result = in_schema(formula, schema)
     tables = list(result.find_all(exp.Table))
     for table in tables:

@@ -33,7 +33,7 @@ class ExpressionScope(ABC):
 
     Args:
         context: what all expressions of the statement share.
-        around: the expressions of the query around this one.
+        outer: the expressions of the query around this one.
 
     Attributes:
         rows: the current element of each source, by alias.
@@ -42,32 +42,32 @@ class ExpressionScope(ABC):
         ticks: at which ticks its entities are.
     """
 
-    def __init__(self, context: StatementContext, around: ExpressionScope | None = None) -> None:
+    def __init__(self, context: StatementContext, outer: ExpressionScope | None = None) -> None:
         self.context = context
         self.names = context.names
-        self.around = around
+        self.outer = outer
         self.rows: dict[str, SqlValue] = {}
         self.only: str | None = None
-        self.locals: Mapping[str, SqlValue] = around.locals if around else {}
+        self.locals: Mapping[str, SqlValue] = outer.locals if outer else {}
         self._are_constant: dict[Node, bool] = {}
-        self.ticks: QueryTicks = QueryTicks(context, self.rows, around.ticks if around else None)
+        self.ticks: QueryTicks = QueryTicks(context, self.rows, outer.ticks if outer else None)
 
     def inside(self) -> Self:
-        """The expressions of a query nested in this one."""
+        """Returns the expressions of a query nested in this one."""
         return type(self)(self.context, self)
 
     # -- what does not depend on rows -------------------------------------------------------
 
     def element(self, alias: str | None) -> SqlValue | None:
-        """The current element of a source of this query or of one around it in SQL."""
+        """Returns the current element of a source of this query or of one around it in SQL."""
         name = self.only if alias is None else alias
         if name is not None and name in self.rows:
             return self.rows[name]
         # `this` alone is never that of a query further out.
-        return self.around.element(alias) if self.around and alias is not None else None
+        return self.outer.element(alias) if self.outer and alias is not None else None
 
     def is_constant(self, node: Node) -> bool:
-        """Whether the node has the same value for all rows of the statement."""
+        """Checks whether the node has the same value for all rows of the statement."""
         if node not in self._are_constant:  # each part is asked about, and all that it is in
             self._are_constant[node] = self._is_constant(node)
         return self._are_constant[node]
@@ -125,14 +125,14 @@ class ExpressionScope(ABC):
 
     @abstractmethod
     def value(self, node: Node) -> SqlValue:
-        """The node as SQL.
+        """Returns the node as SQL.
 
         Raises:
             NotSqlError: it is left to Python.
         """
 
     def condition(self, node: Node) -> exp.Expr:
-        """The node as a condition.
+        """Returns the node as a condition.
 
         Raises:
             NotSqlError: it is left to Python.
@@ -140,7 +140,7 @@ class ExpressionScope(ABC):
         return truth(self.value(node))
 
     def number(self, node: Node) -> SqlValue:
-        """The node as SQL, if it is a number.
+        """Returns the node as SQL, if it is a number.
 
         Raises:
             NotSqlError: it is left to Python.

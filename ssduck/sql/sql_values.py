@@ -129,7 +129,7 @@ class StatementContext:
         self.possible_failures += 1
 
     def nan_checked(self, value: SqlValue) -> SqlValue:
-        """A value that fails where it is NaN, so that Python evaluates it."""
+        """Returns a value that fails where it is NaN, so that Python evaluates it."""
         if value.domain < FloatDomain.NAN:
             return value
         self.note_possible_failure()
@@ -138,14 +138,14 @@ class StatementContext:
         return replace(value, expression=case, domain=FloatDomain.INFINITE)
 
     def alias(self, name: str) -> str:
-        """An alias of a source that is free in SQL, which ignores the case of letters."""
+        """Returns an alias of a source that is free in SQL, which ignores the case of letters."""
         candidates = (name if n == 1 else f"{name} {n}" for n in range(1, len(self.aliases) + 2))
         alias = next(alias for alias in candidates if alias.casefold() not in self.aliases)
         self.aliases.add(alias.casefold())
         return alias
 
     def parameter(self, stem: str, wanted: ParameterBinding) -> exp.Expr:
-        """The parameter for a binding; equal bindings share one."""
+        """Returns the parameter for a binding; equal bindings share one."""
         for binding in self.bindings:
             if replace(binding, name="") == wanted:
                 return exp.Parameter(this=exp.var(binding.name))
@@ -157,14 +157,14 @@ class StatementContext:
         return exp.Parameter(this=exp.var(name))
 
     def list_in(self, name: str) -> Node | None:
-        """The list that a variable holds for this query."""
+        """Returns the list that a variable holds for this query."""
         if name not in self.deferred:
             self.deferred[name] = self.names.deferred(name)
         return self.deferred[name]
 
 
 def literal(value: Any) -> exp.Expr:
-    """A value as it is written in DuckDB's SQL."""
+    """Returns a value as it is written in DuckDB's SQL."""
     if isinstance(value, list):
         return exp.Array(expressions=[literal(element) for element in value])
     if isinstance(value, float) and not math.isfinite(value):
@@ -190,27 +190,27 @@ def copied(sql: exp.Expr) -> exp.Expr:
 def with_values(values: Mapping[str, Any]) -> Callable[[exp.Expr], exp.Expr]:
     """Returns a transformation that replaces parameters by values; those without one stay."""
 
-    def put_in(part: exp.Expr) -> exp.Expr:
+    def substitute(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Parameter) and part.name in values:
             return literal(values[part.name])
         return part
 
-    return put_in
+    return substitute
 
 
 def column_type(name: str) -> SqlType:
-    """The type of a column of an entity."""
+    """Returns the type of a column of an entity."""
     return SqlType(_COLUMN_TYPES[name])
 
 
 def failure(sql_type: SqlType) -> exp.Expr:
-    """An expression that makes the statement fail where it is evaluated."""
+    """Returns an expression that makes the statement fail where it is evaluated."""
     failing = exp.Anonymous(this="error", expressions=[exp.Literal.string("left to Python")])
     return exp.cast(failing, sql_type.duckdb_type, dialect="duckdb")
 
 
 def or_failure(sql: exp.Expr, sql_type: SqlType) -> exp.Expr:
-    """The value, or a failure of the statement where there is none."""
+    """Returns the value, or a failure of the statement where there is none."""
     return exp.Coalesce(this=sql, expressions=[failure(sql_type)])
 
 

@@ -54,7 +54,7 @@ class Subquery:
     """The rows of a nested query: tables, conditions, order, and what is selected.
 
     Attributes:
-        is_risky: whether a part of it could fail, so that all rows are to be looked at.
+        may_fail: whether a part of it could fail, so that all rows are to be looked at.
     """
 
     elements: tuple[FromItem, ...]
@@ -63,10 +63,10 @@ class Subquery:
     names: tuple[str, ...]
     order: tuple[exp.Ordered, ...]
     limit: int | None
-    is_risky: bool = False
+    may_fail: bool = False
 
     def select(self, *columns: exp.Expr, where: Sequence[exp.Expr] = ()) -> exp.Select:
-        """The rows, as a SELECT of these columns."""
+        """Returns the rows, as a SELECT of these columns."""
         select = product_of(self.elements)
         conditions = [condition.copy() for condition in (*self.conditions, *where)]
         return select.select(*columns).where(*conditions)
@@ -77,7 +77,7 @@ class UnrolledRows:
     """The rows of a nested query one by one: whether each exists, and its selected values."""
 
     rows: tuple[tuple[exp.Expr, tuple[SqlValue, ...]], ...]
-    is_risky: bool
+    may_fail: bool
 
 
 Rows: TypeAlias = Subquery | UnrolledRows
@@ -86,34 +86,34 @@ Rows: TypeAlias = Subquery | UnrolledRows
 # -- what a nested query is worth -----------------------------------------------------------
 
 
-def value(around: ExpressionScope, query: Query) -> SqlValue:
-    """The value of a nested query.
+def value(outer: ExpressionScope, query: Query) -> SqlValue:
+    """Returns the value of a nested query.
 
     Raises:
         NotSqlError: it is left to Python.
     """
     form = _form(query)
-    rows = _rows(around, query)
+    rows = _rows(outer, query)
     if form in _LISTS:
         return _unrolled_list(rows) if isinstance(rows, UnrolledRows) else _list(rows)
     if form in _VALUES:
-        around.context.note_possible_failure()  # there may be no row
+        outer.context.note_possible_failure()  # there may be no row
         return _unrolled_value(rows) if isinstance(rows, UnrolledRows) else _value(rows)
     raise NotSqlError
 
 
-def counted(around: ExpressionScope, query: Query) -> SqlValue:
-    """The number of elements of the list that a nested query yields."""
+def counted(outer: ExpressionScope, query: Query) -> SqlValue:
+    """Returns the number of elements of the list that a nested query yields."""
     if _form(query) not in (*_LISTS, *_DICTS):
-        return _counted_list(value(around, query))
-    rows = _rows(around, query)
-    if rows.is_risky:
-        return _counted_list(value(around, query))
+        return _counted_list(value(outer, query))
+    rows = _rows(outer, query)
+    if rows.may_fail:
+        return _counted_list(value(outer, query))
     many = len(query.items) or len(query.sources)
     each = many if _form(query) in _LISTS else 1
     if isinstance(rows, UnrolledRows):
         one, none = exp.Literal.number(each), exp.Literal.number(0)
-        cases = [exp.case().when(there, one.copy()).else_(none.copy()) for there, _ in rows.rows]
+        cases = [exp.case().when(exists, one.copy()).else_(none.copy()) for exists, _ in rows.rows]
         total: exp.Expr = cases[0] if cases else none
         for case in cases[1:]:
             total = exp.Add(this=total, expression=case)
@@ -132,8 +132,8 @@ def _counted_list(found: SqlValue) -> SqlValue:
     return SqlValue(exp.func("len", found.sql.copy()), INTEGER)
 
 
-def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
-    """`[] == SELECT …` as a question of existence; None if it is none."""
+def emptiness(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
+    """Translates `[] == SELECT …` to EXISTS; None for another comparison."""
     match node.left, node.right:
         case (ListLiteral(items=()), Query() as query) | (Query() as query, ListLiteral(items=())):
             pass
@@ -142,75 +142,77 @@ def emptiness(around: ExpressionScope, node: Binary) -> exp.Expr | None:
     if is_impure(query) or _form(query) not in (*_LISTS, *_DICTS, *_VALUES):
         return None
     try:
-        rows = _rows(around, query)
+        rows = _rows(outer, query)
     except NotSqlError:
-        if around.is_constant(query):
+        if outer.is_constant(query):
             return None
         raise
-    if rows.is_risky or (_form(query) in _VALUES and not _never_empty(rows)):
+    if rows.may_fail or (_form(query) in _VALUES and not _never_empty(rows)):
         return None
     if isinstance(rows, Subquery) and rows.limit == 0:
         return exp.convert(node.operator == "==")
-    there = _exists(rows)
-    return exp.Not(this=wrapped(there)) if node.operator == "==" else there
+    exists = _exists(rows)
+    return exp.Not(this=wrapped(exists)) if node.operator == "==" else exists
 
 
 def _never_empty(rows: Rows) -> bool:
-    """Whether no selected value is an empty list itself."""
+    """Checks whether no selected value is an empty list itself."""
     firsts = (
         [items[0] for _, items in rows.rows] if isinstance(rows, UnrolledRows) else rows.items[:1]
     )
     return all(item.sql_type.type not in ("list", "any") for item in firsts)
 
 
-def equality(around: ExpressionScope, node: Binary) -> exp.Expr | None:
-    """`x == SELECT … AS value`, which does not hold where there is no row; None if it is none."""
+def equality(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
+    """Translates `x == SELECT … AS value`, False without a row; None for another comparison."""
     sides = (node.left, node.right)
     queries = [s for s in sides if isinstance(s, Query) and _form(s) in _VALUES]
-    if len(queries) != 1 or is_impure(queries[0]) or around.is_constant(queries[0]):
+    if len(queries) != 1 or is_impure(queries[0]) or outer.is_constant(queries[0]):
         return None
-    result = _rows(around, queries[0])
+    result = _rows(outer, queries[0])
     if isinstance(result, UnrolledRows) or result.items[0].sql_type.type in ("list", "any"):
         return None
     values = [
-        _value(result, missing=True) if side is queries[0] else around.value(side) for side in sides
+        _value(result, missing=True) if side is queries[0] else outer.value(side) for side in sides
     ]
     if any(value.sql_type.type == "list" for value in values):
         return None  # nothing is an empty list
-    compared = comparison(around.context, node.operator, *values).sql
+    compared = comparison(outer.context, node.operator, *values).sql
     otherwise = exp.convert(node.operator == "!=")
     return exp.Coalesce(this=compared, expressions=[otherwise])
 
 
-def membership(around: ExpressionScope, left: Node, query: Query) -> exp.Expr | None:
-    """`x IN SELECT … AS list` as a question of existence; None if it is none."""
-    if is_impure(query) or _form(query) not in _LISTS or around.is_constant(query):
+def membership(outer: ExpressionScope, left: Node, query: Query) -> exp.Expr | None:
+    """Translates `x IN SELECT … AS list` to EXISTS; None if that is not possible."""
+    if is_impure(query) or _form(query) not in _LISTS or outer.is_constant(query):
         return None
-    rows = _rows(around, query)
-    if rows.is_risky:
+    rows = _rows(outer, query)
+    if rows.may_fail:
         return None
-    wanted = around.value(left)
+    wanted = outer.value(left)
     if wanted.may_fail:
         return None
     if isinstance(rows, UnrolledRows):
         result = [
-            exp.and_(there.copy(), _any_equal(around, wanted, items)) for there, items in rows.rows
+            exp.and_(exists.copy(), _any_equal(outer, wanted, items)) for exists, items in rows.rows
         ]
         return exp.paren(exp.or_(*result)) if result else exp.false()
     if rows.limit is not None:
         return None
-    return _exists(rows, _any_equal(around, wanted, rows.items))
+    return _exists(rows, _any_equal(outer, wanted, rows.items))
 
 
-def _any_equal(around: ExpressionScope, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
+def _any_equal(outer: ExpressionScope, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
     return exp.paren(
-        exp.or_(*(comparison(around.context, "==", wanted, item).sql.copy() for item in items))
+        exp.or_(*(comparison(outer.context, "==", wanted, item).sql.copy() for item in items))
     )
 
 
 def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
     if isinstance(rows, UnrolledRows):
-        return exp.paren(exp.or_(*(there for there, _ in rows.rows))) if rows.rows else exp.false()
+        return (
+            exp.paren(exp.or_(*(exists for exists, _ in rows.rows))) if rows.rows else exp.false()
+        )
     return exp.Exists(this=rows.select(exp.Literal.number(1), where=where))
 
 
@@ -233,7 +235,7 @@ def _list(rows: Subquery) -> SqlValue:
 
 
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
-    """The first item of the first row; where there is none, a failure unless it may be missing."""
+    """Returns the first item of the first row; it fails without a row unless it may be missing."""
     item = rows.items[0]
     if rows.limit == 0 or item.sql_type.nullable:
         raise NotSqlError
@@ -259,7 +261,7 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
 
 
 def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
-    """An aggregate of the rows in their order."""
+    """Returns an aggregate of the rows in their order."""
     if rows.order:
         what = exp.Order(this=what, expressions=[key.copy() for key in rows.order])
     return exp.Anonymous(this=function, expressions=[what])
@@ -271,34 +273,34 @@ def _unrolled_list(rows: UnrolledRows) -> SqlValue:
     empty = exp.cast(exp.Array(expressions=[]), f"{sql_type.duckdb_type}[]", dialect="duckdb")
     parts = [
         exp.case()
-        .when(there, exp.Array(expressions=[item.sql.copy() for item in items]))
+        .when(exists, exp.Array(expressions=[item.sql.copy() for item in items]))
         .else_(empty.copy())
-        for there, items in rows.rows
+        for exists, items in rows.rows
     ]
     listed = exp.Anonymous(this="flatten", expressions=[exp.Array(expressions=parts)])
     return SqlValue(listed, SqlType("list", sql_type), domain=_domain(every))
 
 
 def _unrolled_value(rows: UnrolledRows) -> SqlValue:
-    if rows.is_risky:
+    if rows.may_fail:
         raise NotSqlError  # the rows behind the first one would not be evaluated
     firsts = [items[0] for _, items in rows.rows]
     sql_type = _common(firsts)
     if sql_type.type == "entity":
         raise NotSqlError
     case = exp.case()
-    for there, items in rows.rows:
-        case = case.when(there, items[0].sql.copy())
+    for exists, items in rows.rows:
+        case = case.when(exists, items[0].sql.copy())
     return SqlValue(or_failure(case, sql_type), sql_type, domain=_domain(firsts))
 
 
 def _domain(items: Sequence[SqlValue]) -> FloatDomain:
-    """The domain of the elements of a list."""
+    """Returns the domain of the elements of a list."""
     return max((item.domain for item in items), default=FloatDomain.FINITE)
 
 
 def _common(items: Sequence[SqlValue]) -> SqlType:
-    """The one type of values that go into a list."""
+    """Returns the one type of values that go into a list."""
     sql_type = merged(item.sql_type for item in items)
     if (
         sql_type is None
@@ -321,30 +323,30 @@ def _form(query: Query) -> str:
     return "" if query.adapter.arguments or query.adapter.named else query.adapter.name
 
 
-def _rows(around: ExpressionScope, query: Query) -> Rows:
+def _rows(outer: ExpressionScope, query: Query) -> Rows:
     if query.recursion or query.distinct or is_grouped(query) or is_impure(query):
         raise NotSqlError
     check_sources(query)
     aliases = aliases_of(query)
-    before = around.context.possible_failures
-    lists = [_written_out(around, source.value) for source in query.sources]
+    before = outer.context.possible_failures
+    lists = [_written_out(outer, source.value) for source in query.sources]
     if all(values is not None for values in lists) and lists:
-        if around.context.possible_failures > before:
+        if outer.context.possible_failures > before:
             raise NotSqlError  # an element that nothing mentions would not be evaluated
         result = list(product(*[values for values in lists if values is not None]))
         if len(result) <= MAX_UNROLLED and not query.order and query.limit is None:
-            return _unrolled(around, query, aliases, result)
-    inner = around.inside()
-    before = around.context.possible_failures
+            return _unrolled(outer, query, aliases, result)
+    inner = outer.inside()
+    before = outer.context.possible_failures
     elements = [
-        element(around, alias, source.value)
+        element(outer, alias, source.value)
         for alias, source in zip(aliases, query.sources, strict=True)
     ]
     _bind(inner, aliases, [entry.value for entry in elements])
     rows = _subquery(inner, query, aliases, elements)
-    if rows.limit is not None and around.context.possible_failures > before:
+    if rows.limit is not None and outer.context.possible_failures > before:
         raise NotSqlError  # nor would be a row that the limit leaves out
-    return replace(rows, is_risky=around.context.possible_failures > before)
+    return replace(rows, may_fail=outer.context.possible_failures > before)
 
 
 def check_sources(query: Query) -> None:
@@ -375,41 +377,41 @@ def _subquery(
 
 
 def _unrolled(
-    around: ExpressionScope,
+    outer: ExpressionScope,
     query: Query,
     aliases: Sequence[str],
     rows: Sequence[tuple[SqlValue, ...]],
 ) -> UnrolledRows:
-    made = [_unrolled_row(around, query, aliases, elements) for elements in rows]
+    made = [_unrolled_row(outer, query, aliases, elements) for elements in rows]
     return UnrolledRows(tuple(row for row, _ in made), any(may_fail for _, may_fail in made))
 
 
 def _unrolled_row(
-    around: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
+    outer: ExpressionScope, query: Query, aliases: Sequence[str], elements: Sequence[SqlValue]
 ) -> tuple[tuple[exp.Expr, tuple[SqlValue, ...]], bool]:
-    """A row, and whether what it selects could fail."""
-    inner = around.inside()
+    """Returns a row, and whether what it selects could fail."""
+    inner = outer.inside()
     _bind(inner, aliases, elements)
     resolved = resolve_in(inner, query, aliases)
     before = inner.context.possible_failures
     where = resolved.query.where
-    there = exp.true() if where is None else inner.condition(where)
+    exists = exp.true() if where is None else inner.condition(where)
     items = tuple(
         inner.context.nan_checked(inner.value(column.node)) for column in resolved.columns
     )
-    return (there, items), inner.context.possible_failures > before
+    return (exists, items), inner.context.possible_failures > before
 
 
 def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> ResolvedQuery:
     """Resolves the bare names of a nested query whose sources are in SQL already."""
-    shapes = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
-    resolved = resolve(query, shapes, inner.names, inner.locals)
+    source_types = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
+    resolved = resolve(query, source_types, inner.names, inner.locals)
     inner.context.bare |= resolved.bare
     return resolved
 
 
 def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.Ordered]:
-    """The keys of ORDER BY; those that are the same for all rows order nothing.
+    """Returns the keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
         NotSqlError: Python orders such values otherwise, or not at all.
@@ -442,13 +444,13 @@ def _limit(query: Query) -> int | None:
 # -- sources --------------------------------------------------------------------------------
 
 
-def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
-    """The elements of a list that mentions the rows around, or of a value of them."""
-    node = _list_in(around, node)
-    if around.is_constant(node) or isinstance(node, Query):
+def _written_out(outer: ExpressionScope, node: Node) -> list[SqlValue] | None:
+    """Returns the elements of a list that mentions the rows around, or of a value of them."""
+    node = _list_in(outer, node)
+    if outer.is_constant(node) or isinstance(node, Query):
         return None
     try:
-        result = around.value(node)
+        result = outer.value(node)
     except NotSqlError:
         return None
     if result.elements is not None:
@@ -456,41 +458,41 @@ def _written_out(around: ExpressionScope, node: Node) -> list[SqlValue] | None:
     return [result] if result.sql_type.type not in ("list", "any") else None
 
 
-def _list_in(around: ExpressionScope, node: Node) -> Node:
+def _list_in(outer: ExpressionScope, node: Node) -> Node:
     if isinstance(node, Name):
-        return around.context.list_in(node.name) or node
+        return outer.context.list_in(node.name) or node
     return node
 
 
-def element(around: ExpressionScope, alias: str, node: Node) -> FromItem:
-    """A source of a nested query: a world, a list, a query of its own.
+def element(outer: ExpressionScope, alias: str, node: Node) -> FromItem:
+    """Returns a source of a nested query: a world, a list, a query of its own.
 
     Raises:
         NotSqlError: SQL has no such source.
     """
-    node = _list_in(around, node)
-    name = around.context.alias(alias)
+    node = _list_in(outer, node)
+    name = outer.context.alias(alias)
     if isinstance(node, Query):
-        return _derived(around, name, node)
-    if not around.is_constant(node):
-        return unnested(name, around.value(node))
-    schema = around.context.worlds.setdefault(node, around.names.world(node))
+        return _derived(outer, name, node)
+    if not outer.is_constant(node):
+        return unnested(name, outer.value(node))
+    schema = outer.context.worlds.setdefault(node, outer.names.world(node))
     if schema is not None:
         return world_table(schema, name)
-    sql_type = around.context.constants.setdefault(node, around.names.sql_type(node))
+    sql_type = outer.context.constants.setdefault(node, outer.names.sql_type(node))
     inner = sql_type.element if sql_type.type == "list" else sql_type
     if not sql_type.is_sql or inner is None or inner.type == "record":
         raise NotSqlError
-    parameter = around.context.parameter(alias, ParameterBinding("", node, sql_type=sql_type))
+    parameter = outer.context.parameter(alias, ParameterBinding("", node, sql_type=sql_type))
     values_sql = exp.cast(parameter, sql_type.duckdb_type, dialect="duckdb")
     return unnested(name, SqlValue(values_sql, sql_type))
 
 
-def _derived(around: ExpressionScope, name: str, query: Query) -> FromItem:
-    """A query as a source: its one item, or its columns by their names."""
+def _derived(outer: ExpressionScope, name: str, query: Query) -> FromItem:
+    """Returns a query as a source: its one item, or its columns by their names."""
     form = _form(query)
-    rows = _rows(around, query)
-    if rows.is_risky:
+    rows = _rows(outer, query)
+    if rows.may_fail:
         raise NotSqlError  # what is not asked for would not be evaluated
     if isinstance(rows, UnrolledRows):
         if form not in _LISTS:
@@ -537,7 +539,7 @@ def _derived_records(rows: Subquery, name: str) -> FromItem:
 def _derived_element(
     rows: Subquery, name: str, value: SqlValue, columns: dict[str, exp.Expr]
 ) -> FromItem:
-    """A SELECT in FROM, with the keys of its order as columns of their own."""
+    """Returns a SELECT in FROM, with the keys of its order as columns of their own."""
     keys = [f"key {index + 1}" for index in range(len(rows.order))]
     columns_sql = [exp.alias_(column.copy(), key) for key, column in columns.items()]
     columns_sql += [
@@ -555,5 +557,5 @@ def _derived_element(
 
 
 def is_inline(node: Node) -> bool:
-    """Whether a source may be a part of the statement rather than a value."""
+    """Checks whether a source may be a part of the statement rather than a value."""
     return isinstance(node, Query) and node.recursion is None and not is_grouped(node)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from ssduck.language.analysis import known
+from ssduck.language.analysis import cached_by_node
 from ssduck.language.tree import Call, Name, Node, QualifiedName, UnresolvedName
 from ssduck.sql.relations.registry import RELATIONS
 
 
-@known
+@cached_by_node
 def tables_of(node: Node) -> frozenset[str]:
-    """The tables that relations in a part look things up in, and masses."""
+    """Returns the tables that relations in a part look things up in, and masses."""
     own: frozenset[str] = frozenset()
     # A name may be a relation of the only source, a key one of a source.
     name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)

@@ -22,7 +22,7 @@ from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_gr
 from ssduck.language.analysis import OVER_TIME, changing, free_aliases, is_impure
 from ssduck.language.clauses import PythonClauses
 from ssduck.language.operator_chains import conjuncts
-from ssduck.language.sql_suggestions import instead_of_name
+from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Binary, Call, Node, OrderKey, Query, This
 from ssduck.sql import subqueries
 from ssduck.sql.expressions import Expressions
@@ -56,7 +56,11 @@ class NotInlineError(Exception):
 
 
 def translate(
-    query: Query, shapes: Sequence[SourceType], names: TypeEnvironment, *, cautious: bool = False
+    query: Query,
+    source_types: Sequence[SourceType],
+    names: TypeEnvironment,
+    *,
+    cautious: bool = False,
 ) -> Plan:
     """Plans a query.
 
@@ -69,7 +73,7 @@ def translate(
 
     Args:
         query: the query.
-        shapes: what its sources are, in order.
+        source_types: what its sources are, in order.
         names: variables, functions, and the types of what is constant in the query.
         cautious: whether nothing may become SQL that could fail there.
 
@@ -78,14 +82,14 @@ def translate(
         NotInlineError: a source that is not given must be.
         NotSqlError: the query is hierarchical, and runs row by row.
     """
-    return _Translator(query, tuple(shapes), names, cautious=cautious).plan()
+    return _Translator(query, tuple(source_types), names, cautious=cautious).plan()
 
 
 class _Translator:
     def __init__(
         self,
         query: Query,
-        shapes: tuple[SourceType, ...],
+        source_types: tuple[SourceType, ...],
         names: TypeEnvironment,
         *,
         cautious: bool,
@@ -95,7 +99,7 @@ class _Translator:
         self.sql = Expressions(self.context)
         self.result = Plan(
             query,
-            shapes,
+            source_types,
             bindings=self.context.bindings,
             constants=self.context.constants,
             worlds=self.context.worlds,
@@ -105,13 +109,13 @@ class _Translator:
             cautious=cautious,
         )
         subqueries.check_sources(query)
-        self.elements = self._sources(query, shapes)
+        self.elements = self._sources(query, source_types)
         self.columns: list[exp.Expr] = []
         self.pairs: list[exp.Expr] = []
         # The keys by which a source and the next one are in their order, by the first of the two.
         self.positions: dict[str, exp.Ordered] = {}
         self.texts: dict[str, int] = {}
-        resolved = resolve(query, self._known_shapes(), names)
+        resolved = resolve(query, self._known_source_types(), names)
         self.query = self.result.query = resolved.query
         self.selected = resolved.columns
         self.context.bare |= resolved.bare
@@ -121,7 +125,7 @@ class _Translator:
         plan.names = tuple(c.name for c in self.selected if isinstance(c.name, str))
         if self.query.recursion is not None:
             return self._recursive()
-        self._note_only()
+        self._note_single_entities()
         conditions = list(self._conditions())
         left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
         if left and self._is_product_of_lists() and not any(conditions):
@@ -132,19 +136,19 @@ class _Translator:
         check_one_group(self.query, selected)
         for node in (*selected, *names):
             if aggregated:
-                self._of_group(node)
+                self._group_columns(node)
             else:
-                self._item(node)
+                self._add_column(node)
         for node in self.query.group:
-            self._item(node)
+            self._add_column(node)
         if self.query.having is not None:
-            self._of_group(self.query.having)
+            self._group_columns(self.query.having)
         result = [condition for condition in conditions if condition is not None]
-        result.extend(self._together())
+        result.extend(self._tick_joins())
         order, keys = self._order(result)
         one_group = is_one_group(self.query)
         limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
-        plan.rest = PythonClauses(
+        plan.python_clauses = PythonClauses(
             self.selected,
             tuple(left),
             keys,
@@ -162,105 +166,110 @@ class _Translator:
 
     # -- sources ----------------------------------------------------------------------------
 
-    def _sources(self, query: Query, shapes: Sequence[SourceType]) -> list[FromItem]:
+    def _sources(self, query: Query, source_types: Sequence[SourceType]) -> list[FromItem]:
         elements = [
-            self._element(shape, source.value)
-            for shape, source in zip(shapes, query.sources, strict=True)
+            self._element(source_type, source.value)
+            for source_type, source in zip(source_types, query.sources, strict=True)
         ]
-        for shape, element in zip(shapes, elements, strict=True):
-            self.sql.rows[shape.alias] = element.value
-        self.sql.only = shapes[0].alias if len(shapes) == 1 else None
+        for source_type, element in zip(source_types, elements, strict=True):
+            self.sql.rows[source_type.alias] = element.value
+        self.sql.only = source_types[0].alias if len(source_types) == 1 else None
         return elements
 
-    def _element(self, shape: SourceType, node: Node) -> FromItem:
-        """A source as a table: the entities of a world, some of them, values, a query."""
-        if not shape.has_values:
+    def _element(self, source_type: SourceType, node: Node) -> FromItem:
+        """Returns a source as a table: the entities of a world, some of them, values, a query."""
+        if not source_type.has_values:
             try:
-                return subqueries.element(Expressions(self.context), shape.alias, node)
+                return subqueries.element(Expressions(self.context), source_type.alias, node)
             except NotSqlError as error:
-                raise NotInlineError(shape.alias) from error
-        if shape.moments:
-            return self._past(shape)
-        name = self.context.alias(shape.alias)
-        if shape.sql_type is None:
-            assert shape.schema is not None
-            return world_table(shape.schema, name)
-        if shape.sql_type.type == "record":
-            table = self.result.tables[shape.alias] = f"the rows of {name}"
-            return record_table(name, table, shape.sql_type)
-        sql_type = SqlType("list", shape.sql_type if shape.sql_type.is_sql else None)
-        binding = ParameterBinding("", source=shape.alias, sql_type=sql_type)
+                raise NotInlineError(source_type.alias) from error
+        if source_type.past_kind:
+            return self._past(source_type)
+        name = self.context.alias(source_type.alias)
+        if source_type.sql_type is None:
+            assert source_type.schema is not None
+            return world_table(source_type.schema, name)
+        if source_type.sql_type.type == "record":
+            table = self.result.tables[source_type.alias] = f"the rows of {name}"
+            return record_table(name, table, source_type.sql_type)
+        sql_type = SqlType("list", source_type.sql_type if source_type.sql_type.is_sql else None)
+        binding = ParameterBinding("", source=source_type.alias, sql_type=sql_type)
         values_sql = exp.cast(
-            self.context.parameter(shape.alias, binding), sql_type.duckdb_type, dialect="duckdb"
+            self.context.parameter(source_type.alias, binding),
+            sql_type.duckdb_type,
+            dialect="duckdb",
         )
         if sql_type.element is None:
             return counted_rows(name, values_sql)
         return unnested(name, SqlValue(values_sql, sql_type))
 
-    def _past(self, shape: SourceType) -> FromItem:
-        """The past of a world, under a name that no column can have."""
-        name = self.context.alias(f"{shape.alias} then")
-        assert shape.schema is not None
-        if shape.moments == "now":
+    def _past(self, source_type: SourceType) -> FromItem:
+        """Returns the past of a world, under a name that no column can have."""
+        name = self.context.alias(f"{source_type.alias} then")
+        assert source_type.schema is not None
+        if source_type.past_kind == "now":
             self.sql.ticks.present.add(column_of(name, "tick").sql())
-            return present_table(shape.schema, name)
+            return present_table(source_type.schema, name)
         first, last = (
             self.context.parameter(
-                end, ParameterBinding("", source=shape.alias, end=end, sql_type=INTEGER)
+                end, ParameterBinding("", source=source_type.alias, end=end, sql_type=INTEGER)
             )
             for end in _ENDS
         )
         id = None
-        if shape.of_one:
+        if source_type.is_one_entity:
             id = self.context.parameter(
-                "id", ParameterBinding("", source=shape.alias, end="id", sql_type=INTEGER)
+                "id", ParameterBinding("", source=source_type.alias, end="id", sql_type=INTEGER)
             )
-        if shape.moments == "window":
+        if source_type.past_kind == "window":
             tick = column_of(name, "tick")
-            self.sql.ticks.tick_ranges[tick.sql()] = TickRange(shape.schema, first, last, tick, id)
-        return past_table(shape.schema, name, first, last, id)
+            self.sql.ticks.tick_ranges[tick.sql()] = TickRange(
+                source_type.schema, first, last, tick, id
+            )
+        return past_table(source_type.schema, name, first, last, id)
 
-    def _together(self) -> Iterator[exp.Expr]:
+    def _tick_joins(self) -> Iterator[exp.Expr]:
         """Joins sources that are several ticks of one world by their ticks."""
         before: dict[str | None, exp.Expr] = {}
-        for shape in self.result.shapes:
-            if shape.moments == "window":
-                column = self.sql.rows[shape.alias].column
+        for source_type in self.result.source_types:
+            if source_type.past_kind == "window":
+                column = self.sql.rows[source_type.alias].column
                 assert column is not None
-                if shape.schema in before:
-                    yield exp.EQ(this=before[shape.schema].copy(), expression=column("tick"))
-                before[shape.schema] = column("tick")
+                if source_type.schema in before:
+                    yield exp.EQ(this=before[source_type.schema].copy(), expression=column("tick"))
+                before[source_type.schema] = column("tick")
 
-    def _known_shapes(self) -> list[SourceType]:
+    def _known_source_types(self) -> list[SourceType]:
         return [
-            shape
-            if shape.has_values
-            else SourceType(shape.alias, sql_type=self.sql.rows[shape.alias].sql_type)
-            for shape in self.result.shapes
+            source_type
+            if source_type.has_values
+            else SourceType(source_type.alias, sql_type=self.sql.rows[source_type.alias].sql_type)
+            for source_type in self.result.source_types
         ]
 
     # -- clauses ----------------------------------------------------------------------------
 
     def _conditions(self) -> Iterator[exp.Expr | None]:
-        """The conditions in SQL, up to the first one with side effects."""
+        """Yields the conditions in SQL, up to the first one with side effects."""
         happens = False
         for node in conjuncts(self.query.where):
             happens = happens or is_impure(node)
             if happens:
-                self._leave(node)
+                self._leave_to_python(node)
                 yield None
             else:
                 yield self._pairs(node) or self._condition(node)
 
     def _is_product_of_lists(self) -> bool:
-        """Whether the sources are several lists that Python has."""
-        shapes = self.result.shapes
-        return len(shapes) > 1 and all(
-            s.has_values and s.sql_type is not None and s.sql_type.type != "record" for s in shapes
+        """Checks whether the sources are several lists that Python has."""
+        source_types = self.result.source_types
+        return len(source_types) > 1 and all(
+            s.has_values and s.sql_type is not None and s.sql_type.type != "record"
+            for s in source_types
         )
 
     def _pairs(self, node: Node) -> exp.Expr | None:
-        """A condition on two sources that are one world, with all of its pairs joined.
+        """Returns a condition on two sources that are one world, with all of its pairs joined.
 
         Where another condition is about one of the two alone, pairs are asked about one by one.
         """
@@ -268,9 +277,11 @@ class _Translator:
         if sides is None:
             return None
         live = (
-            s for s in self.result.shapes if s.has_values and s.sql_type is None and not s.moments
+            s
+            for s in self.result.source_types
+            if s.has_values and s.sql_type is None and not s.past_kind
         )
-        worlds = {shape.alias: shape.schema for shape in live}
+        worlds = {source_type.alias: source_type.schema for source_type in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
         aliases = {side.alias for side in sides}
         others = [part for part in conjuncts(self.query.where) if part is not node]
@@ -278,7 +289,7 @@ class _Translator:
         if alone or len(schemas) > 1 or None in schemas:
             return None
         assert isinstance(node, Call)
-        order = [shape.alias for shape in self.result.shapes]
+        order = [source_type.alias for source_type in self.result.source_types]
         first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
         result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
         if result is None:
@@ -288,7 +299,7 @@ class _Translator:
             self.positions[str(first.alias)] = result.position
         return result.condition
 
-    def _note_only(self) -> None:
+    def _note_single_entities(self) -> None:
         """Notes the sources that are one entity: by `this == cup`, by `id(this) == 'cup'`."""
         for node in conjuncts(self.query.where):
             match node:
@@ -310,7 +321,7 @@ class _Translator:
         try:
             holds = self.sql.condition(node)
         except NotSqlError:
-            self._leave(node)
+            self._leave_to_python(node)
             return None
         near = implied_box_condition(self.sql, node)
         if near is None:
@@ -319,28 +330,28 @@ class _Translator:
         guarded = exp.case().when(near.copy(), holds).else_(exp.false())
         return exp.and_(near, guarded)
 
-    def _item(self, node: Node) -> None:
-        """A selected value or a key: a column if possible, else columns of its parts."""
+    def _add_column(self, node: Node) -> None:
+        """Adds the column of a selected value or a key, or else columns of its parts."""
         if self.sql.is_constant(node):
-            self._leave(node)
+            self._leave_to_python(node)
             return
         try:
             self.result.known[node] = self._output(self.sql.value(node))
         except NotSqlError:
-            self._leave(node)
+            self._leave_to_python(node)
 
-    def _of_group(self, node: Node) -> None:
-        """A node of a group: the arguments of its aggregates are columns, if possible."""
+    def _group_columns(self, node: Node) -> None:
+        """Adds columns for a part of a grouped query: the arguments of its aggregates."""
         calls = over_rows(node)
         for call in calls:
-            self._item(call.arguments[0])
+            self._add_column(call.arguments[0])
         if not calls:
-            self._item(node)
+            self._add_column(node)
         elif node not in calls:
-            self._leave(node, but=calls)
+            self._leave_to_python(node, but=calls)
 
     def _order(self, conditions: Sequence[exp.Expr]) -> tuple[list[exp.Expr], tuple[OrderKey, ...]]:
-        """ORDER BY in SQL and in Python: the query's keys, then the order of the sources."""
+        """Returns ORDER BY in SQL and in Python: the query's keys, then the sources' order."""
         ordered: list[exp.Expr] = []
         left: tuple[OrderKey, ...] = ()
         of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
@@ -352,17 +363,17 @@ class _Translator:
             left = self.query.order
             for key in left:
                 if of_groups:
-                    self._of_group(key.value)
+                    self._group_columns(key.value)
                 else:
-                    self._item(key.value)
+                    self._add_column(key.value)
         # A scan keeps its order; a join, and be it with the row of parameters or with what a
         # nested query sees, need not.
-        inline = any(not shape.has_values for shape in self.result.shapes)
+        inline = any(not source_type.has_values for source_type in self.result.source_types)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
         if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
             is_placed = False
-            for shape, element in zip(self.result.shapes, self.elements, strict=True):
-                both = self.positions.get(shape.alias)
+            for source_type, element in zip(self.result.source_types, self.elements, strict=True):
+                both = self.positions.get(source_type.alias)
                 keys = element.position if both is None else (both,)
                 # To sort by a pair's number takes less time than by two ids.
                 if both is not None or not is_placed:
@@ -371,7 +382,7 @@ class _Translator:
         return ordered, left
 
     def _limit(self, *, left: bool) -> int | None:
-        """LIMIT, if SQL can apply it."""
+        """Returns the number of LIMIT if SQL can apply it, else None."""
         limit = self.query.limit
         if limit is None:
             return None
@@ -380,14 +391,14 @@ class _Translator:
                 if not left and not self.query.group:
                     return number
         if self.sql.is_constant(limit):
-            self.result.once.append(limit)
+            self.result.python_constants.append(limit)
         return None
 
     # -- the statement ----------------------------------------------------------------------
 
     def _recursive(self) -> Plan:
         plan = self.result
-        if is_impure(self.query) or any(shape.moments for shape in plan.shapes):
+        if is_impure(self.query) or any(source_type.past_kind for source_type in plan.source_types):
             raise NotSqlError
         result = recursive_search(self.sql, self.query, self.selected, self.elements)
         plan.paths = True
@@ -395,7 +406,7 @@ class _Translator:
         plan.outputs = [
             OutputColumn(index, sql_type) for index, sql_type in enumerate(result.sql_types)
         ]
-        plan.rest = PythonClauses(self.selected)
+        plan.python_clauses = PythonClauses(self.selected)
         self._finish(result.select)
         return plan
 
@@ -404,18 +415,18 @@ class _Translator:
     ) -> exp.Select:
         plan = self.result
         dynamic = len(plan.names) < len(self.selected)
-        rest = plan.rest
-        in_python = rest.group or rest.is_one_group or rest.distinct
-        if plan.left or plan.once or in_python or dynamic:
-            for shape in plan.shapes:
-                value = self.sql.rows[shape.alias]
+        python_clauses = plan.python_clauses
+        in_python = python_clauses.group or python_clauses.is_one_group or python_clauses.distinct
+        if plan.python_parts or plan.python_constants or in_python or dynamic:
+            for source_type in plan.source_types:
+                value = self.sql.rows[source_type.alias]
                 try:
-                    if shape.has_values and value.sql_type.type in ("any", "record"):
-                        plan.elements[shape.alias] = self._column(value.sql, value.sql_type)
+                    if source_type.has_values and value.sql_type.type in ("any", "record"):
+                        plan.elements[source_type.alias] = self._column(value.sql, value.sql_type)
                     else:
-                        plan.elements[shape.alias] = self._output(value)
+                        plan.elements[source_type.alias] = self._output(value)
                 except NotSqlError as error:
-                    raise NotInlineError(shape.alias) from error
+                    raise NotInlineError(source_type.alias) from error
         else:
             plan.outputs = [plan.known[column.node] for column in self.selected]
         select = product_of(self.elements)
@@ -453,7 +464,7 @@ class _Translator:
             self.columns.append(sql)
         return OutputColumn(self.texts[text], sql_type)
 
-    def _leave(self, node: Node, but: Sequence[Node] = ()) -> None:
+    def _leave_to_python(self, node: Node, but: Sequence[Node] = ()) -> None:
         """Leaves a node to Python, and fetches its largest parts that SQL can express."""
         if node in but:
             return
@@ -461,7 +472,7 @@ class _Translator:
             inside = set(node.walk())
             but = [part for part in but if part in inside]
         if not but and self.sql.is_constant(node):
-            self.result.once.append(node)
+            self.result.python_constants.append(node)
             return
         if isinstance(node, Call) and node.name not in RELATIONS:
             self.names.check_call(node)
@@ -475,11 +486,11 @@ class _Translator:
             # A nested query runs by itself, and sees the elements.
             if not isinstance(node, Query):
                 for child in _parts(node):
-                    self._leave(child, but)
+                    self._leave_to_python(child, but)
 
 
 def _parts(node: Node) -> Iterator[Node]:
-    """The columns to fetch for a part left to Python; of a long comparison, its operands."""
+    """Yields the columns to fetch for a part left to Python; of a long comparison, its operands."""
     for child in node.children():
         if isinstance(node, tree.OperatorChain) and isinstance(child, Binary):
             yield from child.children()
@@ -488,8 +499,8 @@ def _parts(node: Node) -> Iterator[Node]:
 
 
 def unknown_function(node: Call, known: Sequence[str]) -> UnknownNameError:
-    """The error for an unknown function."""
-    instead = instead_of_name(node.name)
+    """Returns the error for an unknown function."""
+    instead = suggestion_for_name(node.name)
     near = nearest(node.name, known)
     is_same = any(name.casefold() == node.name.casefold() for name in near)
     return UnknownNameError(

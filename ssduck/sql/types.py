@@ -115,7 +115,7 @@ BOOLEAN = SqlType("boolean")
 
 
 def merged(sql_types: Iterable[SqlType]) -> SqlType | None:
-    """The common type of several types; None if there are none.
+    """Returns the common type of several types; None if there are none.
 
     >>> merged([INTEGER, DOUBLE]).type, merged([STRING, INTEGER]).type
     ('number', 'any')

@@ -1,8 +1,8 @@
-"""One simulation and its current tick, with handles of the entities in it.
+"""A simulation and its current tick, with handles of its entities.
 
-A `World` steps its simulator and takes ticks (`ticking`). A tick is a `Snapshot`: tables, filled
-from the simulator when they are needed (`layout`, `live_tables`). `observers` are told of ticks as
-simulated time passes. An `Entity` is a handle: it tells of its world's last tick.
+A `World` steps its simulator and takes ticks (`ticking`). A tick is a `Snapshot`: tables that are
+filled from the simulator on request (`layout`, `live_tables`). `observers` are notified of ticks as
+simulated time passes. An `Entity` is a handle: its properties are those at its world's last tick.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Handles of what is in a world: `Entity`, `Sensor`, and what they tell of links and joints."""
+"""Defines handles of the entities of a world: `Entity`, `KinBody`, `Robot` and `Sensor`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class LinkState:
-    """A link at a tick: its name, position (m), orientation (w, x, y, z), box and mass (kg)."""
+    """A link at a tick, in the world frame: position (m), orientation (w, x, y, z), box, mass."""
 
     name: str
     position: list[float]
@@ -48,7 +48,7 @@ class LinkState:
 class JointState:
     """A joint at a tick: position (rad or m), velocity, effort of its motor, limits.
 
-    The effort is None where nobody knows it, in a what-if world.
+    The effort is None in a what-if world, where it is unknown.
     """
 
     name: str
@@ -61,55 +61,55 @@ class JointState:
 
     @property
     def openness(self) -> float | None:
-        """How far it is open, as a share of its range; None if it has no two limits.
+        """The distance from the closed end as a share of the range; None without two limits.
 
-        The closed end is that of the two limits that is nearer to 0, or the lower one.
+        The closed end is the limit nearer to 0; if both are as near, the lower limit.
         """
         return openness(self, self.position)
 
 
 class WorldArchive(Protocol):
-    """The recorded ticks of a world, as handles and worlds of these ticks see them."""
+    """The recorded ticks of a world, as handles and past worlds use them."""
 
     @property
     def world(self) -> World:
-        """Whose ticks they are."""
+        """The recorded world."""
 
     def at(self, tick: int) -> World:
-        """The world at a tick."""
+        """Returns the world at a tick."""
 
     def entity(self, tick: int, id: int) -> Entity:
-        """The handle of an entity at a tick."""
+        """Returns the handle of an entity at a tick."""
 
     def warn_of_masses(self) -> None:
-        """Warn of masses that are others than the recorded ones."""
+        """Warns of masses that differ from the recorded ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedTick:
-    """A recorded tick that a handle stays at."""
+    """A recorded tick, to which a handle is fixed."""
 
     record: WorldArchive
     tick: int
 
 
 class Entity(OpenRaveEntity):
-    """A handle of a robot, kinbody or sensor: what it tells is of its world's last tick.
+    """A handle of a robot, kinbody or sensor; its properties are those at its world's last tick.
 
-    One that a query of the past gave, `FROM kitchen{12.5}`, stays at the tick that it is of.
-    Two handles are equal when they are of the same entity of the same world, at whatever tick.
+    A handle from a query of the past, such as `FROM kitchen{12.5}`, is fixed to that tick.
+    Two handles are equal if they stand for the same entity of the same world, at any tick.
 
     Attributes:
-        world: the world that it is in.
-        id: ssduck's own number, never used again in this world.
-        name: unique in the world.
+        world: the world of the entity.
+        id: ssduck's number of the entity, never used again in this world.
+        name: the name, unique in the world.
         kind: `"robot"`, `"kinbody"` or `"sensor"`.
-        moment: the recorded tick that it stays at; None for the world's last one.
+        moment: the recorded tick to which the handle is fixed; None for the world's last tick.
     """
 
     __slots__ = ("id", "kind", "moment", "name", "world")
 
-    # How programs get at what it has, as it has no keys.
+    # The hint of the error for a program that indexes an entity.
     KEY_HINT = "functions tell of an entity: z(this), or k.z where k is a source"
 
     def __init__(
@@ -123,7 +123,7 @@ class Entity(OpenRaveEntity):
 
     @property
     def state(self) -> World:
-        """The world as it is at the tick that the handle tells of."""
+        """The world at the tick of the handle."""
         moment = self.moment
         if moment is None or moment.tick == self.world.snapshot.number:
             return self.world
@@ -131,44 +131,44 @@ class Entity(OpenRaveEntity):
 
     @property
     def is_there(self) -> bool:
-        """Whether its world has it, at the tick that it tells of."""
+        """Whether the world has the entity at the tick of the handle."""
         return self.id in self.state.snapshot.rows
 
     @property
     def position(self) -> list[float]:
-        """The link frame's origin [x, y, z], metres, world frame."""
+        """The origin of the link frame, [x, y, z], m, world frame."""
         return self._numbers("x", "z")
 
     @property
     def orientation(self) -> list[float]:
-        """The link frame's orientation [w, x, y, z], world frame."""
+        """The orientation of the link frame, unit quaternion [w, x, y, z], world frame."""
         return self._numbers("qw", "qz")
 
     @property
     def pose(self) -> list[float]:
-        """Orientation, then position: [w, x, y, z, x, y, z]."""
+        """The orientation, then the position: [w, x, y, z, x, y, z]."""
         return self.orientation + self.position
 
     @property
     def velocity(self) -> list[float]:
-        """Of the link frame's origin, m/s, then angular, rad/s: six numbers, world frame."""
+        """The velocity of the link frame's origin, m/s, then the angular velocity, rad/s."""
         return self._numbers("vx", "wz")
 
     @property
     def aabb(self) -> tuple[list[float], list[float]]:
-        """The lower and upper corner of the exact axis-aligned box, metres."""
+        """The lower and the upper corner of the exact axis-aligned box, m, world frame."""
         return self._numbers("xmin", "zmin"), self._numbers("xmax", "zmax")
 
     @property
     def mass(self) -> float:
-        """Kilograms of all links; 0 for a sensor and for what cannot move."""
+        """The mass of all links, kg; 0 for a sensor and for a body that cannot move."""
         with self.state.lock:
             self.state.request_tables([MASSES])
             return self._numbers("mass", "mass")[0]
 
     @property
     def links(self) -> list[LinkState]:
-        """The links, the base first; asks the world for the table of links."""
+        """The links, the base first; requests the table of links from the world."""
         table = self._table("links")
         box = ("xmin", "ymin", "zmin"), ("xmax", "ymax", "zmax")
         return [
@@ -184,7 +184,7 @@ class Entity(OpenRaveEntity):
 
     @property
     def joints(self) -> list[JointState]:
-        """The joints; asks the world for the table of joints."""
+        """The joints; requests the table of joints from the world."""
         keys = ("name", "type", "position", "velocity", "effort", "lower", "upper")
         return [JointState(**{key: row[key] for key in keys}) for row in self._table("joints")]
 
@@ -194,36 +194,38 @@ class Entity(OpenRaveEntity):
         orientation: Sequence[float] | None = None,
         joints: JointValues | None = None,
     ) -> None:
-        """Put it elsewhere at rest, and take a tick: the next query sees it.
+        """Moves the body to another pose, at rest, and takes a tick, so that queries see it.
 
-        Joints that are not given keep their positions and speeds.
+        Joints that are not given keep their positions and velocities.
 
-        In a simulation that ssduck loaded, motors that hold joints hold them at the new
-        positions; in one of yours they are as you set them.
+        In a simulation that ssduck loaded, motors that hold joints then hold them at the new
+        positions; in your own client, motors stay as you set them.
 
         Args:
-            position: of its link frame, [x, y, z], metres; None leaves it.
-            orientation: of its link frame, [w, x, y, z], any length but 0; None leaves it.
+            position: the position of the link frame, [x, y, z], m, world frame; None keeps it.
+            orientation: the orientation of the link frame, [w, x, y, z], of any length but 0;
+                None keeps it.
             joints: positions, rad or m: by the joint's name, or one for each revolute and
-                prismatic joint in order. Joints alone leave the body where it is, and
-                as fast.
+                prismatic joint in order. With joints alone, the body keeps its pose and its
+                velocity.
 
         Raises:
             StateError: a number is not finite, the orientation is all 0, or a joint is beyond
                 its limits.
-            UnknownNameError: there is no joint of a name, with the nearest names.
-            ArgumentError: it is a sensor, a joint's position is not one number, or there are
-                too many values or too few.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
+            UnknownNameError: no joint has a name; the error suggests the nearest names.
+            ArgumentError: the entity is a sensor, a joint's position is not one number, or there
+                are too many or too few values.
+            RemovedEntityError: the entity is no longer in its world.
+            UnsupportedError: the entity is in a what-if world.
         """
         pose = None
         if joints is None or position is not None or orientation is not None:
-            place = self.position if position is None else position
-            turn = self.orientation if orientation is None else orientation
+            position = self.position if position is None else position
+            orientation = self.orientation if orientation is None else orientation
+            quaternion = validation.finite_array(orientation, 4, f"{self.name}: orientation")
             pose = (
-                validation.finite_array(place, 3, f"{self.name}: position"),
-                unit(validation.finite_array(turn, 4, f"{self.name}: orientation"), self.name),
+                validation.finite_array(position, 3, f"{self.name}: position"),
+                unit(quaternion, self.name),
             )
         self.state.place(self, pose, joints)
 
@@ -233,76 +235,80 @@ class Entity(OpenRaveEntity):
         velocities: Mapping[str, float] | None = None,
         efforts: Mapping[str, float] | None = None,
     ) -> None:
-        """Set the motors of its joints; they act in the steps to come, until they are set again.
+        """Sets the targets of joint motors; they act in the following steps until set again.
 
-        Nothing moves at once, and no tick is taken. Motors of joints that are not named go on
-        with what they did. `move` with joints makes motors hold the new positions, in a
-        simulation that ssduck loaded.
+        Nothing moves at once, and no tick is taken. Motors of joints that are not named keep
+        their targets. `move` with joints makes motors hold the new positions, in a simulation
+        that ssduck loaded.
 
         Args:
-            positions: where motors take joints and hold them, rad or m: by the joint's name, or
-                one for each revolute and prismatic joint in order. They go no faster than the
-                joint's model allows.
-            velocities: how fast motors turn joints, rad/s or m/s, by the joint's name.
-            efforts: the most that these motors give, N m or N, by the joint's name; others give
-                what the joint's model allows.
+            positions: target positions, rad or m: by the joint's name, or one for each revolute
+                and prismatic joint in order. Joints move no faster than their model allows.
+            velocities: target velocities, rad/s or m/s, by the joint's name.
+            efforts: the maximal efforts of these motors, N m or N, by the joint's name; by
+                default what the joint's model allows.
 
         Raises:
             StateError: a number is not finite, a position is beyond the joint's limits, or a
                 velocity or an effort is more than its model allows.
-            UnknownNameError: there is no joint of a name, with the nearest names.
-            ArgumentError: it is a sensor, a joint has both a position and a velocity, or an
-                effort and neither; there are too many positions or too few.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
+            UnknownNameError: no joint has a name; the error suggests the nearest names.
+            ArgumentError: the entity is a sensor; a joint has both a position and a velocity, or
+                an effort and neither; or there are too many or too few positions.
+            RemovedEntityError: the entity is no longer in its world.
+            UnsupportedError: the entity is in a what-if world.
         """
         self.state.drive(self, positions, velocities, efforts)
 
     def hold(self, other: Entity, link: str | None = None, *, touching: int = 1) -> None:
-        """Tie a body that one of its links touches to that link, rigidly, as they are now.
+        """Attaches another body that a link touches rigidly to that link, at their current poses.
 
-        It is a fixed constraint of the simulator, between the link and the other body's base: it
-        stands for a grip that does not slip, as planners of grasps have it, and is stronger than
-        any friction. It is made only where they touch, and takes a tick to see that; it moves
-        nothing. What was held when a world was saved or an excerpt taken is held in these, too.
+        The attachment is a fixed constraint of the simulator between the link and the base of
+        the other body. It models a grip that does not slip and is stronger than any friction.
+        The method takes a tick to check that the bodies touch, and moves nothing. Saved worlds
+        and excerpts keep the constraint.
 
         Args:
-            other: the body, of the same world.
-            link: the link that holds it; None for the base.
-            touching: how many links, of this one and those that hang on it (the fingers of a
-                hand), are to be within 1 mm of it at least, as the narrow phase has it.
+            other: the other body, of the same world.
+            link: the name of the holding link; None for the base.
+            touching: the minimal number of links within 1 mm of the other body, by the narrow
+                phase: the holding link and the links that descend from it, such as fingers.
 
         Raises:
-            StateError: fewer are; or it is held already.
-            UnknownNameError: there is no link of that name, with the nearest names.
-            ArgumentError: one of them is a sensor, or the other is of another world, or itself.
+            StateError: fewer links are as near, or the other body is held already.
+            UnknownNameError: no link has the name; the error suggests the nearest names.
+            ArgumentError: one of them is a sensor, or the other one is of another world, or the
+                same.
             RemovedEntityError: one of them is no longer in its world.
-            UnsupportedError: it is in a what-if world.
+            UnsupportedError: the entity is in a what-if world.
         """
         self.state.hold(self, other, link, touching)
 
     def release(self, other: Entity) -> None:
-        """Let go of a body that it holds: remove fixed constraints of its links to that's base.
+        """Releases a held body: removes the fixed constraints between links and its base.
+
+        Args:
+            other: the held body.
 
         Raises:
-            StateError: it does not hold it.
-            ArgumentError: one of them is a sensor, or the other is of another world, or itself.
+            StateError: the other body is not held.
+            ArgumentError: one of them is a sensor, or the other one is of another world, or the
+                same.
             RemovedEntityError: one of them is no longer in its world.
-            UnsupportedError: it is in a what-if world.
+            UnsupportedError: the entity is in a what-if world.
         """
         self.state.release(self, other)
 
     @property
     def enabled(self) -> bool:
-        """Whether it takes part in collisions; setting it takes a tick.
+        """Whether the body takes part in collisions; setting it takes a tick.
 
-        Rays do not meet what is not enabled either. PyBullet does not tell what a body may
-        collide with; enabled again, it is what PyBullet begins with.
+        Rays do not hit a disabled body either. PyBullet does not report collision filters, so a
+        body that is enabled again has PyBullet's default filter.
 
         Raises:
-            ArgumentError: it is a sensor.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
+            ArgumentError: the entity is a sensor.
+            RemovedEntityError: the entity is no longer in its world.
+            UnsupportedError: the entity is in a what-if world.
         """
         return bool(self.column("enabled"))
 
@@ -312,12 +318,12 @@ class Entity(OpenRaveEntity):
 
     @property
     def visible(self) -> bool:
-        """Whether it is drawn; setting it takes a tick. It gets its colours back.
+        """Whether the body is drawn; setting it takes a tick. A body shown again has its colours.
 
         Raises:
-            ArgumentError: it is a sensor.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: it is in a what-if world.
+            ArgumentError: the entity is a sensor.
+            RemovedEntityError: the entity is no longer in its world.
+            UnsupportedError: the entity is in a what-if world.
         """
         return bool(self.column("visible"))
 
@@ -326,17 +332,21 @@ class Entity(OpenRaveEntity):
         self.state.show(self, on)
 
     def body_of(self, info: EntityInfo, verb: str) -> Body:
-        """What it is made of, by its entry in the world; `verb` says what for.
+        """Returns the body of the entity.
+
+        Args:
+            info: the description of the entity.
+            verb: the action on the body, for the message of the error.
 
         Raises:
-            ArgumentError: it is a sensor.
+            ArgumentError: the entity is a sensor.
         """
         if info.body is None:
             raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
         return info.body
 
     def column(self, name: str) -> Any:
-        """Its value in a column of the table of entities; None for an unknown one."""
+        """Returns the entity's value in a column of the table of entities; None if unknown."""
         return self.state.snapshot.value(self._row(), name)
 
     def _row(self) -> int:
@@ -346,7 +356,7 @@ class Entity(OpenRaveEntity):
         return row
 
     def removed(self) -> RemovedEntityError:
-        """What to raise where it is no longer in its world."""
+        """Returns the error for an entity that is no longer in its world."""
         return RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
 
     def _numbers(self, first: str, last: str) -> list[float]:
@@ -359,10 +369,10 @@ class Entity(OpenRaveEntity):
         with self.state.lock:
             self._row()
             self.state.request_tables([name, MASSES] if name == "links" else [name])
-            self._row()  # asking may have taken a tick
+            self._row()  # the request may have taken a tick
             table = self.state.snapshot.tables[name]
-            own = table.arrow.filter(pa.array(table["entity"] == self.id))
-            rows: list[dict[str, Any]] = own.to_pylist()
+            selected = table.arrow.filter(pa.array(table["entity"] == self.id))
+            rows: list[dict[str, Any]] = selected.to_pylist()
         return rows
 
     def __eq__(self, other: object) -> bool:
@@ -372,7 +382,7 @@ class Entity(OpenRaveEntity):
         return hash((id(self.world), self.id))
 
     def __deepcopy__(self, _: dict[int, Any]) -> Entity:
-        """A handle changes nothing, so it is its own copy."""
+        """Returns the handle itself, as it is immutable."""
         return self
 
     def __repr__(self) -> str:
@@ -380,7 +390,7 @@ class Entity(OpenRaveEntity):
 
 
 class KinBody(Entity):
-    """A handle of a body: of a kinbody, or of a robot, which is one too, as in OpenRAVE."""
+    """A handle of a body; as in OpenRAVE, robots are kinbodies, too."""
 
     __slots__ = ()
 
@@ -392,60 +402,60 @@ class Robot(KinBody):
 
 
 class Sensor(OpenRaveSensor, Entity):
-    """A handle of a sensor: what it measured last, by its world's last tick.
+    """A handle of a sensor, with its last reading at its world's last tick.
 
-    It is read from the simulator when it is asked for, and then again when its `period` has
-    passed. A ray is a ray of a laser, a pixel of a camera (row by row from the upper left) or a
-    contact point of a contact sensor. All arrays are numpy's, and cannot be written to.
+    The sensor is read when its reading is requested, and again when its `period` has passed. A
+    ray is a ray of a laser, a pixel of a camera (row by row from the upper left) or a contact
+    point of a contact sensor. All arrays are read-only numpy arrays.
     """
 
     __slots__ = ()
 
     def power(self, on: bool) -> None:
-        """Switch it on or off; the next query sees it. It perceives nothing while it is off."""
+        """Switches the sensor on or off; it perceives nothing while it is off."""
         self.state.switch(self, on=on)
 
     @property
     def powered(self) -> bool:
-        """Whether it is switched on."""
+        """Whether the sensor is switched on."""
         self._row()
         return self.state.snapshot.sensing.is_on(self.id)
 
     @property
     def reading(self) -> Reading | None:
-        """All that it measured last, and when; None while it is switched off."""
+        """The last reading; None while the sensor is switched off."""
         return self.state.reading(self)
 
     @property
     def rays(self) -> int:
-        """How many rays, pixels or contact points its reading has."""
+        """The number of rays, pixels or contact points of the reading."""
         return self._measured("rays")  # type: ignore[no-any-return]
 
     @property
     def ranges(self) -> Array:
-        """How long each ray is, m, (n,); inf for one that ends on nothing within range."""
+        """The length of each ray, m, (n,); inf for one that hits nothing within range."""
         return self._measured("ranges")  # type: ignore[no-any-return]
 
     @property
     def points(self) -> Array:
-        """Where rays end on something, [x, y, z] in the world frame, m, (hits, 3)."""
+        """The points that rays hit, [x, y, z] in the world frame, m, (hits, 3)."""
         return self._measured("points")  # type: ignore[no-any-return]
 
     @property
     def depth(self) -> Array:
-        """Of a camera, how far along its axis each pixel is, m, (height, width); else inf."""
+        """Of a camera, the depth along its axis, m, (height, width); inf for nothing."""
         return self._measured("depth")  # type: ignore[no-any-return]
 
     @property
     def segmentation(self) -> Indices:
-        """Of a camera, the id of what each pixel shows, (height, width); 0 for nothing."""
+        """Of a camera, the id of the entity in each pixel, (height, width); 0 for none."""
         return self._measured("segmentation")  # type: ignore[no-any-return]
 
     @property
     def image(self) -> npt.NDArray[np.uint8]:
-        """Of a camera, its colours: red, green, blue, (height, width, 3), from 0 to 255.
+        """Of a camera, the picture: red, green, blue, (height, width, 3), from 0 to 255.
 
-        It shows what is drawn, the sensor's own body and what is out of range included.
+        It shows all visible bodies, including the sensor's own and those out of range.
         """
         return self._measured("image")  # type: ignore[no-any-return]
 
@@ -454,17 +464,17 @@ class Sensor(OpenRaveSensor, Entity):
         """Of a contact sensor, the normal force at each contact point, N, (n,)."""
         return self._measured("forces")  # type: ignore[no-any-return]
 
-    def _measured(self, what: str) -> Any:
-        reading = self.state.reading(self, picture=what == "image" and self._has_picture())
+    def _measured(self, quantity: str) -> Any:
+        reading = self.state.reading(self, picture=quantity == "image" and self._has_picture())
         if reading is None:
             raise SelectScriptError(
                 f"{self.name!r} measures nothing: it is switched off, or nowhere; "
                 "power(True) switches it on"
             )
-        value = getattr(reading, what)
+        value = getattr(reading, quantity)
         if value is None:
-            has = ", ".join(k for k, v in vars(reading).items() if isinstance(v, np.ndarray))
-            raise ArgumentError(f"{self.name!r} is a {self.spec.type}: no {what}, but {has}")
+            names = ", ".join(k for k, v in vars(reading).items() if isinstance(v, np.ndarray))
+            raise ArgumentError(f"{self.name!r} is a {self.spec.type}: no {quantity}, but {names}")
         return value
 
     def _has_picture(self) -> bool:
@@ -472,17 +482,17 @@ class Sensor(OpenRaveSensor, Entity):
 
     @property
     def host(self) -> int:
-        """The id of the body that it sits on."""
+        """The id of the body that the sensor is mounted on."""
         info = self.state.snapshot.entities[self._row()]
         return info.mount[0]
 
     @property
     def spec(self) -> SensorSpec:
-        """What the sensor is, and where it sits."""
+        """The specification of the sensor: type, settings and mounting."""
         spec = self.state.snapshot.entities[self._row()].sensor
         assert spec is not None
         return spec
 
 
-# What the handles of entities are, by their kind.
+# The classes of handles, by the kind of the entity.
 HANDLES: dict[Kind, type[Entity]] = {"robot": Robot, "kinbody": KinBody, "sensor": Sensor}

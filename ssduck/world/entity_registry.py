@@ -1,87 +1,88 @@
-"""Who is in a world: the bodies that its simulator tells of, and the sensors on them."""
+"""Registers the entities of a world: the bodies of its simulator and the sensors on them."""
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any
 
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
 from ssduck.simulators.interface import Simulator
+from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
 from ssduck.world.entities import Entity
 from ssduck.world.layout import EntityInfo
 
 
 class EntityRegistry:
-    """The members of a world, each under an id that is never used again.
+    """The entities of a world, each with an id that is never used again.
 
     Args:
-        listed: those that are there, sensors first, each in load order.
+        entities: the entities, sensors first, each kind in load order.
 
     Attributes:
-        listed: the same as they are now; another list whenever some came or went.
+        entities: the current entities; a new list whenever entities were added or removed.
     """
 
-    def __init__(self, listed: list[EntityInfo]) -> None:
-        self.entities = listed
+    def __init__(self, entities: list[EntityInfo]) -> None:
+        self.entities = entities
         self._ids = count(1)
 
-    def begin(self, simulator: Simulator, sensors: Sequence[SensorSpec]) -> None:
-        """Take note of all bodies of a simulator, and of the sensors on them.
+    def add_all(self, simulator: Simulator, sensors: Sequence[SensorSpec]) -> None:
+        """Adds all bodies of a simulator, and the sensors on them.
 
         Raises:
-            SceneError: a sensor is to be on a link that its body has not.
+            SceneError: the body of a sensor does not have the sensor's link.
         """
-        # Ids count as worlds list: sensors first.
+        # Ids follow the order of the entities: sensors first.
         sensor_ids = [next(self._ids) for _ in sensors]
         self.update(simulator)
         self.entities = self._mounted(sensor_ids, sensors) + self.entities
 
     def update(self, simulator: Simulator) -> None:
-        """Take note of bodies that came and went."""
+        """Adds new bodies of the simulator, and removes entities whose bodies were removed."""
         changes = simulator.describe()
         if changes is None:
             return
-        came, gone = changes
-        gone_bodies = set(gone)
-        gone_ids = {info.id for info in self.entities if info.body in gone_bodies}
+        added, removed = changes
+        removed_bodies = set(removed)
+        removed_ids = {info.id for info in self.entities if info.body in removed_bodies}
         self.entities = [
             info
             for info in self.entities
-            if info.id not in gone_ids and info.mount[0] not in gone_ids
+            if info.id not in removed_ids and info.mount[0] not in removed_ids
         ]
-        taken = {info.name for info in self.entities}
-        for body in came:
-            name = _unique(body.name, taken)
-            taken.add(name)
+        used_names = {info.name for info in self.entities}
+        for body in added:
+            name = unique_name(body.name, used_names)
+            used_names.add(name)
             self.entities.append(EntityInfo(next(self._ids), name, body.kind, body=body))
 
-    def of(self, id: int) -> EntityInfo | None:
-        """The member of that id; None if it is there no longer."""
+    def get(self, id: int) -> EntityInfo | None:
+        """Returns the entity of an id; None if it was removed."""
         return next((info for info in self.entities if info.id == id), None)
 
     def add_sensor(
         self, type: str, host: EntityInfo, name: str | None, settings: Mapping[str, Any]
     ) -> EntityInfo:
-        """Put a sensor on a body.
+        """Adds a sensor on a body.
 
         Args:
-            type: of the sensor.
+            type: the type of the sensor.
             host: the body.
-            name: unique in the world; None for one that is made of the two above.
-            settings: as a scene file has them.
+            name: the name, unique in the world; by default the names of body and type.
+            settings: the settings, as in a scene file.
 
         Raises:
-            ArgumentError: the name is taken, or a setting is wrong.
+            ArgumentError: the name is in use, or a setting is wrong.
         """
-        taken = {info.name for info in self.entities}
-        if name in taken:
+        used_names = {info.name for info in self.entities}
+        if name in used_names:
             raise ArgumentError(f"add_sensor: name: {name!r} is there already")
         values = {
             "type": type,
             "on": host.name,
-            "name": name if name is not None else _unique(f"{host.name}_{type}", taken),
+            "name": name if name is not None else unique_name(f"{host.name}_{type}", used_names),
             **settings,
         }
         try:
@@ -94,54 +95,52 @@ class EntityRegistry:
         return info
 
     def remove(self, id: int) -> None:
-        """Take a sensor away."""
+        """Removes a sensor."""
         self.entities = [info for info in self.entities if info.id != id]
 
     def host(self, on: str | Entity, world: str) -> EntityInfo:
-        """The body that a sensor is to sit on.
+        """Returns the body of a new sensor.
 
         Args:
-            on: its name, or its handle.
-            world: what the world is called.
+            on: the name or the handle of the body.
+            world: the name of the world.
 
         Raises:
-            UnknownNameError: there is no body of that name, with the nearest names.
-            RemovedEntityError: the entity is there no longer.
-            ArgumentError: it is a sensor.
+            UnknownNameError: no body has the name; the error suggests the nearest names.
+            RemovedEntityError: the entity was removed.
+            ArgumentError: the entity is a sensor.
         """
         if isinstance(on, Entity):
-            found = [info for info in self.entities if info.id == on.id]
-            if not found:
+            host = self.get(on.id)
+            if host is None:
                 raise on.removed()
         else:
-            found = [info for info in self.entities if info.name == on]
-        if not found:
+            host = next((info for info in self.entities if info.name == on), None)
+        if host is None:
             known = [info.name for info in self.entities if info.body is not None]
             raise UnknownNameError(
                 f"world {world!r} has no body {on!r}", suggestions=nearest(on, known)
             )
-        if found[0].body is None:
-            raise ArgumentError(f"add_sensor: on: {found[0].name!r} is a sensor, not a body")
-        return found[0]
+        if host.body is None:
+            raise ArgumentError(f"add_sensor: on: {host.name!r} is a sensor, not a body")
+        return host
 
     def _mounted(self, ids: Iterable[int], specs: Sequence[SensorSpec]) -> list[EntityInfo]:
-        """The sensors on the bodies that carry them."""
+        """Returns sensors of specifications, with their bodies and links."""
         by_name = {info.name: info for info in self.entities}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
-            host = by_name[spec.on]
+            host = by_name.get(spec.on)
+            if host is None:
+                raise SceneError(
+                    f"there is no body {spec.on!r} for the sensor {spec.name!r}",
+                    suggestions=nearest(spec.on, by_name),
+                )
             mount = (host.id, _link_number(host, spec, index))
             sensors.append(
                 EntityInfo(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
             )
         return sensors
-
-
-def _unique(name: str, taken: Container[str]) -> str:
-    """The name, or the name and a number if it is taken already."""
-    if name not in taken:
-        return name
-    return next(n for n in (f"{name}_{i}" for i in count(2)) if n not in taken)
 
 
 def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:

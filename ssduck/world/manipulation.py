@@ -1,4 +1,4 @@
-"""What can be done to the bodies of a world: `ManipulableSimulation`."""
+"""Moves, drives, holds, enables and shows the bodies of a world: `ManipulableSimulation`."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from ssduck.world.ticking import SteppedSimulation
 
 
 class ManipulableSimulation(SteppedSimulation):
-    """A simulator with its last tick, whose bodies can be moved, driven, held and hidden."""
+    """A stepped simulation whose bodies can be moved, driven, held and hidden."""
 
     def place(self, entity: Entity, pose: Pose | None, joints: JointValues | None) -> None:
-        """Put a body's link frame and its joints there and take a tick; see `Entity.move`."""
+        """Sets the pose and the joints of a body, and takes a tick; see `Entity.move`."""
 
         def put(body: Body) -> None:
             values = {} if joints is None else joint_positions(joints, body, entity.name)
@@ -43,78 +43,82 @@ class ManipulableSimulation(SteppedSimulation):
         velocities: Mapping[str, float] | None,
         efforts: Mapping[str, float] | None,
     ) -> None:
-        """Set motors of its joints, for the steps to come; see `Entity.drive`."""
+        """Sets the motors of a body's joints for the following steps; see `Entity.drive`."""
         with self.lock:
             self._check_not_pinned()
-            body = self._present(entity, "drive")
+            body = self._body_of(entity, "drive")
             motors = motor_targets(positions, velocities, efforts, body, entity.name)
             self._simulator.drive(body, motors)
 
     def hold(self, entity: Entity, other: Entity, link: str | None, touching: int) -> None:
-        """Tie a body to a link that touches it, and take a tick; see `Entity.hold`."""
+        """Attaches a body to a link that touches it, and takes a tick; see `Entity.hold`."""
         with self.lock:
             self._check_not_pinned()
             touching = validation.integer(touching, "hold: touching", minimum=1)
-            body, held = (self._present(one, "hold") for one in self._two(entity, other, "hold"))
+            body, held_body = self._two_bodies(entity, other, "hold")
             number = 0 if link is None else link_index(body, link, entity.name)
-            if self._simulator.has_constraint(body, held):
+            if self._simulator.has_constraint(body, held_body):
                 raise StateError(f"{entity.name} holds {other.name} already")
             self._take_tick()
             with self.pinned(("shapes", MARGINS)):
                 shapes = self.snapshot.shapes().shapes_touching(
                     entity.id, other.id, TOUCHING_DISTANCE
                 )
-            touch = {body.shapes[shape].frame for shape in shapes}
-            count = len(touch & descendant_links(body, number))
+            links = {body.shapes[shape].frame for shape in shapes}
+            count = len(links & descendant_links(body, number))
             if count < touching:
                 raise StateError(
                     f"{entity.name} cannot hold {other.name}: {count} links of "
                     f"{body.links[number].name!r} and beyond are within {TOUCHING_DISTANCE:g} m of "
                     f"it, not {touching}; move them there first"
                 )
-            self._simulator.add_constraint(body, number, held)
+            self._simulator.add_constraint(body, number, held_body)
 
     def release(self, entity: Entity, other: Entity) -> None:
-        """Untie what `hold` tied; see `Entity.release`."""
+        """Detaches a body that `hold` attached; see `Entity.release`."""
         with self.lock:
             self._check_not_pinned()
-            body, held = (
-                self._present(one, "release") for one in self._two(entity, other, "release")
-            )
-            if not self._simulator.has_constraint(body, held):
+            body, held_body = self._two_bodies(entity, other, "release")
+            if not self._simulator.has_constraint(body, held_body):
                 raise StateError(f"{entity.name} does not hold {other.name}")
-            self._simulator.remove_constraint(body, held)
+            self._simulator.remove_constraint(body, held_body)
 
-    def _two(self, entity: Entity, other: Entity, verb: str) -> tuple[Entity, Entity]:
-        """Two entities of this world that are not the same."""
+    def _two_bodies(self, entity: Entity, other: Entity, verb: str) -> tuple[Body, Body]:
+        """Returns the bodies of two different entities of this world.
+
+        Raises:
+            ArgumentError: the other one is the same, of another world or no entity, or one of
+                them is a sensor.
+            RemovedEntityError: one of them was removed.
+        """
         if not isinstance(other, Entity) or other.world is not self:
             raise ArgumentError(f"{verb}: {other!r} is no entity of the world {self.name!r}")
         if other == entity:
-            raise ArgumentError(f"{verb}: {entity.name} itself")
-        return entity, other
+            raise ArgumentError(f"{verb}: {entity.name} cannot {verb} itself")
+        return self._body_of(entity, verb), self._body_of(other, verb)
 
     def enable(self, entity: Entity, on: bool) -> None:
-        """Let a body take part in collisions, or not, and take a tick."""
+        """Enables or disables the collisions of a body, and takes a tick."""
         on = validation.boolean(on, "enabled")
         self._change(entity, "enable", lambda body: self._simulator.enable(body, on))
 
     def show(self, entity: Entity, on: bool) -> None:
-        """Let a body be drawn, or not, and take a tick."""
+        """Shows or hides a body, and takes a tick."""
         on = validation.boolean(on, "visible")
         self._change(entity, "show", lambda body: self._simulator.show(body, on))
 
     def _change(self, entity: Entity, verb: str, change: Callable[[Body], None]) -> None:
-        """Change a body in the simulator, and take a tick."""
+        """Changes a body in the simulator, and takes a tick."""
         with self.lock:
             self._check_not_pinned()
-            change(self._present(entity, verb))
+            change(self._body_of(entity, verb))
             self.snapshot.invalidate_static_poses()
             self._take_tick()
 
-    def _present(self, entity: Entity, verb: str) -> Body:
-        """What an entity is made of, if the simulation still has it."""
-        self._registry.update(self._simulator)  # its number may be another body's by now
-        info = self._registry.of(entity.id)
+    def _body_of(self, entity: Entity, verb: str) -> Body:
+        """Returns the body of an entity after checking that the simulation still has it."""
+        self._registry.update(self._simulator)  # another body may have its number by now
+        info = self._registry.get(entity.id)
         if info is None:
             raise entity.removed()
         return entity.body_of(info, verb)

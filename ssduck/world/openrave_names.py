@@ -1,7 +1,7 @@
-"""OpenRAVE's spellings, so that programs written for SelectScript's OpenRAVE dialect still run.
+"""Provides OpenRAVE's method names, for programs written for SelectScript's OpenRAVE dialect.
 
-Only what its tutorial uses and what goes with that: names, boxes, transforms, joints, and the
-getters of an environment.
+Only the methods that its tutorial uses, and closely related ones, are provided: names, boxes,
+transforms, joints, and the getters of an environment.
 """
 
 from __future__ import annotations
@@ -27,84 +27,86 @@ if TYPE_CHECKING:
     from ssduck.world.world import World
 
 
-# What of `CloneSelf`'s options matters: there are no viewers and no controllers.
+# The only option of `CloneSelf` with an effect: there are no viewers and no controllers.
 CLONE_BODIES = 1
 
 
 @dataclass(frozen=True, eq=False)
 class AABB:
-    """An axis-aligned box by its centre and its half-extents, metres."""
+    """An axis-aligned box by its centre and its half-extents, m."""
 
     centre: Array
     half_extents: Array
 
     def pos(self) -> Array:
-        """The centre, (3,)."""
+        """Returns the centre, (3,)."""
         return self.centre
 
     def extents(self) -> Array:
-        """The half-extents, (3,)."""
+        """Returns the half-extents, (3,)."""
         return self.half_extents
 
 
 class OpenRaveEntity:
-    """OpenRAVE's names of what an `Entity` has."""
+    """OpenRAVE's methods of an `Entity`."""
 
     def GetName(self: Any) -> str:  # noqa: N802  # OpenRAVE's name
-        """Its name."""
+        """Returns the name."""
         return str(self.name)
 
     def GetEnv(self: Any) -> World:  # noqa: N802  # OpenRAVE's name
-        """The world that it is in."""
+        """Returns the world of the entity."""
         world: World = self.world
         return world
 
     def ComputeAABB(self: Any) -> AABB:  # noqa: N802  # OpenRAVE's name
-        """Its axis-aligned box in the world frame."""
+        """Returns the axis-aligned box in the world frame."""
         low, high = (np.array(corner) for corner in self.aabb)
         return AABB((low + high) / 2, (high - low) / 2)
 
     def GetTransform(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
-        """Its pose as a (4, 4) homogeneous matrix, from its link frame to the world."""
+        """Returns the pose as a (4, 4) homogeneous matrix, from the link frame to the world."""
         matrix = np.eye(4)
         matrix[:3, :3] = rotation_matrices(np.array([self.orientation]))[0]
         matrix[:3, 3] = self.position
         return matrix
 
     def SetTransform(self: Any, transform: npt.ArrayLike) -> None:  # noqa: N802  # OpenRAVE's name
-        """Move it: a (4, 4) homogeneous matrix, or a pose [w, x, y, z, x, y, z].
+        """Moves the entity to a (4, 4) homogeneous matrix or a pose [w, x, y, z, x, y, z].
 
         Raises:
-            StateError: it is neither.
+            StateError: the transform is neither.
         """
         try:
-            given = np.asarray(transform, dtype=np.float64)
+            matrix = np.asarray(transform, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
-            given = np.zeros(0)
-        if given.shape == (4, 4):
-            self.move(given[:3, 3], _quaternion(given[:3, :3], self.name))
+            matrix = np.zeros(0)
+        if matrix.shape == (4, 4):
+            self.move(matrix[:3, 3], _quaternion(matrix[:3, :3], self.name))
         else:
             position, orientation = parse_pose(cast("Sequence[float]", transform), self.name)
             self.move(position, orientation)
 
     def GetDOFValues(self: Any) -> Array:  # noqa: N802  # OpenRAVE's name
-        """The positions of its revolute and prismatic joints, rad or m."""
+        """Returns the positions of the revolute and prismatic joints, rad or m."""
         return np.array([joint.position for joint in _settable(self)])
 
     def SetDOFValues(  # noqa: N802  # OpenRAVE's name
         self: Any, values: Sequence[float], dofindices: Sequence[int] | None = None
     ) -> None:
-        """Set its revolute and prismatic joints, or those of these indices among them.
+        """Sets the revolute and prismatic joints, or those of some indices among them.
 
         Raises:
-            ArgumentError: an index is none's, or there are too many values or too few.
+            ArgumentError: no joint has an index, or there are too many or too few values.
         """
         if dofindices is None:
             self.move(joints=values)
             return
         if not (validation.are_numbers(values) and validation.are_numbers(dofindices)):
-            told = f"{short_repr(dofindices)} and {short_repr(values)}"
-            raise ArgumentError(f"{self.name}: indices and values are numbers in lists, not {told}")
+            values_text = f"{short_repr(dofindices)} and {short_repr(values)}"
+            raise ArgumentError(
+                f"{self.name}: indices and values are numbers in lists, not {values_text}"
+            )
         names = [joint.name for joint in _settable(self)]
         if len(dofindices) != len(values):
             raise ArgumentError(f"{self.name}: {len(dofindices)} indices, {len(values)} values")
@@ -117,24 +119,24 @@ class OpenRaveEntity:
         self.move(joints={names[i]: value for i, value in zip(dofindices, values, strict=True)})
 
     def Enable(self: Any, enable: bool) -> None:  # noqa: N802  # OpenRAVE's name
-        """Let it take part in collisions, or not."""
+        """Enables or disables collisions."""
         self.enabled = enable
 
     def IsEnabled(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Whether it takes part in collisions."""
+        """Whether the entity takes part in collisions."""
         return bool(self.enabled)
 
     def SetVisible(self: Any, visible: bool) -> None:  # noqa: N802  # OpenRAVE's name
-        """Let it be drawn, or not."""
+        """Shows or hides the entity."""
         self.visible = visible
 
     def IsVisible(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Whether it is drawn."""
+        """Whether the entity is drawn."""
         return bool(self.visible)
 
 
 class SensorCommand(Enum):
-    """What OpenRAVE tells a sensor to do; drawing is told, and nothing is drawn."""
+    """OpenRAVE's commands to sensors; commands to draw are accepted and have no effect."""
 
     PowerOn = 0x10
     PowerOff = 0x11
@@ -145,14 +147,14 @@ class SensorCommand(Enum):
 
 
 class OpenRaveSensor:
-    """OpenRAVE's names of what a `Sensor` has."""
+    """OpenRAVE's methods of a `Sensor`."""
 
     __slots__ = ()
 
     ConfigureCommand = SensorCommand
 
     def Configure(self: Any, command: SensorCommand) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Switch it on or off, or tell whether it is on."""
+        """Switches the sensor on or off, or returns whether it is on."""
         match command:
             case SensorCommand.PowerOn | SensorCommand.PowerOff:
                 self.power(command is SensorCommand.PowerOn)
@@ -165,45 +167,45 @@ class OpenRaveSensor:
 
 
 class OpenRaveWorld:
-    """OpenRAVE's names of what a `World` has; an unknown name gives None, as there."""
+    """OpenRAVE's methods of a `World`; as in OpenRAVE, an unknown name gives None."""
 
     def GetRobots(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name
-        """The robots in load order."""
+        """Returns the robots in load order."""
         return [entity for entity in self if entity.kind == "robot"]
 
     def GetSensors(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name
-        """The sensors in load order."""
+        """Returns the sensors in load order."""
         return [entity for entity in self if entity.kind == "sensor"]
 
     def GetBodies(self: Any) -> list[Entity]:  # noqa: N802  # OpenRAVE's name
-        """Robots and kinbodies in load order."""
+        """Returns robots and kinbodies in load order."""
         return [entity for entity in self if entity.kind != "sensor"]
 
     def GetRobot(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
-        """The robot of that name."""
+        """Returns the robot of a name."""
         return _named(self, name, "robot")
 
     def GetKinBody(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
-        """The robot or kinbody of that name: there, robots are kinbodies."""
+        """Returns the robot or kinbody of a name: in OpenRAVE, robots are kinbodies."""
         return _named(self, name, "robot", "kinbody")
 
     def GetSensor(self: Any, name: str) -> Entity | None:  # noqa: N802  # OpenRAVE's name
-        """The sensor of that name."""
+        """Returns the sensor of a name."""
         return _named(self, name, "sensor")
 
     def CloneSelf(self: Any, options: int = 1) -> World:  # noqa: N802  # OpenRAVE's name
-        """A new world of the same entities; of none unless options have `CLONE_BODIES`."""
+        """Returns a new world of the same entities; an empty one without `CLONE_BODIES`."""
         options = validation.integer(options, "CloneSelf: options", minimum=0)
         world: World = self.excerpt(self if options & CLONE_BODIES else ())
         return world
 
     def Remove(self: Any, entity: Entity) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Take an entity out."""
+        """Removes an entity."""
         self.remove(entity)
         return True
 
     def Destroy(self: Any) -> None:  # noqa: N802  # OpenRAVE's name
-        """Give up the simulation."""
+        """Closes the simulation."""
         self.close()
 
 
@@ -212,9 +214,9 @@ def _settable(entity: Entity) -> list[JointState]:
 
 
 def _quaternion(matrix: Array, name: str) -> Array:
-    """A rotation matrix as w, x, y, z."""
+    """Returns a rotation matrix as a quaternion w, x, y, z."""
     if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 0.0:
-        raise StateError(f"{name}: the matrix turns nothing: {matrix.tolist()}")
+        raise StateError(f"{name}: this is no rotation matrix: {matrix.tolist()}")
     return quaternion_from_matrix(matrix)
 
 

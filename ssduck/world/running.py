@@ -22,7 +22,7 @@ from ssduck.world.ticking import SteppedSimulation
 
 # A function that is called with the simulated seconds that were run since the last call.
 ProgressCallback: TypeAlias = Callable[[float], object]
-# Ticks per second of wall time in a real-time run.
+# Ticks per second of real time in a real-time run.
 TICKS_PER_SECOND = 30
 # The share of a step by which sums of steps may be off.
 _ROUNDING = 1e-6
@@ -98,7 +98,7 @@ class _Lane:
 
 
 def _speed(realtime: Any) -> float | None:
-    """Returns the speed relative to wall time; None for as fast as possible."""
+    """Returns the speed relative to real time; None for as fast as possible."""
     if isinstance(realtime, bool | np.bool_):
         return 1.0 if realtime else None
     return validation.positive_number(realtime, "run: realtime", "speed; True, or a number above 0")

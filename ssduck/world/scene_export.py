@@ -1,4 +1,4 @@
-"""Saving a world as a scene: a folder with a `scene.toml` and the models that it needs."""
+"""Saves a world as a scene: a folder with a `scene.toml` and its models."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from ssduck.world.excerpt import originals_of, sensors_of, tick_of
 from ssduck.world.snapshot import Snapshot
 
 FILE = "scene.toml"
-# An array of numbers, which tomli-w writes a line each.
+# An array of numbers, of which tomli-w writes one per line.
 _ARRAY = re.compile(r"\[\n((?: {4}[^ ]+,\n)+)\]")
 
-# What of a scene, and of each of its parts, is told otherwise than by its own name.
+# The attributes of a scene that its file has under the same keys.
 _SCENE = ("description", "gravity", "timestep", "time", "elastic")
 
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Make a folder for a scene, and fill it within; what goes wrong there is told as its.
+    """Creates a folder for a scene; errors in the body of the with statement name the folder.
 
     Raises:
-        SceneError: something is there already, or cannot be written.
+        SceneError: the folder is not empty, or something cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -42,15 +42,15 @@ def new_folder(folder: Path) -> Iterator[None]:
 
 
 def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
-    """The scene of a simulation at a tick; writes the models that it needs into a folder."""
-    everyone = {info.id for info in snapshot.load_order}
-    originals = list(originals_of(snapshot, everyone))
+    """Returns the scene of a simulation at a tick, after writing its models into a folder."""
+    ids = {info.id for info in snapshot.load_order}
+    originals = list(originals_of(snapshot, ids))
     scene = backend(simulator.backend).scene_of(simulator, originals, tick_of(snapshot), folder)
-    return replace(scene, sensors=tuple(sensors_of(snapshot, everyone)))
+    return replace(scene, sensors=tuple(sensors_of(snapshot, ids)))
 
 
 def write_scene(scene: Scene, folder: Path) -> Path:
-    """Write the file of a scene into its folder."""
+    """Writes the file of a scene into its folder, and returns its path."""
     import tomli_w
 
     file = folder / FILE
@@ -60,29 +60,29 @@ def write_scene(scene: Scene, folder: Path) -> Path:
 
 
 def _document(scene: Scene, folder: Path) -> dict[str, Any]:
-    """A scene's file; what is as it is without being said is left out."""
+    """Returns the content of a scene's file, without default values."""
     values = {name: getattr(scene, name) for name in _SCENE}
     document = {
         "name": scene.name,
         **{name: value for name, value in values.items() if value != getattr(Scene, name)},
-        "camera": _changed(scene.camera, Camera()),
-        "engine": _changed(scene.engine, Engine(0, 50, 1)),
+        "camera": _differences(scene.camera, Camera()),
+        "engine": _differences(scene.engine, Engine(0, 50, 1)),
         "body": [_body(body, folder) for body in scene.bodies],
         "sensor": list(map(_sensor, scene.sensors)),
-        "constraint": [_changed(one, ConstraintSpec("", "")) for one in scene.constraints],
+        "constraint": [_differences(one, ConstraintSpec("", "")) for one in scene.constraints],
     }
     return {name: value for name, value in document.items() if value not in ({}, [])}
 
 
-def _changed(part: Any, plain: Any) -> dict[str, Any]:
+def _differences(part: Any, default: Any) -> dict[str, Any]:
     values = {f.name: getattr(part, f.name) for f in fields(part)}
-    return {name: value for name, value in values.items() if value != getattr(plain, name)}
+    return {name: value for name, value in values.items() if value != getattr(default, name)}
 
 
 def _body(body: BodySpec, folder: Path) -> dict[str, Any]:
     urdf = body.model.relative_to(folder).as_posix()
-    plain = BodySpec(body.name, body.kind, body.model)
-    values = {"name": body.name, "kind": body.kind, "urdf": urdf, **_changed(body, plain)}
+    default = BodySpec(body.name, body.kind, body.model)
+    values = {"name": body.name, "kind": body.kind, "urdf": urdf, **_differences(body, default)}
     return {name: value for name, value in values.items() if value is not None}
 
 

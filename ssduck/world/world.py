@@ -1,7 +1,7 @@
-"""What a simulation is, whichever simulator runs it: `World`.
+"""Defines `World`, a simulation in any simulator.
 
-A *world* is one simulation; an *entity* is a robot, a kinbody or a sensor of it. What an entity
-tells of itself is of the world's last tick, never of the simulator's present.
+A *world* is one simulation; an *entity* is a robot, a kinbody or a sensor of it. The properties of
+an entity are those at the world's last tick, not those of the simulator at present.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ from ssduck.world.what_if import what_if_tick
 
 T = TypeVar("T")
 
-# What a world is called before it gets a name.
+# The name of a world that is not bound to a variable yet.
 UNNAMED = "world"
 
 
 class World(ManipulableSimulation, OpenRaveWorld):
-    """One simulation and its current tick.
+    """A simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
-    at once; in between nothing changes them.
+    at once; nothing changes them in between.
 
     Args:
-        simulator: what runs it.
-        name: what the world is called until it is bound to a variable.
+        simulator: the simulator.
+        name: the name until the world is bound to a variable.
         sensors: the sensors on its bodies, in load order.
-        camera: the view that `render` draws if it is given none.
+        camera: the default camera of `render`.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         camera: Camera | None = None,
     ) -> None:
         self._begin(simulator, Snapshot(), name, camera or Camera())
-        self._registry.begin(simulator, sensors)
+        self._registry.add_all(simulator, sensors)
         for info in self._registry.entities:
             if info.sensor is not None and not info.sensor.powered:
                 self.snapshot.switch(info.id, on=False)
@@ -86,18 +86,23 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     @classmethod
     def load(cls, scene: Scene, *, simulator: str = DEFAULT_BACKEND) -> World:
-        """A world made from a scene in a simulation of its own.
+        """Loads a scene into a new simulation, and returns its world.
 
         Args:
             scene: the scene.
-            simulator: the name of the simulator that runs it; see `BACKENDS`.
+            simulator: the name of the simulator; see `BACKENDS`.
 
         Raises:
-            SceneError: the scene cannot be loaded: file, key and reason.
+            SceneError: the scene cannot be loaded; the message has file, key and reason.
+            ArgumentError: `scene` is no `Scene`.
         """
-        running = backend(simulator).load(scene)
+        if not isinstance(scene, Scene):
+            raise ArgumentError(
+                f"load: {short_repr(scene)} is no Scene; find_scene of ssduck.simulators reads one"
+            )
+        loaded = backend(simulator).load(scene)
         try:
-            return cls.owning(running, scene.name, scene.sensors, scene.camera)
+            return cls.owning(loaded, scene.name, scene.sensors, scene.camera)
         except SceneError as error:
             message = f"{scene.path}: {error.message}"
             raise SceneError(message, suggestions=error.suggestions) from error
@@ -106,7 +111,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
     def owning(
         cls, simulator: Simulator, name: str, sensors: Sequence[SensorSpec], camera: Camera
     ) -> World:
-        """A world of a simulation that nobody else has: it is closed with its last handle."""
+        """Returns a world that owns its simulator, and closes it when the world is collected."""
         try:
             world = cls(simulator, name=name, sensors=sensors, camera=camera)
         except BaseException:
@@ -127,32 +132,32 @@ class World(ManipulableSimulation, OpenRaveWorld):
         shapes: ShapesByBody | None = None,
         simulator: str = DEFAULT_BACKEND,
     ) -> World:
-        """A world around a PyBullet client that you made and go on using.
+        """Returns a world around a PyBullet client that you created and continue to use.
 
-        Bodies that you add, remove or move are seen at the next `tick()`. Each body gets a
-        piece of PyBullet user data, by which a removed body is told from the next one of the
-        same number. Simulated time begins at 0. It goes on by the client's time step with each
-        `tick()`, which stands for a step of yours, and with each step that `step` and `run` run.
+        The next `tick()` sees bodies that you add, remove or move. ssduck attaches PyBullet user
+        data to each body, to distinguish a removed body from a later one with the same number.
+        Simulated time begins at 0. Each `tick()`, which stands for one step of yours, advances it
+        by the client's time step, as does each step of `step` and `run`.
 
         Args:
-            client: the client's number, or an object that holds it as `_client`.
-            names: names by PyBullet body number of bodies that are there now; others are named
-                as in their models, made unique.
-            kinds: `"robot"` or `"kinbody"` by such a number; by default what has movable joints
+            client: the number of the client, or an object with this number as `_client`.
+            names: the names of present bodies by PyBullet body number; other bodies are named
+                as in their models, as identifiers, made unique.
+            kinds: `"robot"` or `"kinbody"` by body number; by default a body with movable joints
                 is a robot.
-            name: what the world is called until it is bound to a variable.
-            shapes: collision shapes of bodies that are there now, instead of what PyBullet tells
-                of them: of a body's base by its number, of a link by (body, link), of one of its
-                shapes by (body, link, number), links by PyBullet's numbers (the base is -1). Each
-                is a mesh in the frame of the link, metres, or a list of meshes: a
+            name: the name until the world is bound to a variable.
+            shapes: collision shapes of present bodies, which replace those that PyBullet
+                reports: of a body's base by its number, of a link by (body, link), of one of its
+                shapes by (body, link, number), with PyBullet's link numbers (the base is -1).
+                Each is a mesh in the frame of the link, m, or a list of meshes: a
                 `trimesh.Trimesh`, (vertices (n, 3), faces (m, 3)), or the path of a mesh file;
                 faces of None make the convex hull. See `ssduck.height_field`.
-            simulator: the name of the simulator that the client is of; see `BACKENDS`.
+            simulator: the name of the client's simulator; see `BACKENDS`.
 
         Raises:
             SimulatorError: the client is not connected.
-            SelectScriptError: a number is no body's, or a kind is none of these.
-            ArgumentError: a key of `shapes` is no shape's, or a value is no mesh.
+            SelectScriptError: no body has a number, or a kind is invalid.
+            ArgumentError: no shape has a key of `shapes`, or a value is no mesh.
         """
         return cls(backend(simulator).attach(client, names, kinds, shapes), name=name)
 
@@ -166,30 +171,32 @@ class World(ManipulableSimulation, OpenRaveWorld):
         progress: bool | Literal["always"] = False,
         every: int | None = None,
     ) -> World:
-        """Run for so much simulated time, then take a tick; others where followers want them.
+        """Runs for a simulated time, then takes a tick; takes others that observers request.
 
         Args:
-            seconds: rounded to the nearest number of steps.
-            realtime: whether it takes as long by the clock on the wall; or how many times as
-                fast that is to be: 2.0 takes half as long, if the simulator can. A run that is
-                late makes up for it. It takes a tick 30 times a second of the clock, unless
-                `every` says otherwise, and waits at ticks only.
-            progress: whether a bar tells how far it is, on standard error if that is a
-                terminal; `"always"`: on any.
-            every: takes a tick each so many steps.
+            seconds: the simulated time, s, rounded to the nearest number of steps.
+            realtime: whether to run in real time; or the speed relative to it: 2.0 takes half as
+                long if the simulator is fast enough. A late run catches up. Such a run takes 30
+                ticks per second of real time unless `every` is given, and waits at ticks only.
+            progress: whether to show a progress bar on standard error if that is a terminal;
+                `"always"`: in any case.
+            every: the number of steps between ticks.
+
+        Returns:
+            The world itself.
 
         Raises:
-            ArgumentError: a time is negative or not finite, a speed is not above 0, `every` is
-                less than 1.
-            SimulatorError: the simulator does not answer; the last tick stays.
+            ArgumentError: the time is negative or not finite, the speed is not above 0, or
+                `every` is less than 1.
+            SimulatorError: the simulator does not answer; the last tick remains.
             UnsupportedError: it is a what-if world.
-            KeyboardInterrupt: it was stopped by Ctrl-C, at a tick.
+            KeyboardInterrupt: Ctrl-C stopped the run, at a tick.
         """
         run([self], seconds, realtime=realtime, progress=progress, every=every)
         return self
 
     def close(self) -> None:
-        """Give up the simulation; a client that you made stays connected."""
+        """Closes the simulation; a client that you created stays connected."""
         with self.lock:
             self._simulator.close()
 
@@ -201,13 +208,13 @@ class World(ManipulableSimulation, OpenRaveWorld):
         *,
         shadow: bool = True,
     ) -> npt.NDArray[np.uint8]:
-        """A colour picture of the simulation as it is now, (height, width, 3).
+        """Returns a colour picture of the current simulation, (height, width, 3), 0 to 255.
 
         Args:
-            width: pixels, 1 to 8192.
-            height: pixels, 1 to 8192.
-            camera: what it is seen by; by default the scene's.
-            shadow: whether things throw shadows.
+            width: the width in pixels, 1 to 8192.
+            height: the height in pixels, 1 to 8192.
+            camera: the camera; by default that of the scene.
+            shadow: whether bodies cast shadows.
 
         Raises:
             NumberError: the width or the height is no such number.
@@ -221,15 +228,15 @@ class World(ManipulableSimulation, OpenRaveWorld):
     def segmentation(
         self, width: int = 960, height: int = 720, camera: Camera | None = None
     ) -> Indices:
-        """What each pixel of that picture shows, (height, width): an entity's id; 0 for nothing."""
+        """Returns the entity's id for each pixel of that picture, (height, width); 0 for none."""
         width, height = validation.picture_size(width, height, "segmentation")
         with self.lock:
-            seen = self._simulator.segment(camera or self.camera, width, height)
-            ids = np.zeros(int(seen.max(initial=-1)) + 2, dtype=np.intp)
+            handles = self._simulator.segment(camera or self.camera, width, height)
+            ids = np.zeros(int(handles.max(initial=-1)) + 2, dtype=np.intp)
             for info in self._registry.entities:
                 if info.body is not None and info.body.handle < len(ids) - 1:
                     ids[info.body.handle] = info.id
-        return ids[seen]  # nothing is -1: the last one
+        return ids[handles]  # -1 stands for no body, and takes the last element
 
     # -- what if --------------------------------------------------------------------------
 
@@ -238,48 +245,48 @@ class World(ManipulableSimulation, OpenRaveWorld):
         poses: Mapping[str | Entity, Sequence[float]] | None = None,
         joints: Mapping[str | Entity, JointValues] | None = None,
     ) -> World:
-        """The world of this tick with some bodies elsewhere; the simulator is not touched.
+        """Returns the world of this tick with some bodies elsewhere, without the simulator.
 
-        It has the same entities, of the same ids and names, the same time and tick, and is
-        queried like any other. It never changes, whatever this world does later. What is moved
-        is at rest, but joints that are not given are as fast as they were, and sensors move with
-        what they sit on. It was not simulated, so that it has no contacts (asking for them is an
-        error), the efforts of joints are unknown, and it can neither be stepped nor drawn.
+        The what-if world has the same entities, with the same ids and names, and the same time
+        and tick. It is queried like any other world, and never changes. Moved bodies are at rest,
+        but joints that are not given keep their velocities; sensors move with their bodies.
+        Since it is not simulated, it has no contacts (requesting them is an error), joint efforts
+        are unknown, and it can neither be stepped nor drawn.
 
         Args:
-            poses: of link frames in the world by entity: orientation, then position, [w, x, y,
-                z, x, y, z], as `Entity.pose`; the orientation of any length but 0.
-            joints: positions by entity, rad or m: by the joint's name, or one for each
-                revolute and prismatic joint in order. The others stay as they are.
+            poses: the poses of link frames by entity: orientation, then position, [w, x, y, z,
+                x, y, z], as `Entity.pose`, world frame; the orientation of any length but 0.
+            joints: the positions of joints by entity, rad or m: by the joint's name, or one for
+                each revolute and prismatic joint in order. Other joints keep their positions.
 
         Raises:
-            UnknownNameError: there is no entity or no joint of a name, with the nearest names.
+            UnknownNameError: no entity or joint has a name; the error suggests the nearest names.
             StateError: a number is not finite, an orientation is all 0, or a joint is beyond
                 its limits.
             ArgumentError: an entity is a sensor or of another world, a joint's position is not
-                one number, or there are too many values or too few.
+                one number, or there are too many or too few values.
             RemovedEntityError: an entity is no longer in this world.
         """
         has_links = any(m.body and m.body.joints for m in self.snapshot.entities)
         with self.pinned((MASSES, MARGINS, *(("links", "joints") if has_links else ()))):
-            places = {
+            body_poses = {
                 body: parse_pose(pose, name) for name, body, pose in self._bodies_of(poses or {})
             }
             positions = {
                 body: joint_positions(values, body, name)
                 for name, body, values in self._bodies_of(joints or {})
             }
-            posed, snapshot = what_if_tick(self.snapshot, places, positions)
+            simulator, snapshot = what_if_tick(self.snapshot, body_poses, positions)
         world = World.__new__(World)
-        world._begin(posed, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
+        world._begin(simulator, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
         world._origin = self.origin  # noqa: SLF001
         return world.tick()
 
     def _bodies_of(self, by_entity: Mapping[str | Entity, T]) -> Iterator[tuple[str, Body, T]]:
-        """What is said of entities, with their names and what they are at this tick.
+        """Yields the name, the body and the value of each entity.
 
         Raises:
-            UnknownNameError: there is no entity of a name, with the nearest names.
+            UnknownNameError: no entity has a name; the error suggests the nearest names.
             ArgumentError: an entity is of another world, or no body.
             RemovedEntityError: an entity is no longer in the world.
         """
@@ -299,47 +306,47 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     @property
     def origin(self) -> World:
-        """The world whose tick it is, if it is a what-if world or a past one; else itself."""
+        """The world from which a what-if or past world derives; else the world itself."""
         return self if self._origin is None else self._origin
 
     @property
     def simulator(self) -> Simulator:
-        """What runs it."""
+        """The simulator of the world."""
         return self._simulator
 
     def excerpt(self, entities: Iterable[str | Entity]) -> World:
-        """A new, running world of some entities as they are at this tick, independent of it.
+        """Returns a new, running world with copies of some entities as they are at this tick.
 
-        It is in a PyBullet simulation of its own, and begins at the same time; its entities have
-        the same names. What is carried over, and what PyBullet does not tell, is listed in
-        docs/reference/result-forms.md.
+        The new world has its own PyBullet simulation, which starts at the same simulated time;
+        its entities have the same names. docs/reference/result-forms.md lists what is copied, and
+        what PyBullet does not report.
 
         Args:
-            entities: entities of this world, or their names; a sensor brings the body that it
-                sits on. None for an empty world of the same settings.
+            entities: entities of this world, or their names; with a sensor, its body is copied,
+                too. No entities make an empty world with the same settings.
 
         Raises:
-            UnknownNameError: there is no entity of a name, with the nearest names.
+            UnknownNameError: no entity has a name; the error suggests the nearest names.
             ArgumentError: an entity is of another world.
             RemovedEntityError: an entity is not in the world at this tick.
             SimulatorError: the simulator does not answer, or has no room for another.
             UnsupportedError: a body is soft.
         """
-        # Nothing is to move while it is read: neither here nor where the simulation is.
-        # The tick of a client that others step cannot be taken anew for its joints.
+        # Nothing may move while it is read, neither in this world nor in its origin.
+        # In an attached world, a new tick for the joints could differ from this one.
         tables = () if self._simulator.is_external else ("joints",)
         with self.pinned(tables), self.origin.lock:
-            chosen = {self._id_of(entity) for entity in entities}
-            simulator, sensors = excerpt(self.snapshot, chosen, self.origin.simulator)
+            ids = {self._id_of(entity) for entity in entities}
+            simulator, sensors = excerpt(self.snapshot, ids, self.origin.simulator)
         return World.owning(simulator, self.name, sensors, self.camera)
 
     def _id_of(self, entity: str | Entity) -> int:
-        """The id of an entity of this world, or of the one whose tick it is.
+        """Returns the id of an entity of this world or of its origin.
 
         Raises:
-            UnknownNameError: there is none of that name, with the nearest names.
-            ArgumentError: it is of another world.
-            RemovedEntityError: it is not in the world at its tick.
+            UnknownNameError: no entity has the name; the error suggests the nearest names.
+            ArgumentError: the entity is of another world.
+            RemovedEntityError: the entity is not in the world at its tick.
         """
         if not isinstance(entity, Entity):
             return self[entity].id
@@ -352,22 +359,20 @@ class World(ManipulableSimulation, OpenRaveWorld):
         return entity.id
 
     def save(self, path: str | Path) -> Path:
-        """Save the world as it is at this tick as a scene, that `ssduck.load` reads.
+        """Saves the world at this tick as a scene, which `ssduck.load` reads.
 
         Args:
-            path: a folder that is not there yet, or is empty: it gets a `scene.toml`, and the
-                models.
+            path: a new or empty folder for the file `scene.toml` and the models.
 
         Returns:
-            The scene's file.
+            The path of the scene's file.
 
         Raises:
-            SceneError: something is there already, or cannot be written.
+            SceneError: the folder is not empty, or something cannot be written.
         """
         folder = Path(path)
         with new_folder(folder):
-            # A copy is a world that ssduck made, whatever it is of: a tick of the past, a client
-            # that somebody else has, what would be if.
+            # The copy is an ordinary world, also of a past, what-if or attached one.
             copy = self.excerpt(self)
             try:
                 with copy.pinned(("joints",)):
@@ -380,23 +385,23 @@ class World(ManipulableSimulation, OpenRaveWorld):
     # -- entities -------------------------------------------------------------------------
 
     def __iter__(self) -> Iterator[Entity]:
-        """The entities: sensors first, then bodies, each in load order."""
+        """Iterates over the entities: sensors first, then bodies, each in load order."""
         return map(self.entity, [info.id for info in self.snapshot.entities])
 
     def __len__(self) -> int:
         return len(self.snapshot.entities)
 
     def __contains__(self, thing: object) -> bool:
-        """Whether it has an entity of that name, or that entity."""
+        """Whether the world has an entity, given by its name or its handle."""
         if isinstance(thing, Entity):
             return thing.world is self and thing.id in self.snapshot.rows
         return any(info.name == thing for info in self.snapshot.entities)
 
     def __getitem__(self, name: str) -> Entity:
-        """The entity of that name.
+        """Returns the entity of a name.
 
         Raises:
-            UnknownNameError: there is none, with the nearest names.
+            UnknownNameError: no entity has the name; the error suggests the nearest names.
         """
         for info in self.snapshot.entities:
             if info.name == name:
@@ -407,10 +412,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
         )
 
     def entity(self, id: int) -> Entity:
-        """The handle of an entity that is there, by its id.
+        """Returns the handle of a present entity by its id.
 
         Raises:
-            UnknownNameError: there is none of that id.
+            UnknownNameError: no entity has the id.
         """
         row = self.snapshot.rows.get(id) if validation.is_integer(id) else None
         if row is None:
@@ -434,20 +439,24 @@ class World(ManipulableSimulation, OpenRaveWorld):
         orientation: Sequence[float] = (1.0, 0.0, 0.0, 0.0),
         **settings: float,
     ) -> Sensor:
-        """Put a sensor on a body, and take a tick.
+        """Adds a sensor on a body, and takes a tick.
 
         Args:
             type: one of `ssduck.simulators.sensor_types.SENSOR_TYPES`.
-            on: the body, or its name. The sensor does not perceive it.
-            name: unique in the world; made of the two above if it is not given.
-            link: the link that it sits on; by default the base.
-            position: in that link's frame, metres.
-            orientation: in that link's frame, w, x, y, z; it looks along its own +x, with z up.
-            **settings: `max_range` (m), those of its type, `period` (seconds between two
-                measurements; 0: each tick is one) and `powered` (whether it is switched on).
+            on: the body or its name. The sensor does not perceive this body.
+            name: the name, unique in the world; by default made of the names of body and type.
+            link: the link that the sensor is mounted on; by default the base.
+            position: the position in the frame of the link, m.
+            orientation: the orientation in the frame of the link, w, x, y, z; the sensor looks
+                along its own +x, with z up.
+            **settings: `max_range` (m), the settings of the type, `period` (seconds between two
+                measurements; 0: one at each tick) and `powered` (whether it is switched on).
+
+        Returns:
+            The handle of the sensor.
 
         Raises:
-            UnknownNameError: there is no such body or link, with the nearest names.
+            UnknownNameError: no body or link has the name; the error suggests the nearest names.
             ArgumentError: a setting is wrong.
             RemovedEntityError: the body is no longer in the world.
         """
@@ -472,11 +481,15 @@ class World(ManipulableSimulation, OpenRaveWorld):
         return sensor
 
     def remove_sensor(self, sensor: str | Sensor) -> None:
-        """Take a sensor off its body, and take a tick.
+        """Removes a sensor, and takes a tick.
+
+        Args:
+            sensor: the sensor or its name.
 
         Raises:
-            UnknownNameError: there is no such sensor, with the nearest names.
-            RemovedEntityError: it is no longer in the world.
+            UnknownNameError: no sensor has the name; the error suggests the nearest names.
+            ArgumentError: the entity is no sensor.
+            RemovedEntityError: the sensor is no longer in the world.
         """
         with self.lock:
             self._check_not_pinned()
@@ -489,7 +502,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
             self._take_tick()
 
     def switch(self, sensor: Sensor, *, on: bool) -> None:
-        """Switch a sensor on or off; see `Sensor.power`."""
+        """Switches a sensor on or off; see `Sensor.power`."""
         with self.lock:
             self._check_not_pinned()
             if sensor not in self:
@@ -499,41 +512,44 @@ class World(ManipulableSimulation, OpenRaveWorld):
                 self.snapshot.switch(sensor.id, on=on)
 
     def reading(self, sensor: Sensor, *, picture: bool = False) -> Reading | None:
-        """What a sensor measured last, with its colours if they are asked for; None if off."""
+        """Returns the last reading of a sensor, with a picture if requested; None if it is off."""
         with self.lock:
             if sensor not in self:
                 raise sensor.removed()
             if self.snapshot.request_sensor(sensor.id, picture=picture):
                 self._take_requested()
-                if sensor not in self:  # its body went
+                if sensor not in self:  # its body was removed
                     raise sensor.removed()
             return self.snapshot.sensing.readings.get(sensor.id)
 
     # -- bodies ---------------------------------------------------------------------------
 
     def remove(self, entity: str | Entity) -> None:
-        """Take an entity out of a world that ssduck made, with the sensors on it, and take a tick.
+        """Removes an entity with the sensors on it from a world that ssduck loaded; takes a tick.
+
+        Args:
+            entity: the entity or its name.
 
         Raises:
-            UnknownNameError: there is no entity of that name, with the nearest names.
-            RemovedEntityError: it is no longer in its world.
-            UnsupportedError: the client is yours: remove the body there, and the next tick sees
-                it; or it is a what-if world.
+            UnknownNameError: no entity has the name; the error suggests the nearest names.
+            RemovedEntityError: the entity is no longer in its world.
+            UnsupportedError: the world is attached (remove the body in your client, and the next
+                tick sees it), or it is a what-if world.
         """
-        chosen = entity if isinstance(entity, Entity) else self[entity]
-        if isinstance(chosen, Sensor):
-            self.remove_sensor(chosen)
+        handle = entity if isinstance(entity, Entity) else self[entity]
+        if isinstance(handle, Sensor):
+            self.remove_sensor(handle)
             return
         if self._simulator.is_external:
             raise UnsupportedError(
-                f"{chosen.name!r} is in a client of yours: remove it there, and the next tick sees "
+                f"{handle.name!r} is in a client of yours: remove it there, and the next tick sees "
                 "it; or take an excerpt, and remove it from that"
             )
-        self._change(chosen, "remove", self._simulator.remove)
+        self._change(handle, "remove", self._simulator.remove)
 
 
 def _plain(value: Any) -> Any:
-    """Numpy's numbers as Python's, and a sequence as a list; whatever else it is as it is."""
+    """Converts numpy values to Python's and sequences to lists; returns other values unchanged."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     is_list = isinstance(value, Sequence) and not isinstance(value, str)

@@ -170,7 +170,11 @@ def test_a_form_that_needs_columns(kitchen, registry):
 
 BAD = [
     ("SELECT id FROM kitchen AS lst;", UnknownNameError, "no result form 'lst'.*'list'"),
-    ("SELECT id FROM kitchen AS list(1);", ArgumentError, "too many positional.*it is AS list"),
+    (
+        "SELECT id FROM kitchen AS list(1);",
+        ArgumentError,
+        "too many positional.*its usage: AS list",
+    ),
     ("SELECT id FROM kitchen AS value(x=1);", ArgumentError, "unexpected keyword.*'x'"),
     ("SELECT id FROM kitchen AS breaks;", FunctionError, "AS breaks: ZeroDivisionError"),
     ("SELECT id FROM kitchen AS complains;", ArgumentError, "AS complains: no cup"),

@@ -119,7 +119,7 @@ TWICE = {
 def test_two_columns_of_one_name_are_an_error_that_names_it(both, name):
     for interpreter in both:
         interpreter.add_variable("t", TWICE[name])
-        with pytest.raises(ArgumentError, match=r"two columns that are called '(b|1)'"):
+        with pytest.raises(ArgumentError, match=r"two columns of the name '(b|1)'"):
             interpreter.eval("SELECT this FROM t;")
 
 

@@ -731,7 +731,7 @@ def test_sums_of_groups(kitchen):
         ("map(0.2, 0.1, [[0, 0], [1]])", r"bounds is two corners"),
         ("map(0.2, 0.1, [[0, 0], [0, 1]])", "bounds: 0 is not below 0"),
         ("map(0.2, 0.00001)", "more than 100,000,000; take larger cells, or bounds of a part"),
-        ("map(0.2)", "it is AS occupancygrid | map"),
+        ("map(0.2)", "its usage: AS occupancygrid | map"),
         ("voxelgrid(0.1, [[0, 0], [1, 1]])", r"two corners \[x, y, z\]"),
         ("voxelgrid(0.001)", "more than 100,000,000"),
         ("sensorgrid(0.2, 'fine')", "the size of a cell is a number"),

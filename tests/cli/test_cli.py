@@ -477,7 +477,7 @@ RECORD_ERRORS = [
     (["query", "empty", "1;"], 1, "empty is no record of ssduck: it has no ssduck.json"),
     (["query", "run", "SELECT z FROM tow;"], 1, "did you mean 'to' or 'two'"),
     (["query", "run", "1;", "--steps", "5"], 2, "a record cannot be simulated further"),
-    (["query", "run", "1;", "--episode", "3"], 1, "no episode 3 holds any tick"),
+    (["query", "run", "1;", "--episode", "3"], 1, "no episode 3 has ticks"),
     (["query", "two.toml", "1;", "--episode", "3"], 2, "two.toml is no record"),
     (["episodes", "nothing"], 1, "there is no record nothing: neither a folder nor a DuckDB file"),
     (["episodes", "two.toml"], 1, "two.toml cannot be opened"),
@@ -537,7 +537,7 @@ def test_an_interrupted_recording_is_whole(here, output):
         out, err = process.communicate(timeout=HANGS)
     assert (process.returncode, err) == (
         130,
-        "interrupted: what was recorded until then is whole\n",
+        "interrupted: the record is complete up to then\n",
     )
     (episode,) = ssduck.episodes(output)
     assert out.startswith(f"{episode.ticks} ticks of 'two', from 0 s to {episode.end:g} s")

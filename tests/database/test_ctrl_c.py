@@ -48,8 +48,8 @@ def database():
 @pytest.fixture
 def deaf(monkeypatch):
     """The thread takes nothing; tests take in its place."""
-    monkeypatch.setattr(ctrl_c._Line, "_listen", lambda line: None)
-    line = ctrl_c._Line()
+    monkeypatch.setattr(ctrl_c._SignalSocket, "_listen", lambda line: None)
+    line = ctrl_c._SignalSocket()
     monkeypatch.setattr(ctrl_c, "_line", line)
     yield line
     line.close()

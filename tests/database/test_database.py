@@ -136,7 +136,7 @@ def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
     interpreter, _, _ = sim
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
-        with pytest.raises(ssduck.SelectScriptError, match="upper from lower case"):
+        with pytest.raises(ssduck.SelectScriptError, match="SQL ignores case"):
             interpreter.add_variable("Sim", kitchen)
     assert len(interpreter.eval("SELECT id FROM sim;")) == 3
 
@@ -529,7 +529,7 @@ def test_tables_columns_and_functions_are_commented(sim):
         if name != "geometries":
             assert views.pop(f"{name}_history") == f"A row is {row}, at each recorded tick."
         if name in MODELS:
-            told = f"What is the same at each recorded tick. A row is {row}."
+            told = f"Values that are the same at all recorded ticks. A row is {row}."
             assert views.pop(f"{name}_model") == told
     assert views == {}
     for place in ("temp", "sim"):

@@ -75,7 +75,7 @@ def by_pair(found):
     return {(a, b): values for a, b, *values in found}
 
 
-def exactly(values):
+def exact_key(values):
     """Numbers as they are told apart: -0.0 is not 0.0."""
     return repr(values)
 
@@ -89,7 +89,7 @@ def test_in_either_order_and_through_every_door(heap, tmp_path):
         assert sum(force > 0 for _, _, force, _ in live.values()) > 10
         for (a, b), (*values, points) in live.items():
             if b != "ground":
-                assert exactly([*values, points[::-1]]) == exactly(live[b, a])
+                assert exact_key([*values, points[::-1]]) == exact_key(live[b, a])
         now = heap.time
         doors = {
             "past": ss.eval(
@@ -112,18 +112,18 @@ def test_in_either_order_and_through_every_door(heap, tmp_path):
         told = by_pair(found)
         assert told.keys() == live.keys()
         for pair, values in live.items():
-            assert exactly(told[pair]) == exactly(values), (door, pair)
+            assert exact_key(told[pair]) == exact_key(values), (door, pair)
     for pair, (gap, depth, _, points) in live.items():
-        assert exactly(maybe[pair]) == exactly([gap, depth, points]), pair
+        assert exact_key(maybe[pair]) == exact_key([gap, depth, points]), pair
     for pair, found in alone.items():
         gap, depth, force, points = live[pair]
-        assert exactly(found) == exactly([gap, depth, force, points]), pair
+        assert exact_key(found) == exact_key([gap, depth, force, points]), pair
     for place in ("run", "run.duckdb"):
         with ssduck.open(tmp_path / place) as opened:
             for text, expected in (("sim", live), ("sim{0.5}", by_pair(earlier))):
                 found = by_pair(opened.eval(measured(MEASURES, "a={0}, b={0}", text)))
                 for pair, values in expected.items():
-                    assert exactly(found[pair]) == exactly(values), (place, text, pair)
+                    assert exact_key(found[pair]) == exact_key(values), (place, text, pair)
 
 
 def one_by_one(ss, pair, now):

@@ -129,7 +129,7 @@ SQL = [
     ("SELECT " + "(" * 5000, "nested deeper than 100 brackets"),
     ("SELECT " + "[" * 500 + "1" + "]" * 500, "nested deeper than 100 brackets"),
     ("SELECT 'ü', " + "{'a': (" * 60 + "1" + ")}" * 60, "nested deeper than 100 brackets"),
-    ("SELECT [" + "1, " * 200_000 + "1]", "SQL of 400004 words"),
+    ("SELECT [" + "1, " * 200_000 + "1]", "SQL has 400004 words"),
 ]
 
 

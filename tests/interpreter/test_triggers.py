@@ -524,9 +524,9 @@ def test_numbers_of_any_kind(ss, sim, interval):
         ({"queue": 0}, "queue: 0 is no size; 1 or more"),
         ({"queue": True}, "queue: True is no size"),
         ({"queue": 1.5}, "queue: 1.5 is no size"),
-        ({"name": ""}, "name: '' is no name"),
-        ({"name": 3}, "name: 3 is no name"),
-        ({"program": 3}, "program: 3 is neither a text nor what compile gave"),
+        ({"name": ""}, "name: '' is not a non-empty text"),
+        ({"name": 3}, "name: 3 is not a non-empty text"),
+        ({"program": 3}, "program: 3 is neither a text nor a compiled program"),
         ({"callback": 3}, "callback: 3 is no function"),
     ],
 )
@@ -1131,7 +1131,7 @@ def test_worlds_end_at_the_step_that_is_nearest(steps, seconds, every):
 def test_what_was_not_simulated_does_not_run(ss, sim):
     with (
         ssduck.Interpreter() as empty,
-        pytest.raises(UnknownNameError, match="there is no world that could run"),
+        pytest.raises(UnknownNameError, match="there is no world to run"),
     ):
         empty.run(1)
     maybe = ss.add_variable("maybe", sim.what_if())

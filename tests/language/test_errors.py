@@ -125,14 +125,14 @@ MISTAKES = [
         "SELECT id FROM kitchen, kitchen;",
         ArgumentError,
         "kitchen",
-        "two sources are called 'kitchen'",
+        "two sources have the name 'kitchen'",
         [],
     ),
     (
         "SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen;",
         ArgumentError,
         "id(b.this)",
-        "two columns are called 'id'",
+        "two columns have the name 'id'",
         [],
     ),
     (

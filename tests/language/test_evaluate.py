@@ -20,7 +20,7 @@ from ssduck.errors import (
 )
 from ssduck.interpreter import query_runner as queries
 from ssduck.language import evaluator as evaluate
-from ssduck.language.value_keys import ValueKeys, exactly
+from ssduck.language.value_keys import ValueKeys, exact_key
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
@@ -286,7 +286,7 @@ def test_print_in_a_search_happens_at_each_row(ss, capsys):
     ],
 )
 def test_what_functions_tell_apart_is_no_state_twice(values):
-    assert len({exactly(value) for value in values}) == len(values)
+    assert len({exact_key(value) for value in values}) == len(values)
     keys = ValueKeys()
     assert len({keys.exact([value]) for value in values}) == len(values)
     assert keys.exact([values[0]]) == keys.exact([values[0]])
@@ -309,8 +309,8 @@ class Mute:
 
 
 def test_what_cannot_be_told_apart_is_no_state():
-    with pytest.raises(ArgumentError, match="Mute cannot be told apart"):
-        exactly(Mute())
+    with pytest.raises(ArgumentError, match="Mute cannot be compared"):
+        exact_key(Mute())
 
 
 def test_a_state_of_what_functions_tell_apart(ss):

@@ -206,7 +206,7 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
     ("program", "error", "told"),
     [
         ("holds(1 < 2);", ArgumentError, "holds takes an expression of entities"),
-        ("holds([] == (SELECT this FROM lab));", UnsupportedError, "without a query in it"),
+        ("holds([] == (SELECT this FROM lab));", UnsupportedError, "without a query"),
         ("holds(near(ball, bord, 1));", UnknownNameError, "did you mean 'board'"),
         ("since(z(ball) > 0, 1);", ArgumentError, "since takes one argument"),
         ("holds();", ArgumentError, "holds takes 1 to 2 arguments"),

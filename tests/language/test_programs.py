@@ -546,8 +546,8 @@ def arities(name):
     if name in RELATIONS:
         return sorted(RELATIONS[name].expressions)
     function = BUILTINS[name]
-    most = function.least + 1 if function.most is None else function.most
-    return range(function.least, most + 1)
+    most = function.min_arguments + 1 if function.most is None else function.most
+    return range(function.min_arguments, most + 1)
 
 
 @pytest.fixture(scope="module")

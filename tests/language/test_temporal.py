@@ -241,20 +241,20 @@ MISTAKES = [
     (["v{} = 1;"], "v{-1e999};", ArgumentError, "v{-1e999}", "a finite number of seconds"),
     (["v{} = 1;"], "v{none()};", ArgumentError, "v{none()}", "a number of seconds, not None"),
     (["v{} = 1;"], "v{1 / 0};", EvaluationError, "1 / 0", "division by zero"),
-    ([], "v{-1} = 1;", ArgumentError, "-1", "a horizon is not less than 0 s, as -1 is"),
+    ([], "v{-1} = 1;", ArgumentError, "-1", "a horizon must be at least 0 s, not -1"),
     ([], "v{'a'} = 1;", ArgumentError, "'a'", "a horizon is a number of seconds, not 'a'"),
     ([], "v{1e999} = 1;", ArgumentError, "1e999", "a horizon is a finite number of seconds"),
     ([], "v{1e999 - 1e999} = 1;", ArgumentError, "1e999 - 1e999", "a finite number"),
     ([], "v{False} = 1;", ArgumentError, "False", "a horizon is a number of seconds"),
     ([], "v{v} = 1;", UnknownNameError, "v", "no variable 'v'"),
-    ([], "v{5} = w;", ArgumentError, "v{5} = w", "a world is no value to be kept"),
+    ([], "v{5} = w;", ArgumentError, "v{5} = w", "a world cannot be kept"),
     ([], "v{} = [a.this];", ArgumentError, "v{} = [a.this]", "has no history"),
     (["u = [a.this];"], "v{} = u;", ArgumentError, "v{} = u", "has no history"),
     ([], "w{1.5};", EvaluationError, "w{1.5}", "'w' is recorded from 0 s to 0 s"),
-    ([1, "v{} = 1;", 1], "v{0.5};", EvaluationError, "v{0.5}", "v: 0.5 s is before what is kept, 1 s to 2 s"),
-    (["v{1} = 1;", 1.5, "v{1} = 2;", 0.5], "v{0.999};", EvaluationError, "v{0.999}", "v: 0.999 s is before what is kept, 1 s to 2 s; a longer horizon keeps more"),
-    (["v{1} = 1;", 2], "v{0};", EvaluationError, "v{0}", "before what is kept, 1 s to 2 s"),
-    (["v{1} = 1;", 2], "SELECT v{0} FROM [1];", EvaluationError, "v{0}", "before what is kept"),
+    ([1, "v{} = 1;", 1], "v{0.5};", EvaluationError, "v{0.5}", "v: 0.5 s is before the kept values, 1 s to 2 s"),
+    (["v{1} = 1;", 1.5, "v{1} = 2;", 0.5], "v{0.999};", EvaluationError, "v{0.999}", "v: 0.999 s is before the kept values, 1 s to 2 s; a longer horizon keeps more"),
+    (["v{1} = 1;", 2], "v{0};", EvaluationError, "v{0}", "before the kept values, 1 s to 2 s"),
+    (["v{1} = 1;", 2], "SELECT v{0} FROM [1];", EvaluationError, "v{0}", "before the kept values"),
     (["v{1} = 1;", 2], "SELECT v{this} FROM [1.5, 0.5];", EvaluationError, "v{this}", "0.5 s is before"),
     (["v{} = 1;"], "SELECT v{0} FROM [1, 2] START WITH v = 1 CONNECT BY v = 2 STOP WITH v == 2;", ArgumentError, "v{0}", "v is a state variable here"),
     ([], "SELECT this FROM [1] WHERE (s{} = 1) > 0 START WITH s = 1 CONNECT BY s = 2 STOP WITH s == 2;", ArgumentError, "s{} = 1", "s is a state variable here"),
@@ -408,7 +408,7 @@ def test_a_younger_world_forgets_what_is_later(ss, second):
     assert ss.eval("getTime();") == 1.0
     assert ss.eval("[v{}, v{1}, v{5}, v];") == [[0, 1], 1, 1, 2]
     assert ss.eval("u{};") == []
-    with pytest.raises(EvaluationError, match="u: nothing is kept: it is 1 s, before"):
+    with pytest.raises(EvaluationError, match="u: no value is kept: it is 1 s, before"):
         ss.eval("u{1};")
     # What was forgotten is not back when the time is.
     young.step(round(3 / STEP))

@@ -277,9 +277,9 @@ def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     assert len(world["barrett_4918"].joints) == len(world["barrett_4918"].links) - 1
     with pytest.raises(UnsupportedError, match="recorded tick"):
         cup.move([0, 0, 1])
-    with pytest.raises(UnsupportedError, match="is a record itself"):
+    with pytest.raises(UnsupportedError, match="is itself a record"):
         opened.record("kitchen", Recording())
-    with pytest.raises(UnsupportedError, match="is a record itself"):
+    with pytest.raises(UnsupportedError, match="is itself a record"):
         opened.record_to("elsewhere", "kitchen")
     assert not Path("elsewhere").exists()
 
@@ -394,7 +394,7 @@ def test_a_newer_episode_that_holds_nothing_does_not_hide_an_older_one(tmp_path,
         (tmp_path / "run" / "episodes" / "lab-2.json").touch()  # about to begin
         with ssduck.open(tmp_path / "run") as opened:
             assert opened.past("lab").ticks[-1] == ss.past("lab").ticks[-1]
-        with pytest.raises(RecordError, match="no episode 1 holds any tick; those that do: 0 of"):
+        with pytest.raises(RecordError, match="no episode 1 has ticks; episodes with ticks: 0 of"):
             ssduck.open(tmp_path / "run", episode=1)
         writing.close()
         assert writing.episode.ticks == 1
@@ -640,10 +640,10 @@ DAMAGES = [
         {},
         "missing",
     ),
-    (lambda r: shutil.rmtree(r / "ticks"), {}, "of 'lab' nothing was stored"),
+    (lambda r: shutil.rmtree(r / "ticks"), {}, "no tick of 'lab' was stored"),
     (lambda r: shutil.rmtree(r / "episodes"), {}, "nothing is recorded there"),
-    (lambda r: None, {"world": "lap"}, "nothing of a world 'lap' is recorded.* mean 'lab'"),
-    (lambda r: None, {"episode": 3}, "no episode 3 holds any tick; those that do: 0 of 'lab'"),
+    (lambda r: None, {"world": "lap"}, "no world 'lap' is recorded.* mean 'lab'"),
+    (lambda r: None, {"episode": 3}, "no episode 3 has ticks; episodes with ticks: 0 of 'lab'"),
 ]
 
 
@@ -853,10 +853,10 @@ def test_files_that_hold_no_record(tmp_path):
 @pytest.mark.parametrize(
     ("about", "told"),
     [
-        ("{", "is damaged: lab_record_0 does not tell what it holds"),
-        ('{"version": 1}', "is damaged: lab_record_0 does not tell what it holds"),
+        ("{", "is damaged: lab_record_0 lacks its description"),
+        ('{"version": 1}', "is damaged: lab_record_0 lacks its description"),
         (None, "lab_record_0 in .* is a record of version 9; .*install a newer one"),
-        ("bad", "is damaged: what was kept is none that there is"),
+        ("bad", "is damaged: it has no valid recording settings"),
     ],
 )
 def test_files_of_another_version_or_damaged(tmp_path, client, about, told):
@@ -877,7 +877,7 @@ def test_files_of_another_version_or_damaged(tmp_path, client, about, told):
 def test_names_that_recorded_runs_have_are_taken(tmp_path, client):
     with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client))
-        with pytest.raises(ArgumentError, match="a recorded run is called so in SQL"):
+        with pytest.raises(ArgumentError, match="a recorded run has it in SQL"):
             ss.add_variable("lab_record_0", world)
         with pytest.raises(ArgumentError, match="no entity 'nobody'"):
             ss.record("lab", Recording(entities=("nobody",)))
@@ -1001,4 +1001,4 @@ def test_killed_recorders_leave_whole_records(seed):
     """The short form of `python -m tools.kill`."""
     run = kill.Run(kill.KINDS["both"])
     run.add(seed)
-    assert run.found == {}
+    assert run.faults == {}

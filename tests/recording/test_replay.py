@@ -18,15 +18,15 @@ from tools import replay
 @pytest.mark.slow
 def test_a_record_answers_as_the_live_world_did(tmp_path: Path) -> None:
     live = replay.recorded(tmp_path / "run", 0.5, 12, seed=3)
-    again = replay.replayed(tmp_path / "run", list(live.answers))
-    assert len(live.answers) == 10
-    assert all(any(answer != "[]" for answer in told) for told in live.answers.values())
+    again = replay.replayed(tmp_path / "run", list(live.results))
+    assert len(live.results) == 10
+    assert all(any(answer != "[]" for answer in told) for told in live.results.values())
     assert replay.differences(live, again) == []
 
 
 def test_what_differs_is_found() -> None:
-    live = replay.Answers({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
-    again = replay.Answers({1.0: ["[1]", "[3]"]}, [])
+    live = replay.RunResults({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
+    again = replay.RunResults({1.0: ["[1]", "[3]"]}, [])
     assert len(replay.differences(live, again)) == 3
 
 

@@ -163,7 +163,7 @@ def test_nothing_is_made_good_amid_a_query(
 ) -> None:
     _ticked(world, RING)
     recorder = _recorder(recorded)
-    with recorded._database.held():
+    with recorded._database.pinned():
         recorder._start_storing()
         thread = _storers()[0]
         thread.join(0.2)
@@ -186,7 +186,7 @@ def test_queries_see_whole_ticks_while_they_are_stored(
     thread, _ = _in_thread(stepping)
     try:
         for _ in range(20):
-            with recorded._database.held():
+            with recorded._database.pinned():
                 last = world.snapshot.number
                 for _ in range(2):
                     assert _counts(recorded) == _whole(last)

@@ -27,7 +27,7 @@ SIDES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
 RADIUS = 0.03
 
 
-def exactly(client, **how):
+def exact_key(client, **how):
     """An attached world, of which nothing is warned."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -86,7 +86,7 @@ MARGIN = 0.04
 def test_shapes_of_mjcf_files_are_where_rays_meet_them(client, model):
     """PyBullet's own rays are the oracle: what they end on is a surface."""
     handles = pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
-    world = exactly(client)
+    world = exact_key(client)
     assert all(shape.exact for handle in handles for shape in body_of(world, handle).shapes)
     rng = np.random.default_rng(len(model))
     starts, ends = [], []
@@ -124,7 +124,7 @@ def test_capsules_of_mjcf_files_are_as_they_are_written(client, model):
             radius = float(geom.get("size").split()[0])
             written[radius, round(float(np.linalg.norm(ends[1] - ends[0])), 6)] += 1
     pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
-    bodies = [member.body for member in exactly(client).snapshot.entities]
+    bodies = [member.body for member in exact_key(client).snapshot.entities]
     shapes = [shape.geometry for body in bodies for shape in body.shapes]
     found = Counter(
         (round(g.size[0], 6), round(g.size[1], 6)) for g in shapes if g.type == "capsule"
@@ -140,7 +140,7 @@ def test_shapes_of_mjcf_files_are_as_far_as_pybullet_says(client, model):
         pybullet.GEOM_SPHERE, radius=RADIUS, physicsClientId=client
     )
     probe = pybullet.createMultiBody(1.0, ball, physicsClientId=client)
-    world = exactly(client)
+    world = exact_key(client)
     rng = np.random.default_rng(2)
     compared = 0
     for handle in handles:
@@ -164,7 +164,7 @@ def test_shapes_of_mjcf_files_are_as_far_as_pybullet_says(client, model):
 def test_numbers_of_files_are_kept_as_they_are_written(client):
     """PyBullet saves single floats; 0.08 is not to become 0.07999999821186066."""
     pybullet.loadMJCF(str(LIBRARY / "mjcf" / "ant.xml"), physicsClientId=client)
-    (body,) = [m.body for m in exactly(client).snapshot.entities]
+    (body,) = [m.body for m in exact_key(client).snapshot.entities]
     leg = next(shape for shape in body.shapes if shape.frame == 1)
     assert leg.geometry.size == (0.08, pytest.approx(0.2 * 2**0.5, abs=1e-15), 0.0)
     assert leg.position == pytest.approx([0.1, 0.1, 0.0], abs=1e-8)
@@ -188,7 +188,7 @@ def concave(client, scale=(1, 1, 1), **how):
 @pytest.mark.parametrize("scale", [(1, 1, 1), (0.5, 2, 3)])
 def test_concave_meshes_are_read_to_the_last_digit(client, scale):
     handle = concave(client, scale)
-    (shape,) = body_of(exactly(client), handle).shapes
+    (shape,) = body_of(exact_key(client), handle).shapes
     assert (shape.geometry.type, shape.exact) == ("mesh", True)
     corners = {tuple(corner) for corner in shape.geometry.vertices.tolist()}
     assert corners == {tuple((np.array(corner) * scale).tolist()) for corner in TETRA}
@@ -214,7 +214,7 @@ def rigid(client, kind, **how):
 )
 def test_rigid_bodies_are_read_too(client, kind, how, expected):
     handle = rigid(client, kind, **how)
-    (shape,) = body_of(exactly(client), handle).shapes
+    (shape,) = body_of(exact_key(client), handle).shapes
     assert shape.geometry.type == expected[0]
     assert shape.geometry.size == pytest.approx(expected[1], abs=1e-7)
 
@@ -228,14 +228,14 @@ def test_what_is_drawn_otherwise_is_not_believed(client):
         pybullet.GEOM_CAPSULE, radius=0.1, height=0.3, physicsClientId=client
     )
     handle = pybullet.createMultiBody(1.0, solid, drawn, physicsClientId=client)
-    (shape,) = body_of(exactly(client), handle).shapes
+    (shape,) = body_of(exact_key(client), handle).shapes
     assert shape.geometry.size == pytest.approx((0.1, 0.3, 0.0), abs=1e-7)
 
 
 def test_bodies_in_one_place_are_told_apart(client):
     """All at the origin, of one name, mass and number of links."""
     handles = [concave(client, (size, size, size)) for size in (1, 2, 3)]
-    world = exactly(client)
+    world = exact_key(client)
     heights = [body_of(world, h).shapes[0].geometry.vertices[:, 2].max() for h in handles]
     assert heights == [1.0, 2.0, 3.0]
     pybullet.removeBody(handles[0], client)
@@ -253,7 +253,7 @@ def test_reading_changes_nothing(client):
         pybullet.loadMJCF(str(LIBRARY / "mjcf" / "capsule_fromtoX.xml"), physicsClientId=own)
         concave(own)
         rigid(own, pybullet.GEOM_SPHERE, radius=0.2)
-        world = exactly(own) if attached else None
+        world = exact_key(own) if attached else None
         for _ in range(60):
             pybullet.stepSimulation(own)
         found = []
@@ -292,7 +292,7 @@ def field(client, orientation=(0, 0, 0, 1)):
 def test_a_height_field_is_where_rays_meet_it(client):
     turn = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.1])
     handle = field(client, turn)
-    world = exactly(client, shapes={handle: height_field(HEIGHTS, 5, 4, SCALE)})
+    world = exact_key(client, shapes={handle: height_field(HEIGHTS, 5, 4, SCALE)})
     (shape,) = body_of(world, handle).shapes
     matrix = np.array(pybullet.getMatrixFromQuaternion(turn)).reshape(3, 3)
     corners = (shape.geometry.vertices @ matrix.T + [1, 2, 3])[shape.geometry.faces]
@@ -352,7 +352,7 @@ def test_a_caller_may_give_the_shapes(client, tmp_path, form, key):
     handle = field(client)
     assert handle == 0
     value, kind = given_forms(tmp_path)[form]
-    world = exactly(client, shapes={key: value})
+    world = exact_key(client, shapes={key: value})
     shapes = body_of(world, handle).shapes
     assert [s.exact for s in shapes] == [True] * (3 if form == "several" else 1)
     assert shapes[0].geometry.type == kind
@@ -370,7 +370,7 @@ def test_one_of_several_shapes_may_be_given(client):
         physicsClientId=client,
     )
     pybullet.createMultiBody(1.0, shape, physicsClientId=client)
-    world = exactly(client, shapes={(0, -1, 1): (TETRA, SIDES)})
+    world = exact_key(client, shapes={(0, -1, 1): (TETRA, SIDES)})
     assert [s.geometry.type for s in body_of(world, 0).shapes] == ["box", "mesh"]
     with pytest.raises(ssduck.SelectScriptError, match="has no shape 2: it has 2 shapes, from 0"):
         ssduck.World.attach(client, shapes={(0, -1, 2): (TETRA, SIDES)})
@@ -378,7 +378,7 @@ def test_one_of_several_shapes_may_be_given(client):
 
 def test_what_was_said_of_a_body_is_not_said_of_the_next_one(client):
     field(client)
-    world = exactly(client, shapes={0: (TETRA, SIDES)})
+    world = exact_key(client, shapes={0: (TETRA, SIDES)})
     pybullet.removeBody(0, client)
     world.tick()
     field(client)

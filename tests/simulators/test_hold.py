@@ -158,7 +158,7 @@ def test_errors(yard):
     gripper, ball = yard["gripper"], yard["ball"]
     with pytest.raises(UnknownNameError, match="did you mean 'hand'"):
         gripper.hold(ball, "hnad")
-    with pytest.raises(ArgumentError, match="gripper itself"):
+    with pytest.raises(ArgumentError, match="gripper cannot hold itself"):
         gripper.hold(gripper)
     with pytest.raises(ArgumentError, match="eye is a sensor"):
         gripper.hold(yard["eye"])

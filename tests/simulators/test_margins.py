@@ -135,5 +135,7 @@ def test_a_row_of_no_entity_is_an_error(sim):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)
         for relation in ("collides", "clearance", "on", "restsOn", "enclosed"):
-            with pytest.raises(ssduck.SelectScriptError, match="is of no entity: 'sim' has none"):
+            with pytest.raises(
+                ssduck.SelectScriptError, match="belongs to no entity: 'sim' has none"
+            ):
                 ss.sql(f'SELECT "{relation}"(a, b) FROM entities a, {other} b').fetchall()

@@ -263,7 +263,7 @@ MISTAKES = [
     ("[camera]\neye = [0, 0, inf]", "camera.eye", "expected 3 finite numbers", ()),
     ("[camera]\nfov = 0", "camera.fov", "0 is not above 0", ()),
     ("[camera]\nfov = 180", "camera.fov", "180 is not below 180", ()),
-    ("[camera]\neye = [0, 0, 0.5]", "camera.target", "looks at where it is", ()),
+    ("[camera]\neye = [0, 0, 0.5]", "camera.target", "is where the camera is", ()),
     # bodies
     ("body = 3", "body", "expected tables, written [[body]], found 3", ()),
     ("body = [3]", "body", "expected tables, written [[body]]", ()),
@@ -292,7 +292,7 @@ MISTAKES = [
     (
         BODY + "fixed = true\nvelocity = [0, 0, 0, 0, 0, 1]",
         "body[0].velocity",
-        "what is fixed does not move",
+        "a fixed body does not move",
         (),
     ),
     (BODY + BODY, "body[1].name", "'a' is there already", ()),
@@ -533,7 +533,7 @@ def test_a_folder_without_a_scene(tmp_path):
 def test_a_file_that_is_neither(write, name):
     path = write(name, "")
     error = failure(lambda: find_scene(path))
-    assert error.message.startswith(f"{path}: cannot tell what this is")
+    assert error.message.startswith(f"{path}: unknown file type")
     assert ".toml" in error.message
     assert ".urdf" in error.message
 

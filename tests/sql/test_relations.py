@@ -9,10 +9,16 @@ import pybullet
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from sqlglot import exp
 
 import ssduck
 from ssduck.errors import UnknownNameError
-from ssduck.sql.relations.registry import RELATIONS
+from ssduck.geometry.queries import ShapeQueries
+from ssduck.schema import TABLES
+from ssduck.sql.relations.geometry_query import GeometryQuery
+from ssduck.sql.relations.registry import RELATIONS, geometry_udfs
+from ssduck.sql.relations.relation import Parameter
+from ssduck.sql.relations.shapes import shape_relation
 
 EDGE = 1e-9
 
@@ -217,6 +223,45 @@ def test_every_relation_is_complete(relation, pair):
             ss.sql(statement)
         return
     assert len(ss.sql(statement).fetchall()) == 4
+
+
+@pytest.mark.parametrize("relation", RELATIONS.values(), ids=lambda r: r.name)
+def test_a_formula_reads_its_parameters_only(relation):
+    """Any other name would be that of a row or a column of the query around it."""
+    rows = {p.name for p in relation.parameters if p.type in ("entity", "place")}
+    values = {p.name for p in relation.parameters} - rows
+    columns = {column.name for column in TABLES["entities"].columns}
+    for formula in relation.expressions.values():
+        for column in formula.find_all(exp.Column):
+            if column.find_ancestor(exp.Select) is not None:
+                continue
+            if column.table:
+                assert column.table in rows, column.sql()
+                assert column.name in columns, column.sql()
+            else:
+                assert column.name in values, column.sql()
+
+
+def wrong_relation(result="boolean", names="ab", **query):
+    parameters = tuple(Parameter(name, "entity", "an entity") for name in names)
+    relation = shape_relation(
+        "wrong", result, GeometryQuery(**query), "Is wrong.", parameters=parameters
+    )
+    return geometry_udfs([*RELATIONS.values(), relation])
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"result": "double", "function": ShapeQueries.clearance}, "wrong: state `otherwise`"),
+        ({"result": "string", "function": ShapeQueries.on, "otherwise": "''"}, "not string"),
+        ({"names": "pq", "function": ShapeQueries.on}, "are called a and b"),
+        ({"function": ShapeQueries.near}, "describes 'narrow near' differently"),
+    ],
+)
+def test_a_wrong_entry_of_shapes_is_an_error(entry, message):
+    with pytest.raises(ValueError, match=message):
+        wrong_relation(**entry)
 
 
 def test_help_lists_every_relation(pair):

@@ -1,6 +1,6 @@
 """Decides when a trigger fires: its configuration, and which results count as new.
 
-A result that differs from the last one delivered counts once it has is_settled for the debounce
+A result that differs from the last one delivered counts when it has held for the debounce
 time: then it has *settled*.
 """
 
@@ -45,11 +45,11 @@ class TriggerConfig:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
             raise ArgumentError(
-                f"add_trigger: name: {short_repr(self.name)} is no name; give a text"
+                f"add_trigger: name: {short_repr(self.name)} is not a non-empty text"
             )
         for name in ("interval", "debounce"):
             seconds = validation.duration(getattr(self, name), f"add_trigger: {name}")
-            object.__setattr__(self, name, seconds)  # for good from here on
+            object.__setattr__(self, name, seconds)
         if self.when not in get_args(When):
             raise ArgumentError(
                 f"add_trigger: when: {short_repr(self.when)} is none of 'change', 'rising', "
@@ -59,8 +59,10 @@ class TriggerConfig:
         if not isinstance(self.rows, bool):
             raise ArgumentError(f"add_trigger: rows: {short_repr(self.rows)} is not True or False")
         if self.queue is not None:
-            kind = "size; 1 or more, or None for none"
-            queue = validation.integer(self.queue, "add_trigger: queue", minimum=1, expected=kind)
+            expected = "size; 1 or more, or None for none"
+            queue = validation.integer(
+                self.queue, "add_trigger: queue", minimum=1, expected=expected
+            )
             object.__setattr__(self, "queue", queue)
 
 
@@ -107,7 +109,7 @@ class Debouncer:
         return multiset(rows_of(result)) if self._config.rows else (canonical_key(result),)
 
     def _settles(self, value: Any, worlds: Sequence[World]) -> bool:
-        """Tells whether a key is new and has is_settled for the debounce time."""
+        """Checks whether a key is new and has held for the debounce time."""
         if value == self._settled:
             self.reset()
             return False

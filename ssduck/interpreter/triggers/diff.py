@@ -48,15 +48,15 @@ def difference(before: Sequence[Any], now: Sequence[Any]) -> Changed:
 
 def _surplus(rows: Sequence[Any], others: Sequence[Any]) -> list[Any]:
     """Returns the rows that occur more often than among others."""
-    known = Counter(map(canonical_key, others))
-    found = []
+    counts = Counter(map(canonical_key, others))
+    surplus = []
     for row in rows:
-        like = canonical_key(row)
-        if known[like]:
-            known[like] -= 1
+        key = canonical_key(row)
+        if counts[key]:
+            counts[key] -= 1
         else:
-            found.append(row)
-    return found
+            surplus.append(row)
+    return surplus
 
 
 def rows_of(result: Any) -> list[Any]:
@@ -73,7 +73,7 @@ def multiset(rows: Sequence[Any]) -> frozenset[tuple[Any, int]]:
 
 
 def is_true(result: Any) -> bool:
-    """Tells whether a result is true: with rows if there are any; NaN is false."""
+    """Checks whether a result is true; rows are if there are any, NaN is not."""
     if isinstance(result, np.ndarray | pa.Table | pa.RecordBatch | Result) or _is_data_frame(
         result
     ):
@@ -91,7 +91,7 @@ def canonical_key(value: Any) -> Any:
     """
     kind = type(value)
     if kind is float:
-        return _NAN if value != value else value  # noqa: PLR0124  # which only NaN is not
+        return _NAN if value != value else value  # noqa: PLR0124  # only NaN differs from itself
     if kind in ATOMS or isinstance(value, Entity | World):
         return value
     if kind is list or isinstance(value, tuple):
@@ -124,27 +124,27 @@ def _array_key(array: np.ndarray[Any, Any]) -> Any:
     if array.dtype.kind not in "biufc":
         return canonical_key(array.tolist())
     if array.dtype.kind in "fc":
-        array = array + 0.0  # there is no -0.0, then
+        array = array + 0.0  # -0.0 becomes 0.0
         array[np.isnan(array)] = np.nan
     return (array.dtype.str, array.tobytes())
 
 
 def _is_data_frame(value: Any) -> bool:
-    """Tells whether a value is a data frame, without importing its library."""
+    """Checks whether a value is a data frame, without importing its library."""
     kind = type(value)
-    is_known = kind.__module__.partition(".")[0] in {"pandas", "polars"}
-    return is_known and kind.__name__ == "DataFrame"
+    is_library = kind.__module__.partition(".")[0] in {"pandas", "polars"}
+    return is_library and kind.__name__ == "DataFrame"
 
 
 def _is_graph(value: Any) -> bool:
-    """Tells whether a value is a graph of networkx, in the same way."""
+    """Checks whether a value is a graph of networkx, without importing it."""
     kind = type(value)
-    is_known = kind.__module__.partition(".")[0] == "networkx"
-    return is_known and kind.__name__ in {"DiGraph", "MultiDiGraph"}
+    is_library = kind.__module__.partition(".")[0] == "networkx"
+    return is_library and kind.__name__ in {"DiGraph", "MultiDiGraph"}
 
 
 class _CopiedValue:
-    """The key of any other value: equal if it equals a copy that was made at first sight."""
+    """The key of any other value: a copy of it, compared by `==`."""
 
     def __init__(self, value: Any) -> None:
         self._value = copy_of(value)

@@ -47,16 +47,16 @@ class Evaluator(Protocol):
         """Returns the value of a variable."""
 
     def has_variable(self, name: str) -> bool:
-        """Tells whether a variable has that name."""
+        """Checks whether a variable has that name."""
 
     def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: the user's function, if it overrides another."""
 
     def is_users(self, name: str) -> bool:
-        """Tells whether a name calls a user's function."""
+        """Checks whether a name calls a user's function."""
 
     def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
-        """Returns the worlds that nodes may read; None if only their values tell."""
+        """Returns the worlds that nodes may read; None if that depends on values."""
 
 
 class TriggerMethods:
@@ -169,8 +169,8 @@ class TriggerRegistry:
             program = self._interpreter.compile(program)
         elif not hasattr(program, "tree"):
             raise ArgumentError(
-                f"add_trigger: program: {short_repr(program)} is neither a text nor what compile "
-                "gave"
+                f"add_trigger: program: {short_repr(program)} is neither a text nor a compiled "
+                "program"
             )
         validation.function(callback, "add_trigger: callback")
         self._check_free(config.name)
@@ -243,8 +243,8 @@ class TriggerRegistry:
         """Evaluates the triggers that are due in a world, in the order in which they were added."""
         for trigger in self._by_name.values():
             # An earlier callback may have removed or paused it.
-            is_about = not trigger.removed and world in self._worlds_of(trigger)
-            if is_about and world.reached(trigger.due(world)):
+            reads_world = not trigger.removed and world in self._worlds_of(trigger)
+            if reads_world and world.reached(trigger.due(world)):
                 self._evaluate(trigger)
 
     def rebound(self) -> None:
@@ -259,7 +259,7 @@ class TriggerRegistry:
             trigger.reschedule(self._worlds_of(trigger))
             try:
                 delivery = self._next_delivery(trigger)
-            except Exception as error:  # noqa: BLE001  # whatever it is, the world goes on
+            except Exception as error:  # noqa: BLE001  # no error stops the world
                 trigger.fail(error)
                 return
             self._fire(trigger, delivery)
@@ -289,18 +289,18 @@ class TriggerRegistry:
         names, scope = trigger.reads, self._interpreter
         if names is None or any(scope.is_users(scope.resolved_name(name)) for name in names):
             return None
-        known = [(name, scope.variable(name)) for name in names if scope.has_variable(name)]
-        if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in known):
+        values = [(name, scope.variable(name)) for name in names if scope.has_variable(name)]
+        if not all(type(value) in ATOMS or isinstance(value, _LIVE) for _, value in values):
             return None
         ticks = [(world, world.snapshot.number) for world in self._worlds_of(trigger)]
-        return [(name, type(value), value) for name, value in known], ticks
+        return [(name, type(value), value) for name, value in values], ticks
 
     def _worlds_of(self, trigger: Trigger) -> list[World]:
         """Returns the worlds that a program reads; all worlds if unknown or none."""
-        found: list[World] | None = None
-        with suppress(RecursionError):  # a list that is in itself
-            found = self._interpreter.worlds_of(trigger.program.tree.statements)
-        return list(dict.fromkeys(found or self._interpreter.worlds))
+        worlds: list[World] | None = None
+        with suppress(RecursionError):  # a list that contains itself
+            worlds = self._interpreter.worlds_of(trigger.program.tree.statements)
+        return list(dict.fromkeys(worlds or self._interpreter.worlds))
 
     def _observe(self, trigger: Trigger) -> list[World]:
         """Observes the worlds that a trigger reads, and all that it may come to read."""

@@ -69,7 +69,7 @@ class Trigger:
 
     @contextmanager
     def exclusive(self) -> Iterator[bool]:
-        """Tells whether no evaluation is going on, in another thread or around this call."""
+        """Yields whether no other evaluation is running, in another thread or around this call."""
         is_exclusive = self._busy.acquire(blocking=False)
         try:
             yield is_exclusive
@@ -97,7 +97,7 @@ class Trigger:
     def resume(self, worlds: Sequence[World]) -> None:
         """Resumes the evaluations at the next multiple of the interval."""
         if self.paused:
-            self._debouncer.reset()  # what held before may not have held meanwhile
+            self._debouncer.reset()  # the candidate may not have held meanwhile
             self.reschedule(worlds)
             self.paused = False
 
@@ -204,9 +204,9 @@ class Schedule:
     def reschedule(self, world: World) -> None:
         """Sets the due time to the first multiple of the interval in the future."""
         if self._interval > world.slack:
-            passed = world.time + world.slack - self._start
-            times = math.floor(passed / self._interval) + 1
-            self.due = self._start + times * self._interval
+            elapsed = world.time + world.slack - self._start
+            count = math.floor(elapsed / self._interval) + 1
+            self.due = self._start + count * self._interval
 
 
 def _names_read_by(program: Program) -> frozenset[str] | None:
@@ -216,8 +216,8 @@ def _names_read_by(program: Program) -> frozenset[str] | None:
     """
     match program.statements:
         case [Query() as query] if not program.explain:
-            bare = {part.name for part in query.walk() if isinstance(part, UnresolvedName)}
-            names = calls_of(query) | variables_of(query) | bare
+            unresolved = {part.name for part in query.walk() if isinstance(part, UnresolvedName)}
+            names = calls_of(query) | variables_of(query) | unresolved
             # Sensors can be switched between two ticks.
             is_fixed = names.isdisjoint(_CHANGING) and "sensings" not in tables_of(query)
             return names if is_fixed else None
@@ -236,11 +236,11 @@ class _Log:
         self.error: Exception | None = None
         self._warned: set[str] = set()
 
-    def report(self, error: Exception, what: str) -> None:
+    def report(self, error: Exception, part: str) -> None:
         """Counts an error, and warns of it if it is the first of its text."""
         self.failures += 1
         self.error = error
-        message = f"trigger {self.name!r}: its {what} failed: {type(error).__name__}: {error}"
+        message = f"trigger {self.name!r}: its {part} failed: {type(error).__name__}: {error}"
         if message not in self._warned and len(self._warned) < MAX_WARNINGS:
             self._warned.add(message)
             warn(message, TriggerWarning)
@@ -252,7 +252,7 @@ def _with_errors_logged(callback: Callable[[Any], object], log: _Log) -> Callabl
     def call(result: Any) -> None:
         try:
             callback(result)
-        except Exception as error:  # noqa: BLE001  # it is the user's
+        except Exception as error:  # noqa: BLE001  # any error of the user's callback
             log.report(error, "callback")
 
     return call

@@ -20,7 +20,7 @@ def of_entity(
     recorded_formula: str = "",
     aliases: tuple[str, ...] = (),
 ) -> Relation:
-    """A relation of one entity."""
+    """Returns a relation of one entity."""
     return Relation(
         name,
         ENTITY,
@@ -35,6 +35,6 @@ def of_entity(
 
 
 def recorded_numbers(what: str, a: str, b: str = "") -> str:
-    """A formula: numbers of contacts or sensors at the tick of a row (`replay.lookups`)."""
+    """Returns a formula: numbers of contacts or sensors at the tick of a row (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
     return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{what}', {a}.tick, {a}.id, {other})"

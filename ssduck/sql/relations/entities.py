@@ -15,7 +15,7 @@ _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 def _sliced(
     name: str, formula: str, about: str, unit: str, aliases: tuple[str, ...] = ()
 ) -> Relation:
-    """A list of an entity, whole or from start to stop as Python slices."""
+    """Returns a list of an entity, whole or from start to stop as Python slices."""
     part = (
         f"list_slice({formula}, CASE WHEN start < 0 THEN start ELSE start + 1 END, "
         "CASE WHEN stop < 0 THEN stop - 1 ELSE stop END)"

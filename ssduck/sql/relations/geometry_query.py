@@ -29,7 +29,7 @@ EVERY_PAIR = "on every pair that is asked for"
 
 
 def boxes_within(distance: str) -> str:
-    """A condition: the boxes of a and b are at most that far apart along each axis.
+    """Returns a condition: the boxes of a and b are at most that far apart along each axis.
 
     A nanometre is allowed for rounding.
 
@@ -83,7 +83,10 @@ class GeometryQuery:
         return self.bound == "0" and self.otherwise == ZERO
 
     def formula(self, entities: Sequence[str]) -> str:
-        """The formula of a relation of these entities.
+        """Returns the formula of a relation of these entities.
+
+        Raises:
+            ValueError: the first two of several entities are not called a and b.
 
         >>> GeometryQuery(ShapeQueries.volume).formula(["object"])
         '"narrow volume"($world, object.tick, object.id)'
@@ -91,7 +94,7 @@ class GeometryQuery:
         return self._formula(entities, self.arguments, self.bound)
 
     def formula_with_options(self, entities: Sequence[str]) -> str | None:
-        """The same with the optional parameters given; None if there are none."""
+        """Returns the same with the optional parameters given; None if there are none."""
         if self.arguments_with_options is None:
             return None
         return self._formula(entities, self.arguments_with_options, self.bound_with_options)
@@ -101,6 +104,8 @@ class GeometryQuery:
         call = f'"{udf_name(self.function)}"({", ".join(("$world", *rows, *arguments))})'
         if len(entities) == 1:
             return call
+        if tuple(entities[:2]) != ("a", "b"):
+            raise ValueError(f"two entities of a relation of shapes are called a and b: {call}")
         if self.only_if:
             call = f"CASE WHEN {self.only_if} THEN {call} ELSE FALSE END"
         differ = "a.id <> b.id"
@@ -197,12 +202,12 @@ class GeometryUdf:
 
 
 def udf_name(function: Callable[..., Any]) -> str:
-    """The name in SQL of a method of `ShapeQueries`; no user's function has a blank in it."""
+    """Returns the SQL name of a method of `ShapeQueries`; no user's function has a blank."""
     return f"narrow {function.__name__}"
 
 
 def search_udf(search: PairSearch) -> GeometryUdf:
-    """The function that DuckDB calls to find all pairs of a tick."""
+    """Returns the function that DuckDB calls to find all pairs of a tick."""
     return GeometryUdf(
         search.name,
         search.function,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ssduck.simulators.joints import CLOSED, OPEN, ROUNDED, EntityJoints
+from ssduck.simulators.joints import CLOSED, OPEN, OPENNESS_TOLERANCE, EntityJoints
 from ssduck.sql.relations.common import ENTITY
 from ssduck.sql.relations.relation import Parameter, Relation
 
@@ -35,7 +35,7 @@ _SHARE = (
 
 
 def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
-    """Whether joints are open, or closed, by a share of their range."""
+    """Checks whether joints are open, or closed, by a share of their range."""
     most, named = f'"joints most_open"({_OF})', f'"joints openness"({_OF}, joint)'
     return Relation(
         name,
@@ -77,7 +77,7 @@ JOINT_RELATIONS: tuple[Relation, ...] = (
     _has_share(
         "isOpen",
         OPEN,
-        f"{{}} >= {{}} - {ROUNDED}",
+        f"{{}} >= {{}} - {OPENNESS_TOLERANCE}",
         "Checks if a joint of the object, or any of its joints that have limits, is open by at "
         "least a share of its range, one half if it is not given. A share that is not from 0 to 1 "
         "is an error.",
@@ -85,7 +85,7 @@ JOINT_RELATIONS: tuple[Relation, ...] = (
     _has_share(
         "isClosed",
         CLOSED,
-        f"{{}} BETWEEN -1e300 AND {{}} + {ROUNDED}",
+        f"{{}} BETWEEN -1e300 AND {{}} + {OPENNESS_TOLERANCE}",
         "Checks if a joint of the object, or all of its joints that have limits, are open by at "
         "most a share of their range, 0.05 if it is not given. A share that is not from 0 to 1 is "
         "an error.",

@@ -12,7 +12,7 @@ _CORNERS = (
 
 
 def _seen(name: str, condition: str, about: str) -> Relation:
-    """A relation of the direction from a to b, as a viewer sees it."""
+    """Returns a relation of the direction from a to b, as a viewer sees it."""
     forward = (
         "(1 - 2 * (viewer.qy ** 2 + viewer.qz ** 2)) * (b.x - a.x) "
         "+ 2 * (viewer.qx * viewer.qy + viewer.qw * viewer.qz) * (b.y - a.y) "

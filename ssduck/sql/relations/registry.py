@@ -55,11 +55,14 @@ BOXES_WITHIN = sqlglot.parse_one(boxes_within("d"), dialect="duckdb")
 
 
 def _geometry_udf(relation: Relation) -> GeometryUdf:
-    """The function of shapes that a relation calls."""
+    """Returns the function of shapes that a relation calls."""
     query = relation.geometry
     assert query is not None
     element = "DOUBLE[]" if relation.element == "list" else "DOUBLE"
     types = {"boolean": "BOOLEAN", "double": "DOUBLE", "list": f"{element}[]"}
+    if relation.result not in types:
+        known = ", ".join(types)
+        raise ValueError(f"{relation.name}: the geometry yields {known}, not {relation.result}")
     return GeometryUdf(
         udf_name(query.function),
         query.function,
@@ -72,7 +75,7 @@ def _geometry_udf(relation: Relation) -> GeometryUdf:
 
 
 def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
-    """The functions of shapes that relations call, and those that find all pairs, by name.
+    """Returns the functions of shapes that relations call, and those that find all pairs, by name.
 
     Raises:
         ValueError: two relations describe the same function differently.
@@ -82,7 +85,10 @@ def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
         if relation.geometry is not None:
             udf = _geometry_udf(relation)
             if result.setdefault(udf.name, udf) != udf:
-                raise ValueError(f"{relation.name}: {udf.name!r} is described in two ways")
+                raise ValueError(
+                    f"{relation.name}: another relation describes {udf.name!r} differently: "
+                    f"{result[udf.name]}, {udf}"
+                )
     return result
 
 

@@ -125,7 +125,7 @@ class Relation:
         return sum(not parameter.optional for parameter in self.parameters)
 
     def result_type(self, count: int) -> ValueType:
-        """The type of its result, by the number of arguments."""
+        """Returns the type of its result, by the number of arguments."""
         if count > self.required_count and self.result_with_options is not None:
             return self.result_with_options
         return self.result
@@ -141,7 +141,7 @@ class Relation:
         return trees
 
     def candidate_distance(self, count: int) -> exp.Expr:
-        """The largest distance of its candidate pairs, by the number of arguments."""
+        """Returns the largest distance of its candidate pairs, by the number of arguments."""
         pairs = self.candidate_pairs
         assert pairs is not None
         is_short = count == self.required_count
@@ -186,7 +186,7 @@ class Relation:
         return result | ({MARGINS} if uses_margins else frozenset())
 
     def _checked(self, tree: exp.Expr, schema: str) -> exp.Expr:
-        """A formula for rows of users' SQL: these may be of another run, or changed."""
+        """Returns a formula for rows of users' SQL: these may be of another run, or changed."""
         rows = [p.name for p in self.parameters if p.type in ("entity", "place")]
         if tree.find(exp.Placeholder) is not None:
             return _with_checked_ticks(in_schema(tree, schema), schema)
@@ -205,7 +205,7 @@ class Relation:
         return exp.case().when(exp.or_(*another), failing).else_(result)
 
     def _at_tick_of_rows(self, tree: exp.Expr, schema: str, rows: Sequence[str]) -> exp.Expr:
-        """A formula that looks things up at the current tick, or at the tick of recorded rows."""
+        """Returns a formula that reads tables at the current tick, or at that of recorded rows."""
         if not self.recorded_formula:
             return tree
         first, *others = (exp.column("tick", table=row) for row in rows)
@@ -218,7 +218,7 @@ class Relation:
         return result.when(exp.EQ(this=first.copy(), expression=present), tree).else_(recorded)
 
     def macro(self, schema: str | None = None, *, inside: bool = False) -> str:
-        """The statement that makes the DuckDB macro of the same name.
+        """Returns the statement that makes the DuckDB macro of the same name.
 
         Args:
             schema: that of the world that it looks things up in; without one it fails.
@@ -231,7 +231,7 @@ class Relation:
         return f"CREATE OR REPLACE {place} {_overloads(self, schema)}"
 
     def comment(self, schema: str | None = None) -> str:
-        """The statement that describes the macro in DuckDB's own list of functions.
+        """Returns the statement that describes the macro in DuckDB's own list of functions.
 
         Args:
             schema: whose macro it is; without one, that for all.
@@ -243,7 +243,7 @@ class Relation:
         )
 
     def macro_body(self, tree: exp.Expr, schema: str | None) -> exp.Expr:
-        """The body of a macro, with the schema in which it looks things up."""
+        """Returns the body of a macro, with the schema in which it looks things up."""
         if not self.tables:
             return tree
         if schema is not None:
@@ -283,7 +283,7 @@ CHECKED_TICK_UDF = "narrow tick"
 
 
 def _with_checked_ticks(formula: exp.Expr, schema: str) -> exp.Expr:
-    """A formula whose calls of the narrow phase check that rows are of the world, and unchanged."""
+    """Returns a formula whose calls of the narrow phase check the world and the pose of rows."""
 
     def checked(part: exp.Expr) -> exp.Expr:
         if not (isinstance(part, exp.Column) and part.name == "tick"):
@@ -302,7 +302,7 @@ LENIENT_PREFIX = "any "
 
 
 def _lenient_joints(tree: exp.Expr) -> exp.Expr:
-    """A formula for raw SQL, whose conditions have no order: see `joints`."""
+    """Returns a formula for raw SQL, whose conditions have no order: see `joints`."""
 
     def renamed(part: exp.Expr) -> exp.Expr:
         if isinstance(part, exp.Anonymous) and part.name.startswith("joints "):
@@ -319,7 +319,7 @@ _TEXT_FUNCTIONS = ("contains", "position")
 
 @cache
 def _overloads(relation: Relation, schema: str | None) -> str:
-    """The parameters and bodies of a macro, by the number of arguments; cached, as it is slow."""
+    """Returns the parameters and bodies of a macro, by the number of arguments."""
     result = [
         f"({', '.join(p.name for p in relation.parameters[:count])}) "
         f"AS ({relation.macro_body(tree, schema).sql('duckdb')})"
@@ -352,7 +352,7 @@ def _parsed(formula: str) -> exp.Expr:
 
 
 def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
-    """A formula with the tables of that schema, and the narrow phase of its world."""
+    """Returns a formula with the tables of that schema, and the narrow phase of its world."""
     result = formula.copy()
     for table in list(result.find_all(exp.Table)):
         table.set("db", exp.to_identifier(schema))

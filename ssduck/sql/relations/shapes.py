@@ -39,7 +39,7 @@ def shape_relation(
     candidate_pairs: CandidatePairs | None = None,
     aliases: tuple[str, ...] = (),
 ) -> Relation:
-    """A relation that a function of the shapes of its entities answers.
+    """Returns a relation that a function of the shapes of its entities answers.
 
     Args:
         name: its name.
@@ -52,8 +52,17 @@ def shape_relation(
         element: the type of the elements, if the result is a list.
         candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
         aliases: other names.
+
+    Raises:
+        ValueError: the value beyond the bound, or the arguments with options, are not stated.
     """
     entities = [parameter.name for parameter in parameters if parameter.type == "entity"]
+    if len(entities) > 1 and result != "boolean" and geometry.otherwise == "FALSE":
+        raise ValueError(
+            f"{name}: state `otherwise`, the value beyond the bound and of an entity with itself"
+        )
+    if any(p.optional for p in parameters) and geometry.arguments_with_options is None:
+        raise ValueError(f"{name}: state `arguments_with_options`: it has optional parameters")
     return Relation(
         name,
         parameters,
