@@ -142,7 +142,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Args:
             client: the number of the client, or an object with this number as `_client`.
             names: the names of present bodies by PyBullet body number; other bodies are named
-                as in their models, made unique.
+                as in their models, as identifiers, made unique.
             kinds: `"robot"` or `"kinbody"` by body number; by default a body with movable joints
                 is a robot.
             name: the name until the world is bound to a variable.
