@@ -197,7 +197,7 @@ those of link frames, not of centres of mass.
 def relation_lines(relation: Relation) -> Iterator[str]:
     """Returns the entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
-    unit = f" Unit: {relation.unit}." if relation.unit else ""
+    unit = f" {relation.unit_note}" if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
     pairs = relation.geometry.pairs if relation.geometry is not None else ""
     asked = f" Asks the narrow phase {pairs}." if pairs else ""
