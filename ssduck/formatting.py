@@ -11,7 +11,7 @@ from typing import Any
 from ssduck.errors import EvaluationError, SourceSpan
 
 # The largest numbers of elements and of characters of a value in a message.
-MAX_ELEMENTS = 20
+MAX_SHOWN_ELEMENTS = 20
 MAX_TEXT_LENGTH = 200
 _MAX_KINDS = 5
 
@@ -19,7 +19,9 @@ _MAX_KINDS = 5
 MAX_NAMED = 50
 
 _SHORT_REPR = Repr()
-_SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = _SHORT_REPR.maxdict = _SHORT_REPR.maxset = MAX_ELEMENTS
+_SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = _SHORT_REPR.maxdict = _SHORT_REPR.maxset = (
+    MAX_SHOWN_ELEMENTS
+)
 _SHORT_REPR.maxstring = _SHORT_REPR.maxlong = _SHORT_REPR.maxother = 2 * MAX_TEXT_LENGTH
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SourceSpan, nearest
 from ssduck.formatting import (
-    MAX_ELEMENTS,
+    MAX_SHOWN_ELEMENTS,
     as_evaluation_error,
     error_text,
     short_repr,
@@ -203,8 +203,8 @@ def _missing_element_error(
     """Returns the error for a missing element, with the elements that there are."""
     missing = f"no element {short_repr(index)}"
     if isinstance(value, dict):
-        keys = list(islice(value, MAX_ELEMENTS))
-        more = ", …" if len(value) > MAX_ELEMENTS else ""
+        keys = list(islice(value, MAX_SHOWN_ELEMENTS))
+        more = ", …" if len(value) > MAX_SHOWN_ELEMENTS else ""
         message = ", ".join(map(short_repr, keys))
         near = nearest(index, map(str, keys))
         return EvaluationError(
