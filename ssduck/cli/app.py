@@ -126,8 +126,8 @@ def _one_line_warnings() -> Iterator[None]:
 # -- commands -----------------------------------------------------------------------------
 
 
-def _version(asked: bool) -> None:
-    if not asked:
+def _show_version(requested: bool) -> None:
+    if not requested:
         return
     from importlib.metadata import PackageNotFoundError, version
 
@@ -143,62 +143,65 @@ def _ssduck(
     context: typer.Context,
     version: Annotated[  # noqa: ARG001  # its callback shows the version
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Ask a robot simulation questions, in SelectScript or in SQL.
+    """Query a robot simulation, in SelectScript or in SQL.
 
     SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
     or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
-    RECORD is a folder or a DuckDB file that was recorded into.
+    RECORD is a folder or a DuckDB file with recorded ticks.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
+_DemoName = Annotated[
+    str,
+    typer.Argument(
+        metavar="NAME", help="The demonstration (see --list), or a scene: a name or a path."
+    ),
+]
+_OutputFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        help="The folder for pictures and files; other files in it stay.",
+        show_default="demo-NAME; of a scene this folder",
+    ),
+]
+_PictureFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        help="Of a scene, the file of its picture.",
+        show_default="SCENE.png in that folder",
+    ),
+]
+
+
 @app.command()
 def demo(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME", help="The demonstration (see --list), or a scene: a name or a path."
-        ),
-    ] = "kitchen",
+    name: _DemoName = "kitchen",
     listed: Annotated[
         bool, typer.Option("--list", help="List the demonstrations, and show none.")
     ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            help="The folder that pictures and files go to, beside what is there.",
-            show_default="demo-NAME; of a scene this folder",
-        ),
-    ] = None,
-    seed: Annotated[
-        int, typer.Option("--seed", min=0, help="Decides what is drawn by chance.")
-    ] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Of a scene, the file of its picture.",
-            show_default="SCENE.png in that folder",
-        ),
-    ] = None,
+    out: _OutputFolder = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="The seed of random numbers.")] = 0,
+    output: _PictureFile = None,
     picture: Annotated[
         bool, typer.Option("--picture/--no-picture", help="Whether to draw a scene.")
     ] = True,
     sql: Annotated[
         bool,
-        typer.Option("--sql/--no-sql", help="Whether to show the SQL of a scene's questions."),
+        typer.Option("--sql/--no-sql", help="Whether to show the SQL of a scene's queries."),
     ] = True,
 ) -> None:
-    """Show what ssduck does: the tutorial's questions, or another demonstration.
+    """Show what ssduck does: the tutorial's queries, or another demonstration.
 
-    A scene is asked general questions: each program, its SQL and its answer. The kitchen is
-    asked those of SelectScript's tutorial.
+    For a scene, general queries run: each program is shown with its SQL and its result. For the
+    kitchen, these are the queries of SelectScript's tutorial.
     """
     from ssduck.demos import NAMES, description_of, run_of
 
@@ -210,17 +213,19 @@ def demo(
         other = "--no-picture" if out is None else "--out"
         raise typer.BadParameter(f"--output and {other} exclude each other")
     if name not in NAMES or name == "kitchen":
-        folder = _created(out or Path()) if picture else None
-        _ask_scene(name, folder, output, with_sql=sql)
+        folder = _created_folder(out or Path()) if picture else None
+        _demonstrate_scene(name, folder, output, with_sql=sql)
         return
     if output is not None or not picture or not sql:
         raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
-    if not run_of(name)(_created(out or Path(f"demo-{name}")), print_line, seed=seed):
+    if not run_of(name)(_created_folder(out or Path(f"demo-{name}")), print_line, seed=seed):
         raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
 
 
-def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql: bool) -> None:
-    """Demonstrates a scene by questions, with a picture in a folder or a file, if requested.
+def _demonstrate_scene(
+    name: str, folder: Path | None, output: Path | None, *, with_sql: bool
+) -> None:
+    """Demonstrates a scene by queries, with a picture in a folder or a file, if requested.
 
     Raises:
         UnknownNameError: the name is neither a demonstration nor a scene.
@@ -238,7 +243,7 @@ def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql:
     ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
 
 
-def _created(folder: Path) -> Path:
+def _created_folder(folder: Path) -> Path:
     """Returns a folder, which it creates if necessary.
 
     Raises:
@@ -247,57 +252,58 @@ def _created(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SelectScriptError(f"{folder} cannot be made: {error.strerror}") from error
+        raise SelectScriptError(f"{folder} cannot be created: {error.strerror}") from error
     return folder
+
+
+_SceneOrRecord = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A scene's name or path, or a record's path.")
+]
+_Program = Annotated[
+    str | None,
+    typer.Argument(metavar="PROGRAM", help="The program; standard input if it is - or missing."),
+]
+_Seconds = Annotated[
+    float | None,
+    typer.Option(min=0.0, help="Simulate that long first, in whole steps of the scene."),
+]
+_Episode = Annotated[
+    int | None,
+    typer.Option(
+        min=0, help="Of a record, the number of the episode.", show_default="the last one"
+    ),
+]
+_Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse probable mistakes, which otherwise cause warnings.")
+]
 
 
 @app.command()
 def query(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE", help="What is asked: a scene's name or path, or a record's path."
-        ),
-    ],
-    program: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="PROGRAM", help="What is asked; standard input if it is - or missing."
-        ),
-    ] = None,
+    scene: _SceneOrRecord,
+    program: _Program = None,
     file: Annotated[
         Path | None, typer.Option("--file", "-f", help="Read the program from a file.")
     ] = None,
     format: Annotated[
-        Format, typer.Option("--format", "-F", help="How the answer is written.")
+        Format, typer.Option("--format", "-F", help="The format of the result.")
     ] = Format.TABLE,
     sql: Annotated[bool, typer.Option("--sql", help="The program is SQL.")] = False,
     steps: Annotated[
         int | None, typer.Option(min=0, help="Simulate that many steps first.")
     ] = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Simulate that long first, in whole steps of the scene."),
-    ] = None,
-    episode: Annotated[
-        int | None,
-        typer.Option(
-            min=0, help="Of a record, the number of the episode.", show_default="the last one"
-        ),
-    ] = None,
-    strict: Annotated[
-        bool,
-        typer.Option("--strict", help="Refuse what is probably a mistake, and do not only warn."),
-    ] = False,
+    seconds: _Seconds = None,
+    episode: _Episode = None,
+    strict: _Strict = False,
 ) -> None:
-    """Run a program on a scene, or on a record, and write its answer to standard output.
+    """Run a program on a scene or a record, and write its result to standard output.
 
-    A program that begins with a minus goes behind two of them:
+    A program that begins with a minus follows two of them:
     ssduck query kitchen -- '-1;'
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
-    text = _program(program, file)
+    text = _program_text(program, file)
 
     from ssduck.simulators.scenes import find_scene
 
@@ -332,10 +338,10 @@ def scenes() -> None:
 def functions(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="NAME", help="The function to tell about; by default all."),
+        typer.Argument(metavar="NAME", help="The function to describe; by default all."),
     ] = None,
 ) -> None:
-    """List the functions of the language, or tell what one does."""
+    """List the functions of the language, or describe one."""
     from ssduck.interpreter.interpreter import Interpreter
 
     with Interpreter() as ss:
@@ -357,7 +363,7 @@ def _usage_and_summary(text: str) -> tuple[str, str]:
 # -- the program --------------------------------------------------------------------------
 
 
-def _program(program: str | None, file: Path | None) -> str:
+def _program_text(program: str | None, file: Path | None) -> str:
     """Returns the text of the program: the argument, a file or standard input.
 
     Raises:

@@ -24,12 +24,12 @@ _DUCKDB_SUFFIX = ".duckdb"
 _MAGIC = slice(8, 12), b"DUCK"
 
 
-def is_record(place: str) -> bool:
+def is_record(location: str) -> bool:
     """Whether a path is the folder or file of a record; names of shipped scenes are not."""
     from ssduck.simulators.scenes import shipped_scenes
 
-    path = Path(place)
-    if place in shipped_scenes():
+    path = Path(location)
+    if location in shipped_scenes():
         return False
     if not path.is_file():
         return path.is_dir()
@@ -40,28 +40,28 @@ def is_record(place: str) -> bool:
 
 def record(
     scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="The scene that is simulated: a name or a path.")
+        str, typer.Argument(metavar="SCENE", help="The scene to simulate: a name or a path.")
     ],
-    seconds: Annotated[float, typer.Option(min=0.0, help="How long, in whole steps of the scene.")],
+    seconds: Annotated[float, typer.Option(min=0.0, help="How long to simulate, in whole steps.")],
     output: Annotated[
         Path,
         typer.Option(
             "--output",
             "-o",
-            help="Where to: a folder of Parquet files, or a DuckDB file (.duckdb).",
+            help="The destination: a folder of Parquet files, or a DuckDB file (.duckdb).",
         ),
     ],
     tables: Annotated[
         list[str] | None,
-        typer.Option(help="A table that is recorded; may be repeated.", show_default="all"),
+        typer.Option(help="A table to record; may be repeated.", show_default="all"),
     ] = None,
     entities: Annotated[
         list[str] | None,
-        typer.Option(help="The name of what is recorded; may be repeated.", show_default="all"),
+        typer.Option(help="The name of an entity to record; may be repeated.", show_default="all"),
     ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Record each n-th step only.")] = 1,
+    every: Annotated[int, typer.Option(min=1, help="Record every n-th step only.")] = 1,
 ) -> None:
-    """Simulate a scene and record each step; Ctrl-C ends it, and what was recorded is kept."""
+    """Simulate a scene and record each step; after Ctrl-C, the recorded part is complete."""
     from ssduck.interpreter.opening import load
     from ssduck.recording.spec import Recording
     from ssduck.schema import RECORDABLE
@@ -77,8 +77,8 @@ def record(
     to_file = output.suffix == _DUCKDB_SUFFIX
     opened = load(scene, output, recording=recording) if to_file else load(scene, recording=None)
     with opened as ss, _deferred_ctrl_c() as pressed:
-        writing = None if to_file else ss.record_to(output, recording=recording)
-        with writing or nullcontext():
+        writer = None if to_file else ss.record_to(output, recording=recording)
+        with writer or nullcontext():
             _run(ss.call_variable(description.name), steps, pressed)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
     print_line(
@@ -86,7 +86,7 @@ def record(
         f"{episode.end:g} s: episode {episode.number} in {output}"
     )
     if pressed.is_set():
-        sys.stderr.write("interrupted: what was recorded until then is whole\n")
+        sys.stderr.write("interrupted: the record is complete up to then\n")
         raise typer.Exit(130)
 
 
@@ -126,11 +126,11 @@ def _deferred_ctrl_c() -> Iterator[threading.Event]:
         return
     handler = signal.getsignal(signal.SIGINT)
 
-    def note(*_: Any) -> None:
+    def on_first_ctrl_c(*_: Any) -> None:
         pressed.set()
         signal.signal(signal.SIGINT, handler)
 
-    signal.signal(signal.SIGINT, note)
+    signal.signal(signal.SIGINT, on_first_ctrl_c)
     try:
         yield pressed
     finally:
@@ -140,10 +140,10 @@ def _deferred_ctrl_c() -> Iterator[threading.Event]:
 def export(
     path: Annotated[Path, typer.Argument(metavar="RECORD", help="A DuckDB file, or a folder.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Where to: a folder of Parquet files.")
+        Path, typer.Option("--output", "-o", help="The destination: a folder of Parquet files.")
     ],
     world: Annotated[
-        str | None, typer.Option(help="The world that is written.", show_default="all")
+        str | None, typer.Option(help="The world to write.", show_default="all")
     ] = None,
     episode: Annotated[
         int | None,
@@ -151,23 +151,23 @@ def export(
     ] = None,
     entities: Annotated[
         list[str] | None,
-        typer.Option(help="The name of what is written; may be repeated.", show_default="all"),
+        typer.Option(help="The name of an entity to write; may be repeated.", show_default="all"),
     ] = None,
-    start: Annotated[float | None, typer.Option(help="Simulated time from which on, s.")] = None,
-    end: Annotated[float | None, typer.Option(help="Simulated time until which, s.")] = None,
+    start: Annotated[float | None, typer.Option(help="The first simulated time, s.")] = None,
+    end: Annotated[float | None, typer.Option(help="The last simulated time, s.")] = None,
 ) -> None:
     """Write an episode of a record as Parquet files, or a part of it."""
     from ssduck.interpreter.opening import open_record
 
     with open_record(path, world, episode) as ss:
-        for name, place in ss.export(output, entities=entities, start=start, end=end).items():
-            print_line(f"{name}: {place}")
+        for name, folder in ss.export(output, entities=entities, start=start, end=end).items():
+            print_line(f"{name}: {folder}")
 
 
 def episodes(
     path: Annotated[Path, typer.Argument(metavar="RECORD", help="A folder, or a DuckDB file.")],
 ) -> None:
-    """List the episodes of a record: how many ticks, of which times, what of them."""
+    """List the episodes of a record with their ticks, times and tables."""
     columns = ["world", "episode", "started", "ticks", "from", "to", "tables"]
     rows = [
         (e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables))
@@ -182,7 +182,7 @@ def _episodes(path: Path) -> list[Episode]:
     return episodes_of(path)
 
 
-def open_or_load(place: str, episode: int | None) -> Interpreter:
+def open_or_load(location: str, episode: int | None) -> Interpreter:
     """Returns an interpreter for a record or a scene.
 
     Raises:
@@ -190,8 +190,8 @@ def open_or_load(place: str, episode: int | None) -> Interpreter:
     """
     from ssduck.interpreter import opening
 
-    if is_record(place):
-        return opening.open_record(place, episode=episode)
+    if is_record(location):
+        return opening.open_record(location, episode=episode)
     if episode is not None:
-        raise typer.BadParameter(f"--episode: {place} is no record")
-    return opening.load(place)
+        raise typer.BadParameter(f"--episode: {location} is no record")
+    return opening.load(location)

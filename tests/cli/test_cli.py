@@ -539,7 +539,7 @@ def test_an_interrupted_recording_is_whole(here, output):
         out, err = process.communicate(timeout=HANGS)
     assert (process.returncode, err) == (
         130,
-        "interrupted: what was recorded until then is whole\n",
+        "interrupted: the record is complete up to then\n",
     )
     (episode,) = ssduck.episodes(output)
     assert out.startswith(f"{episode.ticks} ticks of 'two', from 0 s to {episode.end:g} s")

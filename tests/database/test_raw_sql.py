@@ -7,6 +7,7 @@ import ssduck
 from ssduck.recording.spec import Recording
 from ssduck.schema import MODELS, RECORDABLE, TABLES
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 
 # A literal for each type of parameter; entities are the rows a and b.
@@ -50,21 +51,14 @@ def jointed(client):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
     )
-    pybullet.createMultiBody(
+    create_linked_body(
+        client,
         1.0,
         shape,
+        link_shape=-1,
         basePosition=[0.15, 0, 0.1],
-        linkMasses=[1.0],
-        linkCollisionShapeIndices=[-1],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0, 0, 0.1]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_REVOLUTE],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=client,
     )
     return client
 

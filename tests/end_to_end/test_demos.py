@@ -67,7 +67,7 @@ WRONG = [
     (["robots", "--no-sql"], 2, "are for scenes", ""),
     (["chaos", "-o", "a.png"], 2, "are for scenes", ""),
     (["kitchen", "-o", "a.png", "--out", "b"], 2, "--output and --out exclude each other", ""),
-    (["kitchen", "--out", "file/folder"], 1, "file/folder cannot be made: Not a directory", ""),
+    (["kitchen", "--out", "file/folder"], 1, "file/folder cannot be created: Not a directory", ""),
     (["robots", "--seed", "-1"], 2, "--seed", ""),
 ]
 

@@ -7,6 +7,7 @@ import pybullet
 import pytest
 
 import ssduck
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 
 BOTH = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE collides(a.this, b.this) AS list;"
@@ -98,21 +99,7 @@ def test_the_boundary_of_boxes(client, ask, angle, depth, collides):
 
 def test_links_of_one_robot_do_not_count(client, ask):
     sphere = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.2, physicsClientId=client)
-    pybullet.createMultiBody(
-        1,
-        sphere,
-        linkMasses=[1],
-        linkCollisionShapeIndices=[sphere],
-        linkVisualShapeIndices=[-1],
-        linkPositions=[[0.1, 0, 0]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
-        linkJointTypes=[pybullet.JOINT_FIXED],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=client,
-    )
+    create_linked_body(client, 1, sphere, linkPositions=[[0.1, 0, 0]])
     pybullet.createMultiBody(1, sphere, basePosition=[0.4, 0, 0], physicsClientId=client)
     found, _ = ask(BOTH)
     assert found == ask(ONE_BY_ONE)[0]

@@ -84,7 +84,7 @@ def test_all_forms_agree_on_what_is_in_holes(seed):
     sorts = sorts_of(together)
     for question in questions(gaps.values()):
         found = [pair for pair, gap in gaps.items() if holds(question, gap)]
-        assert together.all_of(question, sorts).pairs == found, question
+        assert together.all_pairs(question, sorts).pairs == found, question
         assert many_ticks(shapes, every, question) == found, question
 
 
@@ -98,17 +98,17 @@ def questions(gaps):
 
 
 def holds(question, gap):
-    return gap < -question.distance if question.of == "colliding" else gap <= question.distance
+    return gap < -question.distance if question.kind == "colliding" else gap <= question.distance
 
 
 def many_ticks(shapes, every, question):
     """The pairs that windows of the past find."""
     tick = tick_of(shapes)
-    scene = tick._scene(sorts_of(tick))
+    scene = tick._tick_shapes(sorts_of(tick))
 
-    def answer(s, t):
-        return tick_of([shapes[s], shapes[t]]).answer(0, 1, question)
+    def satisfies(s, t):
+        return tick_of([shapes[s], shapes[t]]).satisfies(0, 1, question)
 
-    found = matching_pairs(scene, question, answer, tuple(np.array(every, np.intp).T))
+    found = matching_pairs(scene, question, satisfies, tuple(np.array(every, np.intp).T))
     assert set(found.compared.tolist()) == {pair_number(*one) for one in every}
     return found.pairs

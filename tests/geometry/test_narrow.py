@@ -105,7 +105,7 @@ def test_what_is_near_is_near_for_more(kinds, seed, bounds):
     exact = narrow(*places).clearance(0, 1)
     tick = narrow(*places)
     for bound in bounds:
-        found = tick.clearance(0, 1, upto=bound)
+        found = tick.clearance(0, 1, limit=bound)
         assert found == (exact if exact <= bound else math.inf)
 
 
@@ -212,7 +212,7 @@ def test_at_the_surface(over, under, height):
     for within in (0.0, abs(height) - 1e-8, abs(height) + 1e-8):
         expected = max(0.0, height) <= within
         if abs(max(0.0, height) - within) > 5e-9:
-            assert (tick.clearance(0, 1, upto=within) <= within) is expected
+            assert (tick.clearance(0, 1, limit=within) <= within) is expected
     normal = tick.signed_distance(1, 0).normal
     assert normal == pytest.approx((0, 0, 1), abs=1e-4)
 
@@ -562,7 +562,7 @@ def test_spheres_tell_without_fcl():
     assert tick.collides(0, 1)
     assert tick.clearance(0, 1) == 0.0
     assert not tick.collides(0, 2)
-    assert tick.clearance(0, 2, upto=5.0) == math.inf
+    assert tick.clearance(0, 2, limit=5.0) == math.inf
     assert tick.calls.calls == 0
 
 
@@ -582,8 +582,8 @@ def test_only_the_closest_shapes_are_asked():
     tick = narrow(arm, [(box(0.1, 0.1, 0.1), (0.5, 0.02, 0))])
     assert tick.clearance(0, 1) == pytest.approx(0.4)
     assert tick.calls.calls <= 2
-    assert tick.clearance(0, 1, upto=0.1) == math.inf
-    assert tick.clearance(1, 0, upto=0.4 + 1e-9) == pytest.approx(0.4)
+    assert tick.clearance(0, 1, limit=0.1) == math.inf
+    assert tick.clearance(1, 0, limit=0.4 + 1e-9) == pytest.approx(0.4)
 
 
 def test_an_entity_is_all_its_shapes():

@@ -930,7 +930,7 @@ def test_few_pairs_of_a_world_with_a_ground(stage, program, each):
         "SELECT id(p.this) FROM p=sim, q=sim WHERE near(p.this, q.this, z(p.this) / 8 + 0.01) AS list;"
     )
     assert world.snapshot.calls.pairs - before <= 301 * 150
-    assert not world.snapshot.shapes()._narrow._all
+    assert not world.snapshot.shapes()._narrow._results
 
 
 # -- the registry, and the kitchen -------------------------------------------------------------

@@ -547,7 +547,7 @@ def arities(name):
     if name in RELATIONS:
         return sorted(RELATIONS[name].expressions)
     function = BUILTINS[name]
-    most = function.min_arguments + 1 if function.most is None else function.most
+    most = function.min_arguments + 1 if function.max_arguments is None else function.max_arguments
     return range(function.min_arguments, most + 1)
 
 

@@ -26,6 +26,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.schema import RECORDABLE
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 from tools import kill
@@ -64,21 +65,15 @@ def lively(client, names=()):
         "board": pybullet.createMultiBody(0, board, basePosition=[0, 0, -0.05], **box),
         "ball": sphere(client, [0.5, 0, 0.3]),
         "other": sphere(client, [-0.5, 0, 0.2]),
-        "arm": pybullet.createMultiBody(
+        "arm": create_linked_body(
+            client,
             0,
             arm,
             basePosition=[0, 1, 0.3],
-            linkMasses=[1],
-            linkCollisionShapeIndices=[arm],
-            linkVisualShapeIndices=[-1],
             linkPositions=[[0, 0, 0.3]],
-            linkOrientations=[[0, 0, 0, 1]],
             linkInertialFramePositions=[[0, 0, 0.3]],
-            linkInertialFrameOrientations=[[0, 0, 0, 1]],
-            linkParentIndices=[0],
             linkJointTypes=[pybullet.JOINT_REVOLUTE],
             linkJointAxis=[[1, 0, 0]],
-            **box,
         ),
     }
     named = {bodies[old]: new for old, new in zip(bodies, names, strict=False)}

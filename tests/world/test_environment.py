@@ -23,6 +23,7 @@ from ssduck.errors import (
 )
 from ssduck.simulators.scenes import shipped_scenes
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
@@ -248,7 +249,7 @@ def test_motors_hold_where_they_do(kitchen):
     kitchen.step(240)
     copy = kitchen.excerpt(["barrett_4918"])
     held = {kitchen.simulator.loaded.motor_positions[handle].__repr__() for handle in (2,)}
-    assert held == {repr(told) for told in copy.simulator.loaded.motor_positions.values()}
+    assert held == {repr(positions) for positions in copy.simulator.loaded.motor_positions.values()}
     copy["barrett_4918"].move(joints={"j1": 0.1})
     again = copy.excerpt(copy)
     (held,) = again.simulator.loaded.motor_positions.values()
@@ -258,59 +259,42 @@ def test_motors_hold_where_they_do(kitchen):
 # -- clients of others -------------------------------------------------------------------------
 
 
+TILTED = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.1])
+
+
 @pytest.fixture
 def menagerie(client):
-    """A world of bodies of all sorts that somebody made, some of which touch the ground."""
-    own = {"physicsClientId": client}
+    """A world of bodies of all sorts in a client of the user's; some of them touch the ground."""
     pybullet.setGravity(0, 0, -9.81, client)
-    bodies = {}
+    bodies = create_solids(client) | create_arm(client) | create_tied_boxes(client)
+    return ssduck.World.attach(client, names={number: name for name, number in bodies.items()})
 
-    def shape(kind, **size):
-        return pybullet.createCollisionShape(kind, **size, **own)
 
-    def make(name, mass, number, **more):
-        bodies[name] = pybullet.createMultiBody(mass, number, **more, **own)
-        return bodies[name]
+def create_shape(client, kind, **size):
+    return pybullet.createCollisionShape(kind, physicsClientId=client, **size)
 
-    box = shape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.05])
-    ball = shape(pybullet.GEOM_SPHERE, radius=0.1)
-    still = [0, 0, 0, 1]
-    tilted = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.1])
-    on_its_side = pybullet.getQuaternionFromEuler([0.3, np.pi / 2, 0.1])
-    make("ground", 0, shape(pybullet.GEOM_BOX, halfExtents=[20, 20, 0.1]))
-    offset = {"baseInertialFramePosition": [0.02, 0, 0.01], "baseOrientation": tilted}
-    make("box", 2, box, basePosition=[0, 0, 0.5], **offset)
-    make("ball", 1, ball, basePosition=[1, 0, 0.5])
-    lying = {"basePosition": [2, 0, 0.3], "baseOrientation": on_its_side}
-    make("cylinder", 1, shape(pybullet.GEOM_CYLINDER, radius=0.05, height=0.2), **lying)
-    capsule = shape(pybullet.GEOM_CAPSULE, radius=0.05, height=0.2)
-    make("capsule", 1, capsule, basePosition=[3, 0, 0.3])
-    make(
-        "arm",
-        0,
-        box,
-        basePosition=[8, 0, 3],
-        linkMasses=[1, 0.5, 0.3],
-        linkCollisionShapeIndices=[box, box, ball],
-        linkVisualShapeIndices=[-1] * 3,
-        linkPositions=[[0.3, 0, 0], [0, 0.5, 0], [0, 0, 0.3]],
-        linkOrientations=[tilted, still, still],
-        linkInertialFramePositions=[[0.05, 0, 0], [0, 0, 0], [0, 0, 0]],
-        linkInertialFrameOrientations=[tilted, still, still],
-        linkParentIndices=[0, 1, 1],
-        linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC, pybullet.JOINT_FIXED],
-        linkJointAxis=[[0, 0, 1], [1, 0, 0], [0, 0, 0]],
-    )
-    first = make("first", 1, box, basePosition=[10, 0, 3])
-    second = make("second", 1, box, basePosition=[10, 0.6, 3])
-    point = pybullet.JOINT_POINT2POINT
-    pybullet.createConstraint(
-        first, -1, -1, -1, point, [0, 0, 0], [0, -0.2, 0], [10, -0.2, 3.1], **own
-    )
-    tie = pybullet.createConstraint(
-        first, -1, second, -1, pybullet.JOINT_FIXED, [0] * 3, [0, 0.3, 0], [0, -0.3, 0], **own
-    )
-    pybullet.changeConstraint(tie, maxForce=200, **own)
+
+def create_box(client):
+    return create_shape(client, pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.05])
+
+
+def create_solids(client):
+    """Creates bodies without links, one with other dynamics and one of another colour."""
+    own = {"physicsClientId": client}
+    ground = create_shape(client, pybullet.GEOM_BOX, halfExtents=[20, 20, 0.1])
+    ball = create_shape(client, pybullet.GEOM_SPHERE, radius=0.1)
+    cylinder = create_shape(client, pybullet.GEOM_CYLINDER, radius=0.05, height=0.2)
+    capsule = create_shape(client, pybullet.GEOM_CAPSULE, radius=0.05, height=0.2)
+    offset = {"baseInertialFramePosition": [0.02, 0, 0.01], "baseOrientation": TILTED}
+    lying = {"baseOrientation": pybullet.getQuaternionFromEuler([0.3, np.pi / 2, 0.1])}
+    create = pybullet.createMultiBody
+    bodies = {
+        "ground": create(0, ground, **own),
+        "box": create(2, create_box(client), basePosition=[0, 0, 0.5], **offset, **own),
+        "ball": create(1, ball, basePosition=[1, 0, 0.5], **own),
+        "cylinder": create(1, cylinder, basePosition=[2, 0, 0.3], **lying, **own),
+        "capsule": create(1, capsule, basePosition=[3, 0, 0.3], **own),
+    }
     pybullet.changeDynamics(
         bodies["ball"],
         -1,
@@ -321,10 +305,51 @@ def menagerie(client):
         **own,
     )
     pybullet.resetBaseVelocity(bodies["ball"], [1, 0, 0], [0, 0, 3], client)
-    pybullet.resetJointState(bodies["arm"], 0, 0.4, 0.2, client)
-    pybullet.resetJointState(bodies["arm"], 1, 0.05, -0.1, client)
     pybullet.changeVisualShape(bodies["box"], -1, rgbaColor=[1, 0, 0, 0.5], **own)
-    return ssduck.World.attach(client, names={number: name for name, number in bodies.items()})
+    return bodies
+
+
+def create_arm(client):
+    """Creates a fixed body of three links; two of its joints move."""
+    box = create_box(client)
+    ball = create_shape(client, pybullet.GEOM_SPHERE, radius=0.1)
+    straight = [0, 0, 0, 1]
+    arm = pybullet.createMultiBody(
+        0,
+        box,
+        basePosition=[8, 0, 3],
+        linkMasses=[1, 0.5, 0.3],
+        linkCollisionShapeIndices=[box, box, ball],
+        linkVisualShapeIndices=[-1] * 3,
+        linkPositions=[[0.3, 0, 0], [0, 0.5, 0], [0, 0, 0.3]],
+        linkOrientations=[TILTED, straight, straight],
+        linkInertialFramePositions=[[0.05, 0, 0], [0, 0, 0], [0, 0, 0]],
+        linkInertialFrameOrientations=[TILTED, straight, straight],
+        linkParentIndices=[0, 1, 1],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC, pybullet.JOINT_FIXED],
+        linkJointAxis=[[0, 0, 1], [1, 0, 0], [0, 0, 0]],
+        physicsClientId=client,
+    )
+    pybullet.resetJointState(arm, 0, 0.4, 0.2, client)
+    pybullet.resetJointState(arm, 1, 0.05, -0.1, client)
+    return {"arm": arm}
+
+
+def create_tied_boxes(client):
+    """Creates a box that hangs from a point of the world, and one that is fixed to it."""
+    own = {"physicsClientId": client}
+    box = create_box(client)
+    first = pybullet.createMultiBody(1, box, basePosition=[10, 0, 3], **own)
+    second = pybullet.createMultiBody(1, box, basePosition=[10, 0.6, 3], **own)
+    point = pybullet.JOINT_POINT2POINT
+    pybullet.createConstraint(
+        first, -1, -1, -1, point, [0, 0, 0], [0, -0.2, 0], [10, -0.2, 3.1], **own
+    )
+    tie = pybullet.createConstraint(
+        first, -1, second, -1, pybullet.JOINT_FIXED, [0] * 3, [0, 0.3, 0], [0, -0.3, 0], **own
+    )
+    pybullet.changeConstraint(tie, maxForce=200, **own)
+    return {"first": first, "second": second}
 
 
 def dynamics(world):
@@ -460,20 +485,13 @@ def test_a_number_that_another_body_has_by_now(client, menagerie):
 def test_spherical_joints(client):
     own = {"physicsClientId": client}
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **own)
-    number = pybullet.createMultiBody(
+    number = create_linked_body(
+        client,
         0,
         ball,
-        linkMasses=[1],
-        linkCollisionShapeIndices=[ball],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0.3, 0, 0]],
-        linkOrientations=[[0, 0, 0, 1]],
         linkInertialFramePositions=[[0.2, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_SPHERICAL],
-        linkJointAxis=[[0, 0, 1]],
-        **own,
     )
     turn = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.5])
     pybullet.resetJointStateMultiDof(number, 0, turn, [0.1, 0.2, 0.3], physicsClientId=client)

@@ -18,6 +18,7 @@ from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene, read_sensor
 from ssduck.simulators.sensor_types import MAX_RAYS, SENSOR_TYPES
 from ssduck.world.sensor_readings import Reading
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.urdf import collision, joint, link, robot
 
@@ -347,24 +348,11 @@ def inside(stage):
         collisionFramePosition=[1, 0, 0],
         physicsClientId=stage.client,
     )
-    body = pybullet.createMultiBody(
-        0,
-        shell,
-        linkMasses=[1],
-        linkCollisionShapeIndices=[
-            pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=[0.1, 1, 1], physicsClientId=stage.client
-            )
-        ],
-        linkVisualShapeIndices=[-1],
-        linkPositions=[[2, 0, 0]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
-        linkJointTypes=[pybullet.JOINT_FIXED],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=stage.client,
+    link_shell = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1, 1, 1], physicsClientId=stage.client
+    )
+    body = create_linked_body(
+        stage.client, 0, shell, link_shape=link_shell, linkPositions=[[2, 0, 0]]
     )
     stage.names[body] = "host"
     return stage
