@@ -150,8 +150,8 @@ MIXED = [
     ([["a", 1]], "'n' holds a text"),
     ([2**53 + 1, 0.5], "'n' holds fractions and 9007199254740993"),
     ([10**38], "an integer of more than 38 digits"),
-    ([object()], "holds what no table does: object"),
-    ([{1: 2}], "called by a text, not 1"),
+    ([object()], "holds values that no table can hold: object"),
+    ([{1: 2}], "must be a text, not 1"),
     ([{"a": 1}, {"a": "x"}], "'n.a' holds a number"),
 ]
 
@@ -176,9 +176,9 @@ def test_a_mixed_column_is_told_with_the_place(kitchen):
 
 @pytest.mark.parametrize("form", [*TABLES, "json"])
 def test_columns_of_one_name(kitchen, form):
-    with pytest.raises(ArgumentError, match="two columns are called 'id'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'id'"):
         kitchen.eval(f"SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen AS {form};")
-    with pytest.raises(ArgumentError, match="two columns are called 'fridge'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'fridge'"):
         kitchen.eval(
             f"SELECT to(z, 'fridge'), to(x, id) FROM kitchen WHERE id(this) == 'fridge' AS {form};"
         )

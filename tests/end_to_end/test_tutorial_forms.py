@@ -249,7 +249,7 @@ def test_the_module_of_grids(session):
     assert openrave.RaveLoadPlugin("bullet") is False
     for command, message in [
         ("Scam", "no command 'Scam'; did you mean 'Scan'"),
-        ("Scan", "SetSize comes first"),
+        ("Scan", "SetSize must be sent before"),
         ("SetSize 3 4", "SetSize 3 4"),
         ("SetSize 3 4 0", "wider than 0 m"),
         ("SetSize 3 4 wide", "could not convert"),

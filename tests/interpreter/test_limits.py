@@ -212,7 +212,7 @@ def test_ssducks_own_statements_are_not_cut_off(client):
 @pytest.mark.parametrize("name", ["seconds", "rows", "memory", "depth"])
 @pytest.mark.parametrize("value", [0, -1, True])
 def test_limits_are_more_than_nothing(name, value):
-    with pytest.raises(ArgumentError, match=f"{name} is to be more than 0"):
+    with pytest.raises(ArgumentError, match=f"{name} must be more than 0"):
         ssduck.Limits(**{name: value})
 
 

@@ -474,7 +474,7 @@ LARGE = [
     ("help(long);", UnknownNameError, "help(long)", "no function 'aaa"),
     ("float(long);", ArgumentError, "float(long)", "float does not take"),
     ("fail(1);", FunctionError, "fail(1)", "fail: ValueError: yyy"),
-    ("odd(1);", FunctionError, "odd(1)", "odd: UntoldError: it does not tell why"),
+    ("odd(1);", FunctionError, "odd(1)", "odd: UntoldError: it gives no reason"),
 ]
 
 

@@ -728,7 +728,7 @@ def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter
     [
         (lambda ss: ss.export("none", entities=[]), "no entities to write"),
         (lambda ss: ss.export("none", start="a"), "number of seconds"),
-        (lambda ss: ss.record("lab", "x"), "takes a Recording or None, not 'x'"),
+        (lambda ss: ss.record("lab", "x"), "record: recording: 'x' is no Recording"),
         (lambda _: Recording(seconds="1"), "seconds is to be a number above 0"),
         (lambda _: Recording(tables=3), "tables is to be a list of names"),
         (lambda ss: ss.eval("least(IF(z(ball) > 0.99; 'a'; 1));"), "expression of numbers"),
