@@ -53,8 +53,7 @@ class RecordingMethods(ABC):
                 recording.
             UnsupportedError: the world is itself a record.
         """
-        if not isinstance(recording, Recording | None):
-            raise ArgumentError(f"record takes a Recording or None, not {short_repr(recording)}")
+        validation.instance(recording, Recording, "record: recording")
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()
