@@ -230,6 +230,7 @@ def test_dot_draws_an_edge_a_row(kitchen):
     assert '"table" -> "cup_58a2";' in plain
 
 
+@pytest.mark.slow
 @of_pydot
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1))
 def test_quoted_texts_are_shown_as_they_are(text):

@@ -21,6 +21,7 @@ from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, Vo
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import find_scene
+from tests.support.cases import sampled
 
 ROOT = Path(__file__).resolve().parents[2]
 ALL = "SELECT obj FROM kitchen AS"
@@ -106,7 +107,7 @@ def centres(grid, z):
     return np.column_stack((x.ravel(), y.ravel(), np.full(x.size, z)))
 
 
-@pytest.mark.parametrize("z", [0.22, 0.45, 1.0])
+@sampled("z", [0.22, 0.45, 1.0], every=3)
 def test_the_kitchen_is_occupied_where_its_shapes_are(kitchen, z):
     grid = kitchen.eval(f"{ALL} occupancygrid({z}, 0.025);")
     corners = np.array([[0, 0], [-1, -1], [-1, 1], [1, -1], [1, 1]]) * 0.0125 * 0.9999
@@ -360,6 +361,7 @@ def test_the_manuals_pictures_are_up_to_date(pictures):
         assert other <= most, f"{name}: run tools/draw_forms.py"
 
 
+@pytest.mark.slow
 def test_the_pictures_show_what_they_should(pictures, tmp_path):
     """Pixels are counted by colours, and are as many a cell as the cells are drawn wide."""
     with ssduck.load("kitchen") as ss:
@@ -579,6 +581,7 @@ def test_a_box_around_a_sensor_is_not_in_its_way(at, seen):
         assert bool(grid.at(2.0, 0.05)) == seen
 
 
+@pytest.mark.slow
 def test_bunches_of_cells_change_nothing(kitchen, monkeypatch):
     query = "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.1);"
     whole = kitchen.eval(query)
@@ -825,7 +828,7 @@ def test_help_tells_the_forms():
 # -- records, evaluators, other ways in -----------------------------------------------------------
 
 
-@pytest.mark.parametrize("row_by_row", [False, True])
+@sampled("row_by_row", [False, True], every=2)
 def test_an_opened_record_has_the_same_grids(tmp_path, row_by_row):
     queries = [
         "SELECT obj FROM kitchen AS map(0.22, 0.05);",

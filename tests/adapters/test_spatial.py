@@ -259,6 +259,7 @@ def test_a_sensor_is_shown_by_its_body(kitchen):
     assert np.array_equal(np.asarray(kitchen.eval(laser)), np.asarray(kitchen.eval(body)))
 
 
+@pytest.mark.slow
 def test_a_picture_of_a_recorded_tick():
     with ssduck.load("kitchen") as ss:
         world = ss.call_variable("kitchen")
