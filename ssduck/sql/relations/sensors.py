@@ -14,9 +14,9 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         _SENSOR_AND_OTHER,
         "boolean",
         "(s.id, e.id) IN (SELECT sensor, entity FROM sensings)",
-        "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
-        "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
-        "what is no sensor.",
+        "Checks if sensor s perceives e at the tick: if a ray, a pixel or a contact point of s "
+        "ends on e. It is False while s is switched off, for the body on which s is mounted, if "
+        "e is a sensor, and if s is not one.",
         across_worlds="FALSE",
         recorded_formula=f"len({recorded_numbers('sensed', 's', 'e')}) > 0",
     ),
