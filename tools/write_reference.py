@@ -31,12 +31,12 @@ holds. Python treats None as false and cannot compare it.
 ## Boxes and shapes
 
 `above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` use positions and boxes. They
-are formulas over columns, and fast. Relations that say `Asks the narrow phase` use the shapes
+are formulas over columns, and fast. Relations that say `Calls the narrow phase` use the shapes
 themselves: the boxes of two balls side by side may overlap while the balls are apart. DuckDB then
 calls Python, but only for the candidate pairs that the entry names, wherever the relation stands:
-in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared once in a tick, however often
-it is asked for. `clearance` compares every pair that it is asked for; if a bound is enough,
-`near(a, b, d)` is cheaper.
+in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared at most once in a tick.
+`clearance` compares every pair of which a row needs it; if a bound is enough, `near(a, b, d)` is
+cheaper.
 
 If two sources are the same world, `collides`, `near`, `touching`, `on`, `supports`, `restsOn`,
 `contains` and `enclosed` in the `WHERE` of a SelectScript query find all pairs of the tick at
@@ -84,9 +84,9 @@ In simulators, things at rest do not touch exactly. PyBullet presses boxes, ball
 capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from
 it by a margin of 1 mm each. So a cup of hulls on a plate of hulls has a clearance of 1.99 mm. The
 table `shapes` has each shape's margin at the tick (`margin`); records have the margin with which
-the body was first recorded. Ask as follows:
+the body was first recorded. Which relation to use:
 
-| question | ask |
+| question | relation |
 |---|---|
 | does b rest on a? | `on(a, b)`, which includes margins |
 | do they touch? | `touching(a, b)`, which includes margins |
@@ -187,7 +187,7 @@ TABLES_HEAD = """# Tables
 
 Each world is a schema of its name (`kitchen.entities`). The tables of the first world are also
 available without it (`entities`). All rows are of the world's last tick. `links`, `joints`,
-`shapes`, `contacts` and `sensings` are read from the simulator only after a query has asked for
+`shapes`, `contacts` and `sensings` are read from the simulator only after a query has used
 them.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
@@ -201,9 +201,9 @@ def relation_lines(relation: Relation) -> Iterator[str]:
     unit = f" Unit: {relation.unit}." if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
     pairs = relation.geometry.pairs if relation.geometry is not None else ""
-    asked = f" Asks the narrow phase {pairs}." if pairs else ""
+    calls = f" Calls the narrow phase {pairs}." if pairs else ""
     others = f" {relation.alias_note}" if relation.alias_note else ""
-    yield f"{relation.about}{unit}{symmetric}{asked}{others}\n"
+    yield f"{relation.about}{unit}{symmetric}{calls}{others}\n"
     for parameter in relation.parameters:
         yield f"- `{parameter.name}`: {parameter.meaning}"
 
@@ -214,11 +214,11 @@ def relations_page() -> str:
     for relation in RELATIONS.values():
         if not relation.alias_of:
             lines += relation_lines(relation)
-    lines += ["\n## Functions of plain values\n", "| function | what it does |", "|---|---|"]
+    lines += ["\n## Functions of plain values\n", "| function | meaning |", "|---|---|"]
     for function in BUILTINS.values():
         about, usage = function.help.split("\nUsage: ")
         lines.append(f"| `{usage}` | {about} |")
-    lines += ["\n## Result forms\n", "| AS | what it gives |", "|---|---|"]
+    lines += ["\n## Result forms\n", "| AS | result |", "|---|---|"]
     for adapter in all_adapters():
         usage = adapter.usage.replace("|", "\\|")
         lines.append(f"| `{usage}` | {adapter.help} |")

@@ -164,7 +164,7 @@ def test_a_form_that_needs_entities(kitchen, registry):
 
 def test_a_form_that_needs_columns(kitchen, registry):
     ssduck.adapter("table_of", needs="columns")(lambda s: s.columns)
-    with pytest.raises(ArgumentError, match="two columns are called 'id'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'id'"):
         kitchen.eval("SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen AS table_of;")
 
 

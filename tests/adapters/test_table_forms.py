@@ -175,9 +175,9 @@ def test_a_mixed_column_is_told_with_the_place(kitchen):
 
 @pytest.mark.parametrize("form", [*TABLES, "json"])
 def test_columns_of_one_name(kitchen, form):
-    with pytest.raises(ArgumentError, match="two columns are called 'id'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'id'"):
         kitchen.eval(f"SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen AS {form};")
-    with pytest.raises(ArgumentError, match="two columns are called 'fridge'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'fridge'"):
         kitchen.eval(
             f"SELECT to(z, 'fridge'), to(x, id) FROM kitchen WHERE id(this) == 'fridge' AS {form};"
         )

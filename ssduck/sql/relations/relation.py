@@ -108,7 +108,9 @@ class Relation:
     @property
     def help(self) -> str:
         """The text of `help('name')` after the name."""
-        return " ".join(filter(None, (self.about, self.alias_note))) + f"\nUsage: {self.usage}"
+        unit = f"Unit: {self.unit}." if self.unit else ""
+        about = " ".join(filter(None, (self.about, unit, self.alias_note)))
+        return f"{about}\nUsage: {self.usage}"
 
     @property
     def alias_note(self) -> str:
