@@ -1,19 +1,25 @@
 """Writes the generated pages of the manual.
 
 `python tools/write_reference.py` takes some seconds: it writes `docs/reference/relations.md` from
-the registry of relations and functions, and `docs/reference/tables.md` from the declarations of
-tables. `--check` only compares them, with exit status 1 if a page differs.
+the registry of relations and functions, `docs/reference/tables.md` from the declarations of
+tables, and the marked sections of `docs/reference/command-line.md` from the command `ssduck`.
+`--check` only compares them, with exit status 1 if a page differs.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
+import typer
+from typer.core import TyperArgument, TyperCommand, TyperOption
+
 from ssduck.adapters.registry import all_adapters
+from ssduck.cli.app import app
 from ssduck.language.builtins import BUILTINS
 from ssduck.schema import TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
@@ -249,12 +255,78 @@ def tables_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+# A generated section of the page of the command line: its marks, and the command between them.
+SECTION = re.compile(r"(<!-- command: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
+
+
+def parameter_line(parameter: TyperArgument | TyperOption) -> str:
+    """Returns the row of an argument or an option of a command."""
+    value = ""
+    if isinstance(parameter, TyperOption) and not parameter.is_flag:
+        value = (parameter.metavar or "").replace("|", "\\|")
+    names = sorted((*parameter.opts, *parameter.secondary_opts), key=len)
+    if not isinstance(parameter, TyperOption):
+        names = [str(parameter.metavar)]
+    words = ", ".join(f"`{name}`" for name in names[:-1])
+    last = f"`{names[-1]} {value}`" if value else f"`{names[-1]}`"
+    shown = getattr(parameter, "show_default", None)
+    default = shown if isinstance(shown, str) else parameter.default
+    is_named = default is not None and not isinstance(default, bool) and default != ()
+    note = f" Default: {default}." if is_named and not parameter.required else ""
+    help_text = getattr(parameter, "help", "")
+    return f"| {', '.join(filter(None, (words, last)))} | {help_text}{note} |"
+
+
+def command_section(name: str, command: TyperCommand) -> str:
+    """Returns the heading, the description and the table of a command."""
+    arguments = [
+        (str(parameter.metavar), parameter.required)
+        for parameter in command.params
+        if isinstance(parameter, TyperArgument)
+    ]
+    usage = " ".join(text if required else f"[{text}]" for text, required in arguments)
+    about = " ".join((command.help or "").partition("\n\n")[0].split())
+    lines = [f"## `{f'ssduck {name} {usage}'.strip()}`\n", about]
+    rows = [
+        parameter_line(parameter)
+        for parameter in command.params
+        if isinstance(parameter, TyperArgument | TyperOption)
+    ]
+    if rows:
+        lines += ["", "| argument or option | meaning |", "|---|---|", *rows]
+    return "\n".join(lines) + "\n"
+
+
+def command_line_page() -> str:
+    """Returns the page of the command line: its marked sections follow the command `ssduck`.
+
+    Raises:
+        ValueError: a command has no section, or a section no command.
+    """
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    text = (DOCS / "command-line.md").read_text(encoding="utf-8")
+    names = [name for _, name, _ in SECTION.findall(text)]
+    if sorted(names) != sorted(commands):
+        raise ValueError(f"sections {names} of the commands {list(commands)}")
+
+    def section(match: re.Match[str]) -> str:
+        name = match[2]
+        return f"{match[1]}\n{command_section(name, commands[name])}\n{match[3]}"
+
+    return SECTION.sub(section, text)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description="Write the manual's generated pages.")
     parser.add_argument("--check", action="store_true", help="only report pages that differ")
     check = parser.parse_args().check
     stale = []
-    for name, text in (("relations.md", relations_page()), ("tables.md", tables_page())):
+    pages = {
+        "relations.md": relations_page(),
+        "tables.md": tables_page(),
+        "command-line.md": command_line_page(),
+    }
+    for name, text in pages.items():
         path = DOCS / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             stale.append(name)

@@ -146,11 +146,11 @@ def _ssduck(
         typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Ask a robot simulation questions, in SelectScript or in SQL.
+    """Query a robot simulation in SelectScript or in SQL.
 
     SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
     or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
-    RECORD is a folder or a DuckDB file that was recorded into.
+    RECORD is the path of a folder or a DuckDB file with a recording.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
@@ -161,44 +161,50 @@ def demo(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME", help="The demonstration (see --list), or a scene: a name or a path."
+            metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."
         ),
     ] = "kitchen",
     listed: Annotated[
-        bool, typer.Option("--list", help="List the demonstrations, and show none.")
+        bool, typer.Option("--list", help="List the demonstrations instead of running one.")
     ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
-            help="The folder that pictures and files go to, beside what is there.",
-            show_default="demo-NAME; of a scene this folder",
+            metavar="FOLDER",
+            help="The folder for pictures and files. It is made if necessary; its files stay.",
+            show_default="demo-NAME; for kitchen and scenes, the current folder",
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", min=0, help="Decides what is drawn by chance.")
+        int, typer.Option("--seed", min=0, metavar="N", help="The seed of random numbers.")
     ] = 0,
     output: Annotated[
         Path | None,
         typer.Option(
             "--output",
             "-o",
-            help="Of a scene, the file of its picture.",
-            show_default="SCENE.png in that folder",
+            metavar="FILE",
+            help="For kitchen and scenes: the file of the picture, in the format of its ending. "
+            "An existing file is replaced.",
+            show_default="NAME.png after the scene, or a free name beside it",
         ),
     ] = None,
     picture: Annotated[
-        bool, typer.Option("--picture/--no-picture", help="Whether to draw a scene.")
+        bool,
+        typer.Option(
+            "--picture/--no-picture", help="For kitchen and scenes: whether to draw a picture."
+        ),
     ] = True,
     sql: Annotated[
         bool,
-        typer.Option("--sql/--no-sql", help="Whether to show the SQL of a scene's questions."),
+        typer.Option("--sql/--no-sql", help="For kitchen and scenes: whether to show the SQL."),
     ] = True,
 ) -> None:
-    """Show what ssduck does: the tutorial's questions, or another demonstration.
+    """Run a demonstration, or general questions about a scene.
 
-    A scene is asked general questions: each program, its SQL and its answer. The kitchen is
-    asked those of SelectScript's tutorial.
+    The questions are shown with their programs, SQL and results. Those of the kitchen are from
+    SelectScript's tutorial.
     """
     from ssduck.demos import NAMES, description_of, run_of
 
@@ -255,44 +261,54 @@ def _created(folder: Path) -> Path:
 def query(
     scene: Annotated[
         str,
-        typer.Argument(
-            metavar="SCENE", help="What is asked: a scene's name or path, or a record's path."
-        ),
+        typer.Argument(metavar="SCENE", help="The name or the path of a scene, or a RECORD."),
     ],
     program: Annotated[
         str | None,
         typer.Argument(
-            metavar="PROGRAM", help="What is asked; standard input if it is - or missing."
+            metavar="PROGRAM",
+            help="The program; it comes from standard input if it is - or missing.",
         ),
     ] = None,
     file: Annotated[
-        Path | None, typer.Option("--file", "-f", help="Read the program from a file.")
+        Path | None,
+        typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
     ] = None,
     format: Annotated[
-        Format, typer.Option("--format", "-F", help="How the answer is written.")
+        Format,
+        typer.Option("--format", "-F", metavar="table|json|csv", help="The format of the result."),
     ] = Format.TABLE,
-    sql: Annotated[bool, typer.Option("--sql", help="The program is SQL.")] = False,
+    sql: Annotated[
+        bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
+    ] = False,
     steps: Annotated[
-        int | None, typer.Option(min=0, help="Simulate that many steps first.")
+        int | None, typer.Option(min=0, metavar="N", help="Simulate N steps first.")
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Simulate that long first, in whole steps of the scene."),
+        typer.Option(
+            min=0.0,
+            metavar="T",
+            help="Simulate T seconds first, rounded to whole steps of the scene.",
+        ),
     ] = None,
     episode: Annotated[
         int | None,
         typer.Option(
-            min=0, help="Of a record, the number of the episode.", show_default="the last one"
+            min=0,
+            metavar="N",
+            help="The number of the episode of a record.",
+            show_default="the last one",
         ),
     ] = None,
     strict: Annotated[
         bool,
-        typer.Option("--strict", help="Refuse what is probably a mistake, and do not only warn."),
+        typer.Option("--strict", help="Refuse probable mistakes instead of warning."),
     ] = False,
 ) -> None:
-    """Run a program on a scene, or on a record, and write its answer to standard output.
+    """Run a program on a scene or a record, and write its result to standard output.
 
-    A program that begins with a minus goes behind two of them:
+    A program that begins with a minus sign follows two of them:
     ssduck query kitchen -- '-1;'
     """
     if steps is not None and seconds is not None:
@@ -332,10 +348,10 @@ def scenes() -> None:
 def functions(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="NAME", help="The function to tell about; by default all."),
+        typer.Argument(metavar="NAME", help="The function to describe; all are listed by default."),
     ] = None,
 ) -> None:
-    """List the functions of the language, or tell what one does."""
+    """List the functions of the language with their usage, or describe one."""
     from ssduck.interpreter.interpreter import Interpreter
 
     with Interpreter() as ss:
