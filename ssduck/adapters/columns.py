@@ -43,7 +43,7 @@ def checked_names(names: Sequence[Any]) -> Sequence[str]:
     for index, name in enumerate(names):
         validation.text(name, "a column is to be called by a text")
         if name in names[:index]:
-            raise ArgumentError(f"two columns are called {name!r}; name them with to(…, 'name')")
+            raise ArgumentError(f"two columns have the name {name!r}; name them with to(…, 'name')")
     return names
 
 
