@@ -13,7 +13,8 @@ import time
 
 from tests.support.grammar import Evaluators, evaluators, program, seeded, shrunk
 
-EACH = 500
+# The number of programs between two lines of progress.
+REPORT_EVERY = 500
 
 
 class Run:
@@ -26,7 +27,7 @@ class Run:
     def __init__(self, both: Evaluators) -> None:
         self.both = both
         self.queries = self.sql = self.errors = 0
-        self.found: dict[str, str] = {}
+        self.differences: dict[str, str] = {}
 
     def add(self, seed: int) -> None:
         """Runs the program of a seed."""
@@ -35,11 +36,11 @@ class Run:
         rows = self.both.outcome(self.both.rows, text)
         self.errors += rows.error is not None
         if self.both.disagreement(text) is not None:
-            small = shrunk(choices.taken, lambda t: self.both.disagreement(t) is not None)
-            told = self.both.disagreement(small) or small
-            if small not in self.found:
-                print(f"seed {seed}: {told}", flush=True)
-            self.found[small] = told
+            smallest = shrunk(choices.taken, lambda t: self.both.disagreement(t) is not None)
+            description = self.both.disagreement(smallest) or smallest
+            if smallest not in self.differences:
+                print(f"seed {seed}: {description}", flush=True)
+            self.differences[smallest] = description
         if seed % 10 == 0 and "SELECT" in text:
             self.queries += 1
             self.sql += self.both.is_all_sql(text)
@@ -48,21 +49,25 @@ class Run:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Run random programs in both evaluators.")
     parser.add_argument("count", nargs="?", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0, help="the first program's")
-    given = parser.parse_args()
+    parser.add_argument("--seed", type=int, default=0, help="the seed of the first program")
+    options = parser.parse_args()
     with evaluators() as both:
         run, started = Run(both), time.monotonic()
-        for number in range(given.count):
-            run.add(given.seed + number)
-            if (number + 1) % EACH == 0:
+        for number in range(options.count):
+            run.add(options.seed + number)
+            if (number + 1) % REPORT_EVERY == 0:
                 rate = (number + 1) / (time.monotonic() - started)
-                print(f"{number + 1} programs, {rate:.0f}/s, {len(run.found)} differ", flush=True)
+                print(
+                    f"{number + 1} programs, {rate:.0f}/s, {len(run.differences)} differ",
+                    flush=True,
+                )
     share = 100 * run.sql / max(1, run.queries)
     print(
-        f"{given.count} programs in {time.monotonic() - started:.0f} s, {run.errors} with errors, "
-        f"{share:.0f} % of queries SQL alone, {len(run.found)} differences"
+        f"{options.count} programs in {time.monotonic() - started:.0f} s, "
+        f"{run.errors} with errors, {share:.0f} % of queries SQL alone, "
+        f"{len(run.differences)} differences"
     )
-    return 1 if run.found else 0
+    return 1 if run.differences else 0
 
 
 if __name__ == "__main__":

@@ -28,12 +28,12 @@ class Picture:
 
     Attributes:
         programs: the programs.
-        times: how many pixels a cell is wide.
-        over: a program whose occupied cells are drawn over each of them.
+        scale: the width of a cell, pixels.
+        over: a program whose occupied cells are drawn over each grid.
     """
 
     programs: tuple[str, ...]
-    times: int
+    scale: int
     over: str | None = None
 
 
@@ -67,14 +67,16 @@ GAP = 12
 NEAREST = Image.Resampling.NEAREST
 
 
-def drawn(ss: ssduck.Interpreter, picture: Picture) -> Image.Image:
-    times = picture.times
+def draw_grids(ss: ssduck.Interpreter, picture: Picture) -> Image.Image:
     grids = [ss.eval(program).image() for program in picture.programs]
     if picture.over is not None:
         shapes = ss.eval(picture.over).image()
         for grid in grids:
             grid.paste(shapes, mask=shapes.point(lambda shade: 255 * (shade < 128)))
-    grids = [grid.resize((grid.width * times, grid.height * times), NEAREST) for grid in grids]
+    grids = [
+        grid.resize((grid.width * picture.scale, grid.height * picture.scale), NEAREST)
+        for grid in grids
+    ]
     width = sum(grid.width for grid in grids) + GAP * (len(grids) + 1)
     whole = Image.new("RGB", (width, max(grid.height for grid in grids) + 2 * GAP), (200, 210, 220))
     left = GAP
@@ -84,7 +86,7 @@ def drawn(ss: ssduck.Interpreter, picture: Picture) -> Image.Image:
     return whole
 
 
-# -- what is no grid ------------------------------------------------------------------------------
+# -- other pictures -------------------------------------------------------------------------------
 
 SIZE = (640, 420)
 COLOURS = [(31, 119, 180), (214, 39, 40), (44, 160, 44), (255, 127, 14), (148, 103, 189)]
@@ -107,14 +109,14 @@ def cloud(ss: ssduck.Interpreter) -> Image.Image:
     """Draws points, with a colour for each entity, from the side and slightly from above."""
     table = "table = SELECT obj FROM kitchen WHERE id(this) == 'table' AS value;"
     near = "SELECT obj FROM kitchen WHERE distance(table, this) < 1.3 AND volume(this) < 1"
-    found = ss.eval(f"{table} {near} AND NOT isSensor(this) AS points(0.02);")
-    x, y, z = found.points.T
+    cloud_points = ss.eval(f"{table} {near} AND NOT isSensor(this) AS points(0.02);")
+    x, y, z = cloud_points.points.T
     across, up = x * 0.9 - y * 0.35, z * 0.9 + (x * 0.35 + y * 0.9) * 0.4
     pixels = np.full((SIZE[1], SIZE[0], 3), 255, dtype=np.uint8)
     scale = min((SIZE[0] - 20) / np.ptp(across), (SIZE[1] - 20) / np.ptp(up))
     columns = (10 + (across - across.min()) * scale).astype(int)
     rows = (SIZE[1] - 10 - (up - up.min()) * scale).astype(int)
-    pixels[rows, columns] = np.array(COLOURS)[found.owners % len(COLOURS)]
+    pixels[rows, columns] = np.array(COLOURS)[cloud_points.owners % len(COLOURS)]
     return Image.fromarray(pixels).quantize(16)
 
 
@@ -133,10 +135,10 @@ def network(ss: ssduck.Interpreter) -> Image.Image:
     axes.axis("off")
     axes.margins(0.15)
     figure.tight_layout()
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="png")
+    png = io.BytesIO()
+    figure.savefig(png, format="png")
     plt.close(figure)
-    return Image.open(drawn).convert("RGB").quantize(32)
+    return Image.open(png).convert("RGB").quantize(32)
 
 
 VIEWS: dict[str, Callable[[ssduck.Interpreter], Image.Image]] = {
@@ -151,7 +153,7 @@ def main() -> None:
     folder = Path(sys.argv[1]) if sys.argv[1:] else IMAGES
     with ssduck.load("kitchen") as ss:
         for name, picture in PICTURES.items():
-            drawn(ss, picture).save(folder / f"{name}.png", optimize=True)
+            draw_grids(ss, picture).save(folder / f"{name}.png", optimize=True)
         for name, draw in VIEWS.items():
             draw(ss).save(folder / f"forms-{name}.png", optimize=True)
 

@@ -36,10 +36,10 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 CORPUS = ROOT / "tests" / "data" / "programs.txt"
 
-# An input that takes so many seconds is slow, or hangs; its limit is 2.
+# The seconds after which an input is slow, or hangs; the limit of its queries is 2 s.
 SLOW = 6.0
 HANG = 11.0
-# Interpreters remember what they have planned; a new one is made after so many inputs.
+# The number of inputs of an interpreter, which caches their plans.
 LIFETIME = 4000
 MEMORY = 6 * 2**30
 
@@ -116,7 +116,7 @@ _TOKEN = re.compile(
     | \d+\.?\d* | \w+ | \s+ | [=!<>]= | .""",
     re.VERBOSE | re.DOTALL,
 )
-_LONGEST = 20_000
+_MAX_LENGTH = 20_000
 
 
 @dataclass(frozen=True)
@@ -135,83 +135,83 @@ def programs() -> tuple[str, ...]:
 
 def input_of(seed: int, number: int) -> Input:
     """Returns the input of a number."""
-    chance = random.Random(f"{seed} {number}")  # noqa: S311  # nothing secret
-    is_sql = chance.random() < 0.06
+    rng = random.Random(f"{seed} {number}")  # noqa: S311  # nothing secret
+    is_sql = rng.random() < 0.06
     corpus = SQL if is_sql else programs()
-    tokens = _TOKEN.findall(chance.choice(corpus))
-    for _ in range(chance.choice((1, 1, 1, 2, 2, 3, 5))):
-        mutation = chance.choices(_MUTATIONS, _WEIGHTS)[0]
-        tokens = mutation(chance, tokens, corpus)
-    return Input("".join(tokens)[:_LONGEST], is_sql)
+    tokens = _TOKEN.findall(rng.choice(corpus))
+    for _ in range(rng.choice((1, 1, 1, 2, 2, 3, 5))):
+        mutation = rng.choices(_MUTATIONS, _WEIGHTS)[0]
+        tokens = mutation(rng, tokens, corpus)
+    return Input("".join(tokens)[:_MAX_LENGTH], is_sql)
 
 
-def _at(chance: random.Random, tokens: Sequence[str], kind: str = r"\S") -> int:
+def _at(rng: random.Random, tokens: Sequence[str], kind: str = r"\S") -> int:
     """Returns the position of a token of a kind, or of any token if there is none."""
     places = [place for place, token in enumerate(tokens) if re.match(kind, token)]
-    return chance.choice(places) if places else chance.randrange(len(tokens) + 1)
+    return rng.choice(places) if places else rng.randrange(len(tokens) + 1)
 
 
-def _delete(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens)
-    return tokens[:at] + tokens[at + chance.choice((1, 1, 1, 2, 4, 8)) :]
+def _delete(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens)
+    return tokens[:at] + tokens[at + rng.choice((1, 1, 1, 2, 4, 8)) :]
 
 
-def _duplicate(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens)
-    end = at + chance.choice((1, 1, 2, 4, 8, 16))
+def _duplicate(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens)
+    end = at + rng.choice((1, 1, 2, 4, 8, 16))
     return [*tokens[:end], " ", *tokens[at:]]
 
 
-def _swap(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+def _swap(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
     swapped = [*tokens, ""]
-    one, other = _at(chance, tokens), _at(chance, tokens)
+    one, other = _at(rng, tokens), _at(rng, tokens)
     swapped[one], swapped[other] = swapped[other], swapped[one]
     return swapped
 
 
-def _insert(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens)
-    word = chance.choice(chance.choice((WORDS, NAMES, NUMBERS)))
+def _insert(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens)
+    word = rng.choice(rng.choice((WORDS, NAMES, NUMBERS)))
     return [*tokens[:at], " ", word, " ", *tokens[at:]]
 
 
-def _splice(chance: random.Random, tokens: list[str], corpus: Sequence[str]) -> list[str]:
-    other = _TOKEN.findall(chance.choice(corpus))
-    at, from_ = _at(chance, tokens), _at(chance, other)
-    end = from_ + chance.choice((1, 3, 6, 12, len(other)))
-    return [*tokens[:at], " ", *other[from_:end], " ", *tokens[at + chance.choice((0, 1, 3)) :]]
+def _splice(rng: random.Random, tokens: list[str], corpus: Sequence[str]) -> list[str]:
+    other = _TOKEN.findall(rng.choice(corpus))
+    at, from_ = _at(rng, tokens), _at(rng, other)
+    end = from_ + rng.choice((1, 3, 6, 12, len(other)))
+    return [*tokens[:at], " ", *other[from_:end], " ", *tokens[at + rng.choice((0, 1, 3)) :]]
 
 
-def _expression(chance: random.Random, tokens: list[str], corpus: Sequence[str]) -> list[str]:
+def _expression(rng: random.Random, tokens: list[str], corpus: Sequence[str]) -> list[str]:
     """Replaces a name or a number by a whole program in brackets."""
-    other = chance.choice(corpus).rstrip("; ")
-    at = _at(chance, tokens, r"\w")
+    other = rng.choice(corpus).rstrip("; ")
+    at = _at(rng, tokens, r"\w")
     return [*tokens[:at], "(", other, ")", *tokens[at + 1 :]]
 
 
-def _number(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens, r"\d")
-    return [*tokens[:at], chance.choice(NUMBERS), *tokens[at + 1 :]]
+def _number(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens, r"\d")
+    return [*tokens[:at], rng.choice(NUMBERS), *tokens[at + 1 :]]
 
 
-def _name(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens, r"(?!(?:select|from|where|this)\b)[^\W\d]")
-    return [*tokens[:at], chance.choice(NAMES), *tokens[at + 1 :]]
+def _name(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens, r"(?!(?:select|from|where|this)\b)[^\W\d]")
+    return [*tokens[:at], rng.choice(NAMES), *tokens[at + 1 :]]
 
 
-def _operator(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens, r"[-+*/%^<>!]|==|and\b|or\b|in\b|AND\b|OR\b|IN\b")
-    sign = chance.choice(WORDS[WORDS.index("OR") : WORDS.index("(")])
+def _operator(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens, r"[-+*/%^<>!]|==|and\b|or\b|in\b|AND\b|OR\b|IN\b")
+    sign = rng.choice(WORDS[WORDS.index("OR") : WORDS.index("(")])
     return [*tokens[:at], " ", sign, " ", *tokens[at + 1 :]]
 
 
-def _call(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+def _call(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
     """Wraps a name or a number in a call."""
-    at = _at(chance, tokens, r"\w")
-    more = chance.choice(("", "", ", 1", ", this", ", n"))
+    at = _at(rng, tokens, r"\w")
+    more = rng.choice(("", "", ", 1", ", this", ", n"))
     return [
         *tokens[:at],
-        chance.choice(NAMES),
+        rng.choice(NAMES),
         "(",
         *tokens[at : at + 1],
         more,
@@ -220,44 +220,44 @@ def _call(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[st
     ]
 
 
-def _letters(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+def _letters(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
     text = "".join(tokens)
-    for _times in range(chance.choice((1, 1, 2, 5))):
-        at = chance.randrange(len(text) + 1)
-        letter = chance.choice(LETTERS) if chance.random() < 0.8 else chr(chance.randrange(0x300))
-        text = text[:at] + letter + text[at + chance.randrange(2) :]
+    for _times in range(rng.choice((1, 1, 2, 5))):
+        at = rng.randrange(len(text) + 1)
+        letter = rng.choice(LETTERS) if rng.random() < 0.8 else chr(rng.randrange(0x300))
+        text = text[:at] + letter + text[at + rng.randrange(2) :]
     return _TOKEN.findall(text)
 
 
-def _bytes(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+def _bytes(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
     """Flips bits of the text's bytes."""
     data = bytearray("".join(tokens).encode("utf-8", "surrogatepass"))
-    for _times in range(chance.choice((1, 2, 8))):
+    for _times in range(rng.choice((1, 2, 8))):
         if data:
-            data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
-    return _TOKEN.findall(data.decode("utf-8", chance.choice(("surrogateescape", "replace"))))
+            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    return _TOKEN.findall(data.decode("utf-8", rng.choice(("surrogateescape", "replace"))))
 
 
-def _case(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens, r"[^\W\d]")
+def _case(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens, r"[^\W\d]")
     changed = "".join(
-        chance.choice((str.upper, str.lower))(letter) for letter in "".join(tokens[at : at + 1])
+        rng.choice((str.upper, str.lower))(letter) for letter in "".join(tokens[at : at + 1])
     )
     return [*tokens[:at], changed, *tokens[at + 1 :]]
 
 
-def _unbalance(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
-    at = _at(chance, tokens, r"[\])}'\"]")
+def _unbalance(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+    at = _at(rng, tokens, r"[\])}'\"]")
     cut = tokens[at : at + 1]
     return [*tokens[:at], *(token[:-1] for token in cut), *tokens[at + 1 :]]
 
 
-def _nest(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+def _nest(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
     """Nests deeply, closed or not, or repeats many times."""
-    at = _at(chance, tokens)
-    depth = chance.choice((2, 10, 55, 70, 300, 1200, 5000))
-    opening, closing = chance.choice(OPENINGS), chance.choice(CLOSINGS)
-    match chance.randrange(4):
+    at = _at(rng, tokens)
+    depth = rng.choice((2, 10, 55, 70, 300, 1200, 5000))
+    opening, closing = rng.choice(OPENINGS), rng.choice(CLOSINGS)
+    match rng.randrange(4):
         case 0:
             return [*tokens[:at], opening * depth, *tokens[at:]]
         case 1:
@@ -272,13 +272,13 @@ def _nest(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[st
                 closing * depth,
                 *tokens[at + 1 :],
             ]
-    times = chance.choice((2, 5, 40, 400))
-    return [*tokens[:at], *(tokens[at : at + chance.choice((1, 2, 5))] * times), *tokens[at:]]
+    times = rng.choice((2, 5, 40, 400))
+    return [*tokens[:at], *(tokens[at : at + rng.choice((1, 2, 5))] * times), *tokens[at:]]
 
 
-def _truncate(chance: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
+def _truncate(rng: random.Random, tokens: list[str], _: Sequence[str]) -> list[str]:
     text = "".join(tokens)
-    return _TOKEN.findall(text[: chance.randrange(len(text) + 1)])
+    return _TOKEN.findall(text[: rng.randrange(len(text) + 1)])
 
 
 _Mutation = Callable[[random.Random, list[str], Sequence[str]], list[str]]
@@ -288,7 +288,7 @@ _MUTATIONS: tuple[_Mutation, ...] = (
 )
 _WEIGHTS = (4, 3, 3, 4, 4, 5, 8, 10, 6, 6, 4, 2, 2, 1, 2, 1)
 
-# -- what they run in -------------------------------------------------------------------------
+# -- the environment of the inputs ------------------------------------------------------------
 
 
 def _move(step: Any, tower: Any) -> Any:
@@ -308,8 +308,8 @@ def _strange(kind: Any) -> Any:
     endless.append(endless)
     kinds = (None, float("nan"), object(), float("inf"), np.zeros(2), {1, 2}, {3: {"a": None}})
     others = (10**30, b"\xff", 1j, "\ud800", "\x00", endless, np.float64(2.5), range(3), int)
-    known = (*kinds, *others)
-    return known[int(kind) % len(known)]
+    values = (*kinds, *others)
+    return values[int(kind) % len(values)]
 
 
 def _broken(value: Any) -> Any:
@@ -342,7 +342,7 @@ def _functions() -> dict[str, Callable[..., Any]]:
         return a * 10**30
 
     def liar(a: int) -> str:
-        return a  # type: ignore[return-value]  # it does not return what it says
+        return a  # type: ignore[return-value]  # the hint is wrong on purpose
 
     def double(value: Any) -> Any:
         return value * 2
@@ -423,8 +423,8 @@ def _world() -> Any:
     return World.attach(client, names={**names, number: "arm"})
 
 
-# (program, value): right whatever ran before
-GOOD = (
+# Programs and their values, whatever ran before.
+CORRECT = (
     ("n + 1;", 4),
     ("SELECT double(this) FROM numbers WHERE this > 1 AS list;", [6, 4]),
     ("SELECT id FROM room WHERE isKinbody(this) AND above(shelf, this) AS list;", ["cup"]),
@@ -438,11 +438,11 @@ class Finding:
     """An outcome that should not happen.
 
     Attributes:
-        number: of the input.
+        number: the number of the input.
         input: the input.
-        kind: what happened, in a line.
-        cause: where; findings of one kind and cause are taken to be one.
-        trace: more of it.
+        kind: a line that describes the outcome.
+        cause: the place in the code; findings of one kind and cause count as one.
+        trace: details.
     """
 
     number: int
@@ -457,8 +457,8 @@ class Finding:
         return f"#{self.number} {self.kind} [{self.cause}]\n  {kind}: {text}"
 
 
-def _shortened(text: str, most: int) -> str:
-    return text if len(text) <= most else f"{text[: most // 2]} ... {text[-most // 2 :]}"
+def _shortened(text: str, limit: int) -> str:
+    return text if len(text) <= limit else f"{text[: limit // 2]} ... {text[-limit // 2 :]}"
 
 
 class Bench:
@@ -466,38 +466,38 @@ class Bench:
 
     def __init__(self) -> None:
         self._world = _world()
-        self._run = 0
-        self._bad = 0
+        self._run_count = 0
+        self._error_count = 0
         self._ss: Any = None
 
-    def check(self, given: Input) -> tuple[str, str, str] | None:
+    def check(self, tested: Input) -> tuple[str, str, str] | None:
         """Runs an input; returns the kind, cause and trace of an error in its outcome."""
-        if self._ss is None or self._run >= LIFETIME:
+        if self._ss is None or self._run_count >= LIFETIME:
             self._begin()
-        self._run += 1
+        self._run_count += 1
         started = time.monotonic()
-        wrong = self._outcome(given)
-        taken = time.monotonic() - started
-        if wrong is None and taken > SLOW:
-            wrong = ("slow", "", f"{taken:.1f} s")
-        if wrong is not None:
+        fault = self._fault_of(tested)
+        seconds = time.monotonic() - started
+        if fault is None and seconds > SLOW:
+            fault = ("slow", "", f"{seconds:.1f} s")
+        if fault is not None:
             self._begin()
-        return wrong
+        return fault
 
-    def error_of(self, given: Input) -> Exception | None:
+    def error_of(self, tested: Input) -> Exception | None:
         """Returns the `SelectScriptError` of an input; None if it has a value."""
         if self._ss is None:
             self._begin()
         try:
-            return self._error_of(given)
+            return self._error_of(tested)
         finally:
             self._ss._variables = dict(self._before)  # noqa: SLF001  # each input anew
 
-    def _error_of(self, given: Input) -> Exception | None:
+    def _error_of(self, tested: Input) -> Exception | None:
         from ssduck import SelectScriptError
 
         try:
-            _ = self._ss.sql(given.text) if given.is_sql else self._ss.eval(given.text)
+            _ = self._ss.sql(tested.text) if tested.is_sql else self._ss.eval(tested.text)
         except SelectScriptError as error:
             return error
         return None
@@ -517,35 +517,35 @@ class Bench:
         for name, function in _functions().items():
             ss.add_function(name, function)
         self._before: Mapping[str, Any] = dict(ss._variables)  # noqa: SLF001  # to compare with
-        self._values = self._told()
-        self._run = 0
+        self._values = self._mutable_values()
+        self._run_count = 0
 
-    def _told(self) -> str:
+    def _mutable_values(self) -> str:
         return repr([v for v in self._before.values() if isinstance(v, list | dict)])
 
-    def _outcome(self, given: Input) -> tuple[str, str, str] | None:
+    def _fault_of(self, tested: Input) -> tuple[str, str, str] | None:
         try:
-            error = self._error_of(given)
+            error = self._error_of(tested)
             return (self._check_error(error) if error else None) or self._check_values()
-        except BaseException as caught:  # noqa: BLE001  # that is what is looked for
-            return _told_of("raises", caught)
+        except BaseException as caught:  # noqa: BLE001  # every exception is a finding
+            return _fault_from("raises", caught)
         finally:
             self._ss._variables = dict(self._before)  # noqa: SLF001  # each input anew
 
     def _check_error(self, error: Any) -> tuple[str, str, str] | None:
         try:
-            told = str(error)
-        except Exception as caught:  # noqa: BLE001  # that is what is looked for
-            return _told_of("str(error) raises", caught)
+            message = str(error)
+        except Exception as caught:  # noqa: BLE001  # every exception is a finding
+            return _fault_from("str(error) raises", caught)
         text, span = error.text, error.span
-        # Behind the end, one letter is underlined.
+        # An error at the end of the text underlines one letter behind it.
         if text is not None and span is not None:
             end = len(text) + 1
             if not 0 <= span.start <= span.end <= end:
                 return (
                     "span outside the text",
                     type(error).__name__,
-                    f"{span} of {len(text)}: {told}",
+                    f"{span} of {len(text)}: {message}",
                 )
         variables = self._ss._variables  # noqa: SLF001  # to compare with
         if variables.keys() != self._before.keys():
@@ -556,40 +556,48 @@ class Bench:
         return self._check_next(error)
 
     def _check_next(self, error: Any) -> tuple[str, str, str] | None:
-        """Checks a correct query; seldom after errors of the parser, which are frequent."""
+        """Checks a correct query, but seldom after errors of the parser, which are frequent."""
         from ssduck.errors import ParseError
 
-        self._bad += 1
-        if isinstance(error, ParseError) and self._bad % 50:
+        self._error_count += 1
+        if isinstance(error, ParseError) and self._error_count % 50:
             return None
-        program, value = GOOD[self._bad % len(GOOD)]
+        program, expected = CORRECT[self._error_count % len(CORRECT)]
         try:
-            found = self._ss.eval(program)
-        except BaseException as caught:  # noqa: BLE001  # that is what is looked for
-            kind, cause, trace = _told_of("the next query raises", caught)
+            value = self._ss.eval(program)
+        except BaseException as caught:  # noqa: BLE001  # every exception is a finding
+            kind, cause, trace = _fault_from("the next query raises", caught)
             return (kind, cause, f"{program}\n{trace}")
-        return None if found == value else ("the next query is wrong", program, repr(found))
+        return None if value == expected else ("the next query is wrong", program, repr(value))
 
     def _check_values(self) -> tuple[str, str, str] | None:
-        told = self._told()
-        return None if told == self._values else ("values changed", "", told)
+        values = self._mutable_values()
+        return None if values == self._values else ("values changed", "", values)
 
 
-def _told_of(what: str, error: BaseException) -> tuple[str, str, str]:
+def _fault_from(event: str, error: BaseException) -> tuple[str, str, str]:
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if "/ssduck/" in frame.filename] or list(frames)
     places = [f"{Path(f.filename).name}:{f.lineno} {f.name}" for f in ours[-2:]]
     with contextlib.suppress(Exception):
-        kind = f"{what} {type(error).__name__}"
+        kind = f"{event} {type(error).__name__}"
         return (kind, " < ".join(reversed(places)), _shortened(f"{error}", 400))
-    return (f"{what} {type(error).__name__}", " < ".join(reversed(places)), "")
+    return (f"{event} {type(error).__name__}", " < ".join(reversed(places)), "")
 
 
 # -- workers ----------------------------------------------------------------------------------
 
 
-def _work(seed: int, numbers: range, place: Any, found: Connection, log: str) -> None:
-    """Runs inputs in a worker process; `place` reports the current one and its start."""
+def _work(seed: int, numbers: range, progress: Any, findings: Connection, log: str) -> None:
+    """Runs inputs in a worker process.
+
+    Args:
+        seed: the seed of the inputs.
+        numbers: the numbers of the inputs.
+        progress: receives the number of the current input and the time of its start, or 0.
+        findings: receives the findings, and None at the end.
+        log: the file for traces of crashes and hangs.
+    """
     import warnings
 
     warnings.simplefilter("ignore")
@@ -602,15 +610,15 @@ def _work(seed: int, numbers: range, place: Any, found: Connection, log: str) ->
     sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115  # so does print
     bench = Bench()
     for number in numbers:
-        given = input_of(seed, number)
-        place[1] = time.monotonic()
-        place[0] = number
-        wrong = bench.check(given)
-        place[1] = 0.0
-        if wrong is not None:
-            found.send(Finding(number, given, *wrong))
-    found.send(None)
-    found.close()
+        tested = input_of(seed, number)
+        progress[1] = time.monotonic()
+        progress[0] = number
+        fault = bench.check(tested)
+        progress[1] = 0.0
+        if fault is not None:
+            findings.send(Finding(number, tested, *fault))
+    findings.send(None)
+    findings.close()
 
 
 @dataclass
@@ -621,16 +629,16 @@ class _Worker:
     numbers: range
     log: str
     process: Any = None
-    place: Any = None
-    found: Any = None
+    progress: Any = None
+    receiver: Any = None
     is_done: bool = False
     findings: list[Finding] = field(default_factory=list)
 
     def begin(self) -> None:
         context = multiprocessing.get_context("spawn")
-        self.place = context.Array("d", [-1.0, 0.0], lock=False)
-        self.found, sender = context.Pipe(duplex=False)
-        arguments = (self.seed, self.numbers, self.place, sender, self.log)
+        self.progress = context.Array("d", [-1.0, 0.0], lock=False)
+        self.receiver, sender = context.Pipe(duplex=False)
+        arguments = (self.seed, self.numbers, self.progress, sender, self.log)
         self.process = context.Process(target=_work, args=arguments, daemon=True)
         self.process.start()
         sender.close()
@@ -639,7 +647,7 @@ class _Worker:
         self.process.kill()
         self.process.join()
 
-    def look(self) -> list[Finding]:
+    def poll(self) -> list[Finding]:
         """Returns the findings since the last call."""
         new = list(self._received())
         if self.is_done:
@@ -657,13 +665,13 @@ class _Worker:
         return new
 
     def _hangs(self) -> bool:
-        since: float = self.place[1]  # read once: it is 0 when no input runs
+        since: float = self.progress[1]  # read once: it is 0 when no input runs
         return since > 0 and time.monotonic() - since > HANG
 
     def _received(self) -> Iterator[Finding]:
         with contextlib.suppress(EOFError, OSError):
-            while not self.is_done and self.found.poll():
-                finding = self.found.recv()
+            while not self.is_done and self.receiver.poll():
+                finding = self.receiver.recv()
                 if finding is None:
                     self.is_done = True
                 else:
@@ -671,7 +679,7 @@ class _Worker:
 
     def _lost(self, kind: str) -> Finding:
         """Handles a process that ended in an input, and continues after the input."""
-        number = int(self.place[0])
+        number = int(self.progress[0])
         trace = Path(self.log).read_text(encoding="utf-8")
         if number < 0:
             raise RuntimeError(f"a worker does not begin: {kind}\n{trace}")
@@ -689,22 +697,22 @@ class _Worker:
         """The number of started inputs."""
         if self.is_done:
             return len(self.numbers)
-        return 0 if self.place[0] < 0 else self.numbers.index(int(self.place[0]))
+        return 0 if self.progress[0] < 0 else self.numbers.index(int(self.progress[0]))
 
 
 def fuzz(
-    count: int, seed: int = 0, jobs: int = 2, told: Callable[[Finding], None] | None = None
+    count: int,
+    seed: int = 0,
+    jobs: int = 2,
+    on_finding: Callable[[Finding], None] | None = None,
 ) -> list[Finding]:
-    """Runs that many inputs.
+    """Runs inputs in worker processes; returns the findings.
 
     Args:
-        count: how many.
-        seed: which ones.
-        jobs: in how many processes.
-        told: is given each finding at once.
-
-    Returns:
-        What was found.
+        count: the number of inputs.
+        seed: the seed of the inputs.
+        jobs: the number of processes.
+        on_finding: a callback for each finding.
     """
     with tempfile.TemporaryDirectory() as folder:
         workers = [
@@ -718,9 +726,9 @@ def fuzz(
                 time.sleep(0.1)
                 for worker in workers:
                     if not worker.is_done:
-                        for finding in worker.look():
-                            if told is not None:
-                                told(finding)
+                        for finding in worker.poll():
+                            if on_finding is not None:
+                                on_finding(finding)
         finally:
             for worker in workers:
                 if worker.process is not None:
@@ -739,31 +747,31 @@ def distinct(findings: Sequence[Finding]) -> list[tuple[Finding, int]]:
 def main() -> int:
     """Runs inputs and prints the findings; the exit status is 1 if there are any."""
     parser = argparse.ArgumentParser(description="Run mutated programs.")
-    parser.add_argument("count", nargs="?", type=int, default=10_000, help="how many inputs")
-    parser.add_argument("--seed", type=int, default=0, help="which inputs")
-    parser.add_argument("--jobs", type=int, default=2, help="in how many processes")
+    parser.add_argument("count", nargs="?", type=int, default=10_000, help="the number of inputs")
+    parser.add_argument("--seed", type=int, default=0, help="the seed of the inputs")
+    parser.add_argument("--jobs", type=int, default=2, help="the number of processes")
     parser.add_argument("--only", type=int, help="print and run the input of this number alone")
     options = parser.parse_args()
     if options.only is not None:
-        given = input_of(options.seed, options.only)
-        print(repr(given.text))
-        print(Bench().check(given))
+        tested = input_of(options.seed, options.only)
+        print(repr(tested.text))
+        print(Bench().check(tested))
         return 0
     started = time.monotonic()
-    known: set[tuple[str, str]] = set()
+    kinds: set[tuple[str, str]] = set()
 
-    def tell(finding: Finding) -> None:
-        if (finding.kind, finding.cause) not in known:
-            known.add((finding.kind, finding.cause))
+    def print_new_kind(finding: Finding) -> None:
+        if (finding.kind, finding.cause) not in kinds:
+            kinds.add((finding.kind, finding.cause))
             print(f"{finding}\n  {finding.trace}\n", flush=True)
 
-    findings = fuzz(options.count, options.seed, options.jobs, tell)
-    taken = time.monotonic() - started
+    findings = fuzz(options.count, options.seed, options.jobs, print_new_kind)
+    seconds = time.monotonic() - started
     print("-- each kind once, its shortest input")
     for finding, times in distinct(findings):
         print(f"{times} x {finding}")
-    print(f"{options.count} inputs in {taken:.0f} s ({options.count / taken:.0f}/s)")
-    print(f"{len(findings)} findings, {len(known)} kinds")
+    print(f"{options.count} inputs in {seconds:.0f} s ({options.count / seconds:.0f}/s)")
+    print(f"{len(findings)} findings, {len(kinds)} kinds")
     return 1 if findings else 0
 
 

@@ -1,7 +1,7 @@
 """Checks that the records of killed processes open and are complete.
 
 `python -m tools.kill [COUNT] [--seed N] [--to KIND]` kills COUNT recorders; 200 take about 8
-minutes on two busy cores. The exit status is 1 if a record is not as it must be.
+minutes on two busy cores. The exit status is 1 if a record has faults.
 
 A separate process records a small world, stores ticks at random moments, and reports each tick and
 each stored tick. Half of the processes also store every few ticks in a thread and checkpoint
@@ -33,10 +33,11 @@ from ssduck.errors import RecordError, SelectScriptError
 Kind: TypeAlias = Literal["parquet", "file"]
 TABLES = ("entities", "links", "joints", "shapes", "contacts")
 BALLS = 8
-# A recorder is killed after so many lines at most, and so many seconds.
+# The greatest numbers of lines and of further seconds after which a recorder is killed.
 MAX_LINES = 60
-LONGEST = 0.1
-EACH = 20
+MAX_SECONDS = 0.1
+# The number of recorders between two lines of progress.
+REPORT_EVERY = 20
 
 
 def place_of(ball: int, tick: int) -> list[float]:
@@ -54,14 +55,14 @@ def angle_of(tick: int) -> float:
 
 def record(kind: Kind, path: str, seed: int) -> None:
     """Records and reports on standard output until the process is killed."""
-    chance = random.Random(seed)  # noqa: S311  # no secret
-    if chance.random() < 0.5:
-        few = chance.randrange(1, 9)
+    rng = random.Random(seed)  # noqa: S311  # no secret
+    if rng.random() < 0.5:
+        few = rng.randrange(1, 9)
         vars(recorders).update(BUFFERED_TICKS=few, PART_TICKS=few)
         writer.LONG_LOG = 1
-    world, move = _world(chance)
+    world, move = _world(rng)
     recording = Recording(tables=TABLES)
-    _tell(begun=True)
+    _report(begun=True)
     if kind == "file":
         ss = ssduck.Interpreter(path, recording=recording)
         ss.add_variable("lab", world)
@@ -72,15 +73,15 @@ def record(kind: Kind, path: str, seed: int) -> None:
         flush = ss.record_to(path, "lab", recording).flush  # type: ignore[assignment]
     while True:
         number = world.snapshot.number
-        _tell(tick=number, counts={name: world.snapshot.tables[name].count for name in TABLES})
-        if chance.random() < 0.1:
+        _report(tick=number, counts={name: world.snapshot.tables[name].count for name in TABLES})
+        if rng.random() < 0.1:
             flush()
-            _tell(stored=number)
+            _report(stored=number)
         move(number + 1)
         world.step()
 
 
-def _world(chance: random.Random) -> tuple[ssduck.World, Any]:
+def _world(rng: random.Random) -> tuple[ssduck.World, Any]:
     """Returns a world and a function that places its bodies for a tick."""
     import pybullet
 
@@ -113,11 +114,11 @@ def _world(chance: random.Random) -> tuple[ssduck.World, Any]:
             place = place_of(number, tick)
             pybullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1])
             pybullet.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0])
-        # It touches what stands below at every other tick.
+        # It touches the fixed box at every other tick.
         height = -4.61 if tick % 2 else -3
         pybullet.resetBasePositionAndOrientation(pushed, [0, 0, height], [0, 0, 0, 1])
         pybullet.resetJointState(arm, 0, angle_of(tick), 0)
-        if chance.random() < 0.05:
+        if rng.random() < 0.05:
             if guests:
                 pybullet.removeBody(guests.pop())
             else:
@@ -128,12 +129,12 @@ def _world(chance: random.Random) -> tuple[ssduck.World, Any]:
     return world, move
 
 
-def _tell(**told: Any) -> None:
-    sys.stdout.write(json.dumps(told) + "\n")
+def _report(**entry: Any) -> None:
+    sys.stdout.write(json.dumps(entry) + "\n")
     sys.stdout.flush()
 
 
-# -- what is looked at then -------------------------------------------------------------------
+# -- the checks of its record -----------------------------------------------------------------
 
 
 @dataclass
@@ -141,8 +142,8 @@ class RecorderReport:
     """The report of a recorder until it was killed.
 
     Attributes:
-        counts: of each tick, how many rows each table had.
-        stored: the last tick that was told to be stored; 0 for none.
+        counts: the number of rows of each table, by tick.
+        stored: the last tick that was reported as stored; 0 for none.
     """
 
     counts: dict[int, dict[str, int]] = field(default_factory=dict)
@@ -157,66 +158,66 @@ def killed(kind: Kind, path: Path, seed: int) -> RecorderReport:
     while not process.stdout.readline().startswith('{"begun"'):
         if process.poll() is not None:
             raise RuntimeError("the recorder ended by itself")
-    chance = random.Random(seed)  # noqa: S311
-    # Every fourth one at the very beginning.
-    lines = [process.stdout.readline() for _ in range(chance.randrange(MAX_LINES) * (seed % 8 > 1))]
-    time.sleep(chance.uniform(0.0, LONGEST))
+    rng = random.Random(seed)  # noqa: S311
+    # A quarter of the recorders are killed at the very beginning.
+    lines = [process.stdout.readline() for _ in range(rng.randrange(MAX_LINES) * (seed % 8 > 1))]
+    time.sleep(rng.uniform(0.0, MAX_SECONDS))
     if process.poll() is not None:
         raise RuntimeError("the recorder ended by itself")
     process.kill()
     rest, _ = process.communicate()
-    told = RecorderReport()
+    report = RecorderReport()
     for line in [*lines, *rest.splitlines()]:
         with contextlib.suppress(ValueError):  # the last one may be cut off
             entry = json.loads(line)
             if "tick" in entry:
-                told.counts[entry["tick"]] = entry["counts"]
-            told.stored = entry.get("stored", told.stored)
-    return told
+                report.counts[entry["tick"]] = entry["counts"]
+            report.stored = entry.get("stored", report.stored)
+    return report
 
 
-def faults(path: Path, told: RecorderReport) -> tuple[list[str], int]:
+def faults(path: Path, report: RecorderReport) -> tuple[list[str], int]:
     """Returns the faults of a record and the number of its ticks."""
     try:
         ss = ssduck.open(path)
     except RecordError as error:
-        # Nothing may be there yet.
-        return ([f"it does not open: {error}"] if told.stored else []), 0
+        # The process may have stored nothing yet.
+        return ([f"it does not open: {error}"] if report.stored else []), 0
     except SelectScriptError as error:
         return [f"it opens with another error: {error}"], 0
     with ss:
         ticks = ss.past("lab").ticks
-        return list(_faults(ss, ticks, told)), len(ticks)
+        return list(_faults(ss, ticks, report)), len(ticks)
 
 
-def _faults(ss: ssduck.Interpreter, ticks: list[int], told: RecorderReport) -> Any:
-    if ticks[-1] < told.stored:
-        yield f"tick {told.stored} was stored; the last one is {ticks[-1]}"
+def _faults(ss: ssduck.Interpreter, ticks: list[int], report: RecorderReport) -> Any:
+    if ticks[-1] < report.stored:
+        yield f"tick {report.stored} was stored; the last one is {ticks[-1]}"
     if ticks != list(range(ticks[0], ticks[-1] + 1)):
         yield "ticks are missing in between"
-    known = [tick for tick in told.counts if tick <= ticks[-1]]
-    if ticks[-1] not in told.counts or ticks[0] > min(known):
-        yield f"ticks {ticks[0]} to {ticks[-1]} are kept, of {min(known)} to {max(told.counts)}"
+    first = min(tick for tick in report.counts if tick <= ticks[-1])
+    if ticks[-1] not in report.counts or ticks[0] > first:
+        yield f"ticks {ticks[0]} to {ticks[-1]} are kept, of {first} to {max(report.counts)}"
     for table in TABLES:
         rows = ss.sql(f"SELECT tick, count(*) FROM {table}_history GROUP BY tick").fetchall()
-        found = dict(rows)
+        counts = dict(rows)
         for tick in ticks:
-            wanted = told.counts.get(tick, {}).get(table)
-            if found.get(tick, 0) != wanted:
-                yield f"tick {tick} has {found.get(tick, 0)} rows of {table}, not {wanted}"
-        if set(found) - set(ticks):
+            expected = report.counts.get(tick, {}).get(table)
+            if counts.get(tick, 0) != expected:
+                yield f"tick {tick} has {counts.get(tick, 0)} rows of {table}, not {expected}"
+        if set(counts) - set(ticks):
             yield f"{table} has rows of ticks that are not there"
     query = "SELECT tick, name, x, y, z FROM entities_history WHERE name LIKE 'ball%'"
     for tick, name, *place in ss.sql(query).fetchall():
-        if not _close(place, place_of(int(name.split()[1]), tick)):
+        if not _are_close(place, place_of(int(name.split()[1]), tick)):
             yield f"{name} is at {place} at tick {tick}"
     for tick, angle in ss.sql("SELECT tick, position FROM joints_history").fetchall():
-        if not _close([angle], [angle_of(tick)]):
+        if not _are_close([angle], [angle_of(tick)]):
             yield f"the joint is at {angle} at tick {tick}"
 
 
-def _close(found: list[float], wanted: list[float]) -> bool:
-    return all(abs(a - b) < 1e-9 for a, b in zip(found, wanted, strict=True))
+def _are_close(numbers: list[float], expected: list[float]) -> bool:
+    return all(abs(a - b) < 1e-9 for a, b in zip(numbers, expected, strict=True))
 
 
 @dataclass
@@ -224,14 +225,14 @@ class Run:
     """Kills recorders one after the other, and counts.
 
     Attributes:
-        kinds: where to they record, in turn.
-        found: what was wrong, by the seed.
-        stored: in how many records something was told to be stored.
-        ticks: how many ticks were found in all of them.
+        kinds: the kinds of records, in turn.
+        faults: the faults of records, by the seed.
+        stored: the number of records in which ticks were reported as stored.
+        ticks: the number of ticks in all records.
     """
 
     kinds: tuple[Kind, ...]
-    found: dict[int, list[str]] = field(default_factory=dict)
+    faults: dict[int, list[str]] = field(default_factory=dict)
     stored: int = 0
     ticks: int = 0
 
@@ -241,15 +242,16 @@ class Run:
         folder = Path(tempfile.mkdtemp(prefix="ssduck-kill-"))
         try:
             path = folder / ("run.duckdb" if kind == "file" else "run")
-            told = killed(kind, path, seed)
-            wrong, ticks = faults(path, told)
+            report = killed(kind, path, seed)
+            record_faults, ticks = faults(path, report)
         finally:
             shutil.rmtree(folder)
-        self.stored += told.stored > 0
+        self.stored += report.stored > 0
         self.ticks += ticks
-        if wrong:
-            self.found[seed] = wrong
-            print(f"seed {seed}, {kind}: {len(wrong)} faults, {'; '.join(wrong[:3])}", flush=True)
+        if record_faults:
+            self.faults[seed] = record_faults
+            first = "; ".join(record_faults[:3])
+            print(f"seed {seed}, {kind}: {len(record_faults)} faults, {first}", flush=True)
 
 
 KINDS: dict[str, tuple[Kind, ...]] = {
@@ -262,19 +264,19 @@ KINDS: dict[str, tuple[Kind, ...]] = {
 def main() -> int:
     parser = argparse.ArgumentParser(description="Kill recorders, and open what they left.")
     parser.add_argument("count", nargs="?", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0, help="the first recorder's")
-    parser.add_argument("--to", choices=list(KINDS), default="both", help="what is recorded to")
-    given = parser.parse_args()
-    run, started = Run(KINDS[given.to]), time.monotonic()
-    for number in range(given.count):
-        run.add(given.seed + number)
-        if (number + 1) % EACH == 0:
-            print(f"{number + 1} killed, {len(run.found)} records with faults", flush=True)
+    parser.add_argument("--seed", type=int, default=0, help="the seed of the first recorder")
+    parser.add_argument("--to", choices=list(KINDS), default="both", help="the kind of record")
+    options = parser.parse_args()
+    run, started = Run(KINDS[options.to]), time.monotonic()
+    for number in range(options.count):
+        run.add(options.seed + number)
+        if (number + 1) % REPORT_EVERY == 0:
+            print(f"{number + 1} killed, {len(run.faults)} records with faults", flush=True)
     print(
-        f"{given.count} killed in {time.monotonic() - started:.0f} s, {run.stored} of them after "
-        f"something was stored; {run.ticks} ticks found, {len(run.found)} records with faults"
+        f"{options.count} killed in {time.monotonic() - started:.0f} s, {run.stored} of them after "
+        f"something was stored; {run.ticks} ticks found, {len(run.faults)} records with faults"
     )
-    return 1 if run.found else 0
+    return 1 if run.faults else 0
 
 
 if __name__ == "__main__":

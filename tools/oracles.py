@@ -29,12 +29,12 @@ import numpy as np
 from tests.support import hollows, pairs
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "shapes.md"
-# What a gap may be off, metres; with a cylinder against something that is not a sphere or plane.
+# The allowed error of a gap, metres; and that of a cylinder and a shape that is no sphere or plane.
 BOUND, ROUND_BOUND = 1e-9, 1e-6
-# Gaps that all pairs of convex shapes are compared with at once.
+# The gaps with which all pairs of convex shapes are compared at once.
 LIMITS = (-1e-6, 0.0, 1e-3, 0.1)
-# Every so many pairs are compared swapped and moved too.
-MOVED = 4
+# One pair in so many is also compared swapped and moved.
+MOVED_EVERY = 4
 HEAD = """\
 # Shapes
 
@@ -69,27 +69,27 @@ each combination has a clearance or a depth.
 
 @dataclass
 class Worst:
-    """The worst errors of a combination."""
+    """The worst errors of a combination, metres, and the time of its pairs, microseconds."""
 
     clearance: float = 0.0
     depth: float = 0.0
     pairs: int = 0
     micros: float = 0.0
-    found: list[str] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
 
     def add(self, other: Worst) -> None:
         self.clearance = max(self.clearance, other.clearance)
         self.depth = max(self.depth, other.depth)
         self.pairs += other.pairs
         self.micros += other.micros
-        self.found += other.found
+        self.failures += other.failures
 
 
 def bound(kinds: tuple[str, str]) -> float:
-    return ROUND_BOUND if how(kinds) == "round" else BOUND
+    return ROUND_BOUND if method(kinds) == "round" else BOUND
 
 
-def how(kinds: tuple[str, str]) -> str:
+def method(kinds: tuple[str, str]) -> str:
     both = set(kinds)
     if "plane" in both or both <= {"sphere", "capsule"}:
         return "formula"
@@ -104,28 +104,29 @@ def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], W
     """Returns the worst errors of some pairs of a combination."""
     kinds, first, count = task
     worst = Worst()
-    two, gaps = [], []
+    compared_pairs, gaps = [], []
     for seed in range(first, first + count):
         a, b = pairs.pair(kinds, seed)
         started = time.perf_counter()
-        found = pairs.gap(a, b)
-        two.append((a, b))
-        gaps.append(found.distance)
+        result = pairs.gap(a, b)
+        compared_pairs.append((a, b))
+        gaps.append(result.distance)
         worst.micros += 1e6 * (time.perf_counter() - started)
         error, _ = pairs.error_of(a, b)
-        if seed % MOVED == 0:
-            error = max(error, *differences(a, b, found.distance, seed))
-        if found.distance > 0:
+        if seed % MOVED_EVERY == 0:
+            error = max(error, *differences(a, b, result.distance, seed))
+        if result.distance > 0:
             worst.clearance = max(worst.clearance, error)
         else:
             worst.depth = max(worst.depth, error)
         worst.pairs += 1
         if not error <= bound(kinds):
-            worst.found.append(f"{' '.join(kinds)}, seed {seed}: gap {found.gap}, off by {error}")
+            label = f"{' '.join(kinds)}, seed {seed}"
+            worst.failures.append(f"{label}: gap {result.gap}, off by {error}")
     if "plane" not in kinds and not set(kinds) & set(pairs.MESHES):
         for limit in LIMITS:
-            wrong = pairs.wrong_verdicts(two, np.array(gaps), limit)
-            worst.found += [f"{' '.join(kinds)}, seed {first + n}: not {limit}" for n in wrong]
+            wrong = pairs.wrong_verdicts(compared_pairs, np.array(gaps), limit)
+            worst.failures += [f"{' '.join(kinds)}, seed {first + n}: not {limit}" for n in wrong]
     return kinds, worst
 
 
@@ -143,30 +144,30 @@ def in_holes(task: tuple[int, int]) -> Worst:
     for seed in range(first, first + count):
         hollow, *things = shapes_of(seed)
         for number, thing in enumerate(things):
-            error, found = pairs.error_of(hollow, thing)
-            error = max(error, *differences(hollow, thing, found.distance, seed))
-            apart = found.distance > 0
-            worst.add(Worst(error if apart else 0.0, 0.0 if apart else error, 1))
+            error, result = pairs.error_of(hollow, thing)
+            error = max(error, *differences(hollow, thing, result.distance, seed))
+            is_apart = result.distance > 0
+            worst.add(Worst(error if is_apart else 0.0, 0.0 if is_apart else error, 1))
             if not error <= BOUND:
-                worst.found.append(f"in holes, seed {seed}, thing {number}: off by {error}")
+                worst.failures.append(f"in holes, seed {seed}, thing {number}: off by {error}")
     return worst
 
 
 def differences(a: Any, b: Any, gap: float, seed: int) -> Iterator[float]:
-    """Returns the changes of the distance if the shapes are swapped or moved together."""
+    """Yields the changes of the distance if the shapes are swapped or moved together."""
     swapped = pairs.gap(b, a).distance
     yield 0.0 if swapped == gap else abs(swapped - gap)
     random = np.random.default_rng(seed + 1)
     shift, turn = random.uniform(-2, 2, 3), random.normal(size=4)
     moved = (pairs.moved(one, shift, turn / np.linalg.norm(turn)) for one in (a, b))
     gap_moved = pairs.gap(*moved).distance
-    # Far from the origin the last digit is a larger one.
+    # Far from the origin, floats have fewer decimals.
     yield 0.0 if gap_moved == gap else abs(gap_moved - gap)
 
 
 def page(worst: dict[tuple[str, str], Worst], count: int, seed: int) -> str:
     rows = [
-        f"| {a} | {b} | {how((a, b))} | {_power(one.clearance)} | {_power(one.depth)} "
+        f"| {a} | {b} | {method((a, b))} | {_power(one.clearance)} | {_power(one.depth)} "
         f"| {bound((a, b)):.0e} |\n"
         for (a, b), one in worst.items()
     ]
@@ -182,30 +183,35 @@ def _power(error: float) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description="Compare the narrow phase with oracles.")
     parser.add_argument("count", nargs="?", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0, help="the first pair's of a combination")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="the seed of a combination's first pair"
+    )
     parser.add_argument("--write", action="store_true", help="write docs/reference/shapes.md")
-    given = parser.parse_args()
+    options = parser.parse_args()
     started = time.monotonic()
-    each = max(1, -(-given.count // len(pairs.COMBINATIONS)))
+    pairs_of_each = max(1, -(-options.count // len(pairs.COMBINATIONS)))
     step = 100
     tasks = [
-        (kinds, given.seed + first, min(step, each - first))
+        (kinds, options.seed + first, min(step, pairs_of_each - first))
         for kinds in pairs.COMBINATIONS
-        for first in range(0, each, step)
+        for first in range(0, pairs_of_each, step)
     ]
     worst = {kinds: Worst() for kinds in pairs.COMBINATIONS}
     with Pool() as pool:
         for kinds, some in pool.imap(compared, tasks):
             worst[kinds].add(some)
-            if worst[kinds].pairs == each:
+            if worst[kinds].pairs == pairs_of_each:
                 one = worst[kinds]
                 print(
                     f"{kinds[0]:10}{kinds[1]:10} clearance {one.clearance:.1e}  "
-                    f"depth {one.depth:.1e}  {one.micros / each:6.0f} us",
+                    f"depth {one.depth:.1e}  {one.micros / pairs_of_each:6.0f} us",
                     flush=True,
                 )
     holes = Worst()
-    scenes = [(given.seed + first, min(step, each - first)) for first in range(0, each, step)]
+    scenes = [
+        (options.seed + first, min(step, pairs_of_each - first))
+        for first in range(0, pairs_of_each, step)
+    ]
     with Pool() as pool:
         for some in pool.imap(in_holes, scenes):
             holes.add(some)
@@ -213,13 +219,15 @@ def main() -> int:
         f"things in holes: {holes.pairs} pairs, clearance {holes.clearance:.1e}, "
         f"depth {holes.depth:.1e}"
     )
-    found = [text for one in (*worst.values(), holes) for text in one.found]
-    print("\n".join(found[:50]))
-    total = each * len(worst) + holes.pairs
-    print(f"{total} pairs in {time.monotonic() - started:.0f} s, {len(found)} beyond their bounds")
-    if given.write:
-        PAGE.write_text(page(worst, total, given.seed), encoding="utf-8")
-    return 1 if found else 0
+    failures = [text for one in (*worst.values(), holes) for text in one.failures]
+    print("\n".join(failures[:50]))
+    total = pairs_of_each * len(worst) + holes.pairs
+    print(
+        f"{total} pairs in {time.monotonic() - started:.0f} s, {len(failures)} beyond their bounds"
+    )
+    if options.write:
+        PAGE.write_text(page(worst, total, options.seed), encoding="utf-8")
+    return 1 if failures else 0
 
 
 if __name__ == "__main__":

@@ -23,11 +23,12 @@ import pybullet
 import ssduck
 from ssduck import Recording
 
-KEPT = 10.0
-# So many ticks pass from one question to the next.
-EACH = 997
-MOST = 1.05
-QUESTIONS = (
+# The recorded seconds.
+SECONDS = 10.0
+# The number of ticks between two queries.
+QUERY_EVERY = 997
+MAX_GROWTH = 1.05
+QUERIES = (
     "SELECT id(this), z(this) FROM lab WHERE above(board, this) AS list;",
     "SELECT tick(this) FROM lab{-1.0} WHERE above(board, this) AND z(this) > 1.2 AS list;",
     "SELECT tick(this) FROM lab{-0.1} WHERE this == ball AND near(board, this, 0.05) AS list;",
@@ -51,11 +52,11 @@ class Lab:
         self._client = pybullet.connect(pybullet.DIRECT)
         board = self._shape(pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05])
         ball = self._shape(pybullet.GEOM_SPHERE, radius=0.1)
-        self._make(board, 0.0, [0, 0, 0.45])
-        self.balls = [self._make(ball, 1.0, [n - 0.5, 0, 1]) for n in range(2)]
+        self._body(board, 0.0, [0, 0, 0.45])
+        self.balls = [self._body(ball, 1.0, [n - 0.5, 0, 1]) for n in range(2)]
         names = {0: "board", **{body: f"ball_{n}" for n, body in enumerate(self.balls)}}
         self.world = ssduck.World.attach(self._client, names=names)
-        self.ss = ssduck.Interpreter(database, recording=Recording(seconds=KEPT))
+        self.ss = ssduck.Interpreter(database, recording=Recording(seconds=SECONDS))
         self.ss.add_variable("lab", self.world)
         self.ss.add_variable("board", self.world["board"])
         self.ss.add_variable("ball", self.world["ball_0"])
@@ -68,7 +69,7 @@ class Lab:
     def _shape(self, kind: int, **size: object) -> int:
         return pybullet.createCollisionShape(kind, physicsClientId=self._client, **size)  # type: ignore[no-any-return]
 
-    def _make(self, shape: int, mass: float, place: list[float]) -> int:
+    def _body(self, shape: int, mass: float, place: list[float]) -> int:
         return pybullet.createMultiBody(  # type: ignore[no-any-return]
             mass, shape, basePosition=place, physicsClientId=self._client
         )
@@ -82,36 +83,38 @@ class Lab:
                         body, place, [0, 0, 0, 1], self._client
                     )
             self.world.step()
-            if number % EACH == 0:
-                self.ask(number // EACH)
+            if number % QUERY_EVERY == 0:
+                self.query(number // QUERY_EVERY)
 
-    def ask(self, number: int) -> None:
-        question = number % (len(QUESTIONS) + 1)
-        if question == len(QUESTIONS):
+    def query(self, number: int) -> None:
+        index = number % (len(QUERIES) + 1)
+        if index == len(QUERIES):
             self.ss.sql(SQL).fetchall()
         else:
-            self.ss.eval(QUESTIONS[question])
+            self.ss.eval(QUERIES[index])
 
     def close(self) -> None:
         self.ss.close()
         pybullet.disconnect(self._client)
 
 
-def soaked(ticks: int, seed: int, database: str = ":memory:") -> list[float]:
+def memory_of_run(ticks: int, seed: int, database: str = ":memory:") -> list[float]:
     """Returns the memory at each tenth of a run, megabytes."""
     lab = Lab(database, seed)
-    found = []
+    megabytes = []
     try:
         for tenth in range(10):
             started = time.monotonic()
             lab.run(ticks // 10)
-            found.append(memory())
+            megabytes.append(memory())
             assert lab.fired > tenth
             rate = ticks / 10 / (time.monotonic() - started)
-            print(f"{10 * (tenth + 1):3} %: {found[-1]:7.1f} MB, {rate:6.0f} ticks/s", flush=True)
+            print(
+                f"{10 * (tenth + 1):3} %: {megabytes[-1]:7.1f} MB, {rate:6.0f} ticks/s", flush=True
+            )
     finally:
         lab.close()
-    return found
+    return megabytes
 
 
 def main() -> int:
@@ -119,13 +122,13 @@ def main() -> int:
     parser.add_argument("ticks", nargs="?", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--file", action="store_true", help="record into a DuckDB file")
-    given = parser.parse_args()
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        database = f"{folder}/soak.duckdb" if given.file else ":memory:"
-        found = soaked(given.ticks, given.seed, database)
-    growth = found[-1] / found[0]
-    print(f"{given.ticks} ticks: {100 * (growth - 1):+.1f} % after the first tenth")
-    return 0 if growth < MOST else 1
+        database = f"{folder}/soak.duckdb" if options.file else ":memory:"
+        megabytes = memory_of_run(options.ticks, options.seed, database)
+    growth = megabytes[-1] / megabytes[0]
+    print(f"{options.ticks} ticks: {100 * (growth - 1):+.1f} % after the first tenth")
+    return 0 if growth < MAX_GROWTH else 1
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ def prepared() -> ssduck.Interpreter:
 
 def cases() -> list[dict[str, str]]:
     """Returns the cases: title, program, SQL in one line, value."""
-    found: list[dict[str, str]] = tomllib.loads(CASES.read_text(encoding="utf-8"))["case"]
-    return found
+    table: list[dict[str, str]] = tomllib.loads(CASES.read_text(encoding="utf-8"))["case"]
+    return table
 
 
 def sql_of(ss: ssduck.Interpreter, program: str) -> str:
@@ -50,7 +50,7 @@ def sql_of(ss: ssduck.Interpreter, program: str) -> str:
     return " ".join(ss.explain(program).split())
 
 
-def _written(case: dict[str, Any]) -> str:
+def _to_toml(case: dict[str, Any]) -> str:
     lines = [f"{key} = '''{case[key]}'''" for key in ("of", "program", "sql", "value")]
     return "\n".join(["[[case]]", *lines])
 
@@ -59,10 +59,11 @@ def main() -> None:
     """Writes the file."""
     queries.FEW_ROWS = 0
     with prepared() as ss:
-        for case in (known := cases()):
+        all_cases = cases()
+        for case in all_cases:
             case["sql"] = sql_of(ss, case["program"])
             case["value"] = repr(ss.eval(case["program"]))
-    CASES.write_text("\n\n".join(map(_written, known)) + "\n", encoding="utf-8")
+    CASES.write_text("\n\n".join(map(_to_toml, all_cases)) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

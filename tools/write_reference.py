@@ -112,21 +112,20 @@ and in a what-if world. `inContact` and `contactForce` report what the physics s
 - `on(a, b)`: b stands on a by itself, because its centre is over a. `supports(a, b)`: a carries
   b, alone or with others, wherever b's centre is; two blocks both support the plank that bridges
   them. A contact within 30 degrees of up carries alone. Steeper contacts, up to 80 degrees, carry
-  if they need each other to push up: the sides of a groove, three balls under a fourth, a slope
-  where a wall holds the body. Friction and moments are ignored, so only the floor carries a
-  ladder.
+  if only together they push up: the sides of a groove, three balls under a fourth, a slope with a
+  wall at its foot. Friction and moments are ignored, so only the floor carries a ladder.
 - `restsOn(a, b)`: b is on a, or on something that rests on a, and so on.
 - `contains(a, b)` and `inside(a, b)` use a's convex hull: a ball between the legs of a table is
-  in it. `enclosed(a, b)` needs walls: rays from the centre of b's box must meet a on both sides
-  along at least two of a's three axes. Cups, drawers, shelves and rooms enclose; tables, trays
-  and corners do not. Rays meet the surfaces of meshes from within, too, but no convex shape in
-  which they begin: of two blocks in each other, neither is enclosed. An axis along which b
+  inside it. `enclosed(a, b)` needs walls: rays from the centre of b's box must meet a on both
+  sides along at least two of a's three axes. Cups, drawers, shelves and rooms enclose; tables,
+  trays and corners do not. A ray meets the surface of a mesh from inside, too, but not a convex
+  shape in which it begins: of two blocks that collide, neither is enclosed. An axis along which b
   extends past a at both ends does not count, so a box is not in the cup that it holds.
-- `nextTo(a, b)`: a and b are beside each other, neither is on or in the other, and nothing is
-  between them: there is a horizontal line through both with no third body between. The lines that
-  are tried run along the connection of the nearest points and along that of the boxes' centres,
-  through the nearest points and through 25 places over the breadth and height that both share. A
-  gap that is smaller than the space between these lines may be missed.
+- `nextTo(a, b)`: a and b are beside each other, neither is on or in the other, and some
+  horizontal line through both meets no third body between them. ssduck tries lines in two
+  directions, that of the nearest points and that of the boxes' centres, through the nearest
+  points and through 25 places over the breadth and height that both share. It may miss a gap that
+  is smaller than the space between these lines.
 
 ```python
 import ssduck
@@ -149,9 +148,9 @@ ss.eval("""
 it is open by at least half of its range, `isClosed(e, name)` whether it is open by at most a
 20th; another share may be given. The closed end is the limit nearer to 0, or the lower one.
 Without a name, `isOpen` needs any joint with limits to be open, and `isClosed` all of them to be
-closed; an entity without such joints is neither. A name that the entity has no joint of is an
-error that suggests the nearest one, so a query about several entities must first select the right
-ones. Raw SQL evaluates conditions in any order; there the value is NULL for an entity without
+closed; an entity without such joints is neither. If the entity has no joint of the name, the
+error suggests the nearest name; so a query about several entities must first select those that
+have it. Raw SQL evaluates conditions in any order; there the value is NULL for an entity without
 such a joint, and an error if no entity of the world has one. In Python, each joint in
 `entity.joints` has a `position` and an `openness`. For past ticks, the table `joints` must have
 been recorded.
@@ -204,7 +203,7 @@ those of link frames, not of centres of mass.
 def relation_lines(relation: Relation) -> Iterator[str]:
     """Returns the entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
-    unit = f" Unit: {relation.unit}." if relation.unit else ""
+    unit = f" {relation.unit_note}" if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
     pairs = relation.geometry.pairs if relation.geometry is not None else ""
     calls = f" Calls the narrow phase {pairs}." if pairs else ""

@@ -46,7 +46,7 @@ def _mesh(selection: Selection) -> trimesh.Scene:
         entity = entities[owner]
         surface = _triangles(solid)
         if surface is None:
-            raise ArgumentError(f"{entity.name!r} has a plane, which has no end; leave it out")
+            raise ArgumentError(f"{entity.name!r} has a plane, which is infinite; exclude it")
         surface.visual.face_colors = _COLOURS[entity.kind]
         surface.metadata["entity"] = entity.name
         pose = np.eye(4)
@@ -85,7 +85,7 @@ def _glb(selection: Selection, path: Any) -> str:
     file = check_file(selection, path)
     scene: Any = _mesh(selection)
     if not scene.geometry:
-        raise ArgumentError("nothing that is selected has shapes, and a glTF file has some")
+        raise ArgumentError("no selected entity has shapes; a glTF file needs some")
     scene.apply_transform(_UPRIGHT)
     content = scene.export(file_type="glb")
     replace_file(file, lambda stream: stream.write(content))

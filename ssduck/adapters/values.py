@@ -18,7 +18,7 @@ def _dicts(selection: Selection) -> list[dict[Any, Any]]:
                 for names, values in zip(rows.names, rows.values, strict=True)
             ]
         except TypeError as error:
-            raise ArgumentError(f"a column cannot be called by that: {error}") from error
+            raise ArgumentError(f"this cannot be the name of a column: {error}") from error
     return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
 
 

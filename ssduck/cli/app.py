@@ -126,8 +126,8 @@ def _one_line_warnings() -> Iterator[None]:
 # -- commands -----------------------------------------------------------------------------
 
 
-def _version(asked: bool) -> None:
-    if not asked:
+def _show_version(requested: bool) -> None:
+    if not requested:
         return
     from importlib.metadata import PackageNotFoundError, version
 
@@ -143,53 +143,56 @@ def _ssduck(
     context: typer.Context,
     version: Annotated[  # noqa: ARG001  # its callback shows the version
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
     """Query a robot simulation in SelectScript or in SQL.
 
     SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
     or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
-    RECORD is the path of a folder or a DuckDB file with a recording.
+    RECORD is a folder or a DuckDB file with recorded ticks.
     """
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
 
+_DemoName = Annotated[
+    str,
+    typer.Argument(metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."),
+]
+_OutputFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--out",
+        metavar="FOLDER",
+        help="The folder for pictures and files. It is made if necessary; other files in it stay.",
+        show_default="demo-NAME; for kitchen and scenes, the current folder",
+    ),
+]
+_PictureFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="For kitchen and scenes: the file of the picture, in the format of its ending. "
+        "An existing file is replaced.",
+        show_default="NAME.png after the scene, or a free name beside it",
+    ),
+]
+
+
 @app.command()
 def demo(
-    name: Annotated[
-        str,
-        typer.Argument(
-            metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."
-        ),
-    ] = "kitchen",
+    name: _DemoName = "kitchen",
     listed: Annotated[
         bool, typer.Option("--list", help="List the demonstrations instead of running one.")
     ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            metavar="FOLDER",
-            help="The folder for pictures and files. It is made if necessary; its files stay.",
-            show_default="demo-NAME; for kitchen and scenes, the current folder",
-        ),
-    ] = None,
+    out: _OutputFolder = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, metavar="N", help="The seed of random numbers.")
     ] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="For kitchen and scenes: the file of the picture, in the format of its ending. "
-            "An existing file is replaced.",
-            show_default="NAME.png after the scene, or a free name beside it",
-        ),
-    ] = None,
+    output: _PictureFile = None,
     picture: Annotated[
         bool,
         typer.Option(
@@ -216,17 +219,19 @@ def demo(
         other = "--no-picture" if out is None else "--out"
         raise typer.BadParameter(f"--output and {other} exclude each other")
     if name not in NAMES or name == "kitchen":
-        folder = _created(out or Path()) if picture else None
-        _ask_scene(name, folder, output, with_sql=sql)
+        folder = _created_folder(out or Path()) if picture else None
+        _demonstrate_scene(name, folder, output, with_sql=sql)
         return
     if output is not None or not picture or not sql:
         raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
-    if not run_of(name)(_created(out or Path(f"demo-{name}")), print_line, seed=seed):
+    if not run_of(name)(_created_folder(out or Path(f"demo-{name}")), print_line, seed=seed):
         raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
 
 
-def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql: bool) -> None:
-    """Demonstrates a scene by questions, with a picture in a folder or a file, if requested.
+def _demonstrate_scene(
+    name: str, folder: Path | None, output: Path | None, *, with_sql: bool
+) -> None:
+    """Demonstrates a scene by queries, with a picture in a folder or a file, if requested.
 
     Raises:
         UnknownNameError: the name is neither a demonstration nor a scene.
@@ -244,7 +249,7 @@ def _ask_scene(name: str, folder: Path | None, output: Path | None, *, with_sql:
     ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
 
 
-def _created(folder: Path) -> Path:
+def _created_folder(folder: Path) -> Path:
     """Returns a folder, which it creates if necessary.
 
     Raises:
@@ -253,23 +258,43 @@ def _created(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SelectScriptError(f"{folder} cannot be made: {error.strerror}") from error
+        raise SelectScriptError(f"{folder} cannot be created: {error.strerror}") from error
     return folder
+
+
+_SceneOrRecord = Annotated[
+    str, typer.Argument(metavar="SCENE", help="The name or the path of a scene, or a RECORD.")
+]
+_Program = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="PROGRAM", help="The program; it comes from standard input if it is - or missing."
+    ),
+]
+_Seconds = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0, metavar="T", help="Simulate T seconds first, rounded to whole steps of the scene."
+    ),
+]
+_Episode = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="The number of the episode of a record.",
+        show_default="the last one",
+    ),
+]
+_Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse probable mistakes instead of warning.")
+]
 
 
 @app.command()
 def query(
-    scene: Annotated[
-        str,
-        typer.Argument(metavar="SCENE", help="The name or the path of a scene, or a RECORD."),
-    ],
-    program: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="PROGRAM",
-            help="The program; it comes from standard input if it is - or missing.",
-        ),
-    ] = None,
+    scene: _SceneOrRecord,
+    program: _Program = None,
     file: Annotated[
         Path | None,
         typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
@@ -284,27 +309,9 @@ def query(
     steps: Annotated[
         int | None, typer.Option(min=0, metavar="N", help="Simulate N steps first.")
     ] = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(
-            min=0.0,
-            metavar="T",
-            help="Simulate T seconds first, rounded to whole steps of the scene.",
-        ),
-    ] = None,
-    episode: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="The number of the episode of a record.",
-            show_default="the last one",
-        ),
-    ] = None,
-    strict: Annotated[
-        bool,
-        typer.Option("--strict", help="Refuse probable mistakes instead of warning."),
-    ] = False,
+    seconds: _Seconds = None,
+    episode: _Episode = None,
+    strict: _Strict = False,
 ) -> None:
     """Run a program on a scene or a record, and write its result to standard output.
 
@@ -313,7 +320,7 @@ def query(
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
-    text = _program(program, file)
+    text = _program_text(program, file)
 
     from ssduck.simulators.scenes import find_scene
 
@@ -373,7 +380,7 @@ def _usage_and_summary(text: str) -> tuple[str, str]:
 # -- the program --------------------------------------------------------------------------
 
 
-def _program(program: str | None, file: Path | None) -> str:
+def _program_text(program: str | None, file: Path | None) -> str:
     """Returns the text of the program: the argument, a file or standard input.
 
     Raises:

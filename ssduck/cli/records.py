@@ -24,12 +24,12 @@ _DUCKDB_SUFFIX = ".duckdb"
 _MAGIC = slice(8, 12), b"DUCK"
 
 
-def is_record(place: str) -> bool:
+def is_record(location: str) -> bool:
     """Whether a path is the folder or file of a record; names of shipped scenes are not."""
     from ssduck.simulators.scenes import shipped_scenes
 
-    path = Path(place)
-    if place in shipped_scenes():
+    path = Path(location)
+    if location in shipped_scenes():
         return False
     if not path.is_file():
         return path.is_dir()
@@ -91,8 +91,8 @@ def record(
     to_file = output.suffix == _DUCKDB_SUFFIX
     opened = load(scene, output, recording=recording) if to_file else load(scene, recording=None)
     with opened as ss, _deferred_ctrl_c() as pressed:
-        writing = None if to_file else ss.record_to(output, recording=recording)
-        with writing or nullcontext():
+        writer = None if to_file else ss.record_to(output, recording=recording)
+        with writer or nullcontext():
             _run(ss.call_variable(description.name), steps, pressed)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
     print_line(
@@ -100,7 +100,7 @@ def record(
         f"{episode.end:g} s: episode {episode.number} in {output}"
     )
     if pressed.is_set():
-        sys.stderr.write("interrupted: the ticks recorded until then are complete\n")
+        sys.stderr.write("interrupted: the record is complete up to then\n")
         raise typer.Exit(130)
 
 
@@ -140,11 +140,11 @@ def _deferred_ctrl_c() -> Iterator[threading.Event]:
         return
     handler = signal.getsignal(signal.SIGINT)
 
-    def note(*_: Any) -> None:
+    def on_first_ctrl_c(*_: Any) -> None:
         pressed.set()
         signal.signal(signal.SIGINT, handler)
 
-    signal.signal(signal.SIGINT, note)
+    signal.signal(signal.SIGINT, on_first_ctrl_c)
     try:
         yield pressed
     finally:
@@ -188,8 +188,8 @@ def export(
     from ssduck.interpreter.opening import open_record
 
     with open_record(path, world, episode) as ss:
-        for name, place in ss.export(output, entities=entities, start=start, end=end).items():
-            print_line(f"{name}: {place}")
+        for name, folder in ss.export(output, entities=entities, start=start, end=end).items():
+            print_line(f"{name}: {folder}")
 
 
 def episodes(
@@ -210,7 +210,7 @@ def _episodes(path: Path) -> list[Episode]:
     return episodes_of(path)
 
 
-def open_or_load(place: str, episode: int | None) -> Interpreter:
+def open_or_load(location: str, episode: int | None) -> Interpreter:
     """Returns an interpreter for a record or a scene.
 
     Raises:
@@ -218,8 +218,8 @@ def open_or_load(place: str, episode: int | None) -> Interpreter:
     """
     from ssduck.interpreter import opening
 
-    if is_record(place):
-        return opening.open_record(place, episode=episode)
+    if is_record(location):
+        return opening.open_record(location, episode=episode)
     if episode is not None:
-        raise typer.BadParameter(f"--episode: {place} is no record")
-    return opening.load(place)
+        raise typer.BadParameter(f"--episode: {location} is no record")
+    return opening.load(location)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from sqlglot import exp
 
@@ -77,16 +78,17 @@ def _dotted(path: Sequence[str], name: str) -> str:
     return ".".join(exp.to_identifier(part, quoted=True).sql("duckdb") for part in (*path, name))
 
 
-def description_statements(
+@lru_cache(maxsize=16)
+def description_script(
     worlds: Sequence[str],
     only: str | None,
     described: Collection[str] | None,
     recorded: Collection[str] = (),
-) -> Iterator[str]:
-    """Yields the statements that create the macros and comments.
+) -> str:
+    """Returns the statements that create the macros and comments.
 
     Relations read the tables of the only world, as a row does not name its world; each world
-    also has them in its own schema.
+    also has them in its own schema. All arguments must be hashable.
 
     Args:
         worlds: the schemas of all worlds; a world may have several.
@@ -94,6 +96,15 @@ def description_statements(
         described: the schemas that are described already; None if nothing is.
         recorded: the schemas of recorded worlds.
     """
+    return ";\n".join(_description_statements(worlds, only, described, recorded))
+
+
+def _description_statements(
+    worlds: Sequence[str],
+    only: str | None,
+    described: Collection[str] | None,
+    recorded: Collection[str],
+) -> Iterator[str]:
     for relation in RELATIONS.values() if described is None else relations_with_tables():
         yield relation.macro(only)
         yield relation.comment()

@@ -8,7 +8,7 @@ from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
-from ssduck.database.macros import description_statements, drop_statements, formula_statements
+from ssduck.database.macros import description_script, drop_statements, formula_statements
 from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
@@ -48,11 +48,9 @@ class Schemas:
         schema = exp.table_(name, quoted=True)
         self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
         for table in TABLES.values():
-            rows = exp.select("*").from_(exp.table_(bound.live_view(table.name), quoted=True))
-            if table.name in bound.world.snapshot.unavailable:
-                _refuse(rows, bound.world.snapshot.unavailable[table.name])
-            view = _with_second_names(table, rows.sql("duckdb"))
-            self._make_view(name, table.name, view)
+            reason = bound.world.snapshot.unavailable.get(table.name)
+            rows = _live_rows(bound, table, reason)
+            self._make_view(name, table.name, _with_second_names(table, rows))
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: BoundWorld) -> None:
@@ -66,17 +64,13 @@ class Schemas:
                 waiting = bound.buffer_views if history.recorder is not None else None
                 rows = history.store.select(table.name, waiting)
             if rows is None:
-                refused = exp.select("*").from_(
-                    exp.table_(bound.live_view(table.name), quoted=True)
-                )
-                _refuse(refused, not_recorded_message(table.name, bound.world.name))
-                rows = refused.sql("duckdb")
+                rows = _live_rows(bound, table, not_recorded_message(table.name, bound.world.name))
             self._make_view(name, table.history_view, _with_second_names(table, rows))
         for view, rows in history.store.models().items() if history is not None else ():
             self._make_view(name, view, rows)
 
     def _make_view(self, schema: str, name: str, rows: str) -> None:
-        view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
+        view = f"{quoted(schema)}.{quoted(name)}"
         self._connection.run(f"CREATE OR REPLACE VIEW {view} AS {rows}")
 
     def describe(self, names: Sequence[str], only: str | None, recorded: Collection[str]) -> None:
@@ -88,8 +82,9 @@ class Schemas:
             recorded: the schemas of recorded worlds.
         """
         if self._described != set(names):
-            for statement in description_statements(names, only, self._described, recorded):
-                self._connection.run(statement)
+            known = None if self._described is None else frozenset(self._described)
+            script = description_script(tuple(names), only, known, frozenset(recorded))
+            self._connection.run(script)
             self._described = set(names)
 
     def make_formulas(self, sql: str, names: Sequence[str]) -> None:
@@ -165,9 +160,15 @@ def _with_second_names(table: Table, rows: str) -> str:
     return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
 
 
-def _refuse(rows: exp.Select, reason: str) -> None:
-    """Makes a SELECT fail when it is read; DuckDB would skip a condition on no rows."""
-    failing = exp.func("error", exp.Literal.string(reason)).as_("reason")
-    rows.join(exp.select(failing).subquery("unavailable"), join_type="cross", copy=False)
-    rows.set("expressions", [exp.Star(except_=[exp.column("reason")])])
-    rows.where(exp.column("reason").is_(exp.null()), copy=False)
+def _live_rows(bound: BoundWorld, table: Table, reason: str | None = None) -> str:
+    """Returns the SELECT of a table's rows of the current tick.
+
+    With a reason, the statement fails with it. The condition makes DuckDB evaluate `error` even if
+    there are no rows.
+    """
+    rows = f"FROM {quoted(bound.live_view(table.name))}"
+    if reason is None:
+        return f"SELECT * {rows}"
+    failing = f"SELECT error({exp.Literal.string(reason).sql('duckdb')}) AS reason"
+    unavailable = f"CROSS JOIN ({failing}) AS unavailable WHERE reason IS NULL"
+    return f"SELECT * EXCLUDE (reason) {rows} {unavailable}"

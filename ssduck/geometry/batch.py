@@ -49,13 +49,13 @@ class PairPredicate:
     """A condition on two entities; it holds if it holds for two of their shapes.
 
     Attributes:
-        of: "colliding": they are deeper in each other than `distance`. "within": the distance of
+        kind: "colliding": they are deeper in each other than `distance`. "within": the distance of
             their nearest points is at most `distance`. "touching": that distance is at most
             `distance` plus the collision margins of both shapes.
         distance: metres.
     """
 
-    of: PredicateKind
+    kind: PredicateKind
     distance: float
 
     def bound(self, margins: float) -> float:
@@ -64,22 +64,22 @@ class PairPredicate:
         Args:
             margins: the sum of their collision margins, metres.
         """
-        if self.of == "colliding":
+        if self.kind == "colliding":
             return -self.distance
-        return self.distance + margins if self.of == "touching" else self.distance
+        return self.distance + margins if self.kind == "touching" else self.distance
 
     def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
         """The bounds for pairs of shapes, (n,)."""
-        found = np.full(len(first), self.bound(0.0))
-        if self.of == "touching":
-            found += table.margins[first] + table.margins[second]
-        return found
+        bounds = np.full(len(first), self.bound(0.0))
+        if self.kind == "touching":
+            bounds += table.margins[first] + table.margins[second]
+        return bounds
 
     def candidates(self, tick: TickShapes) -> Pairs:
         """The pairs of shapes whose boxes are near enough."""
-        if self.of == "colliding":
+        if self.kind == "colliding":
             return _candidates(tick, tick.boxes, 0.0)
-        if self.of == "within":
+        if self.kind == "within":
             return _candidates(tick, tick.boxes, self.distance + _BOUND_MARGIN)
         margins = tick.table.margins
         grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
@@ -91,7 +91,7 @@ class ShapeTable:
 
     Args:
         solids: the distinct solids.
-        of: (n,), the index of each shape's solid.
+        solid_indices: (n,), the index of each shape's solid.
         entities: (n,), the index of each shape's entity.
         margins: (n,), the collision margins, metres; None for none.
     """
@@ -99,29 +99,35 @@ class ShapeTable:
     def __init__(
         self,
         solids: Sequence[Solid],
-        of: Indices,
+        solid_indices: Indices,
         entities: Indices,
         margins: Array | None = None,
     ) -> None:
         self.entities = entities
-        self.margins = np.zeros(len(of)) if margins is None else margins
+        self.margins = np.zeros(len(solid_indices)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
         self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
-        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[of]
-        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
-        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]
-        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[of]
-        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[of]
-        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[of]
-        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[of]
+        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[solid_indices]
+        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
+        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
+        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
+        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[solid_indices]
         self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(
             -1, 3
-        )[of]
-        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[of]
+        )[solid_indices]
+        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[
+            solid_indices
+        ]
         up = np.array([0.0, 0.0, 1.0])
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
-        self.normal = np.array(normals).reshape(-1, 3)[of]
-        self.cores = ConvexCores(solids, of)
+        self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
+        self.cores = ConvexCores(solids, solid_indices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +148,7 @@ class TickShapes:
     positions: Array
     matrices: Array
 
-    def moved(self, points: Array) -> Array:
+    def to_world(self, points: Array) -> Array:
         """A point (n, 3) of each shape, transformed to the world."""
         if not points.any():
             return self.positions
@@ -153,19 +159,19 @@ class TickShapes:
     @cached_property
     def centres(self) -> Array:
         """The centres of the spheres around the shapes, (n, 3)."""
-        return self.moved(self.table.centre)
+        return self.to_world(self.table.centre)
 
     @cached_property
-    def inner(self) -> Array:
+    def inscribed_centres(self) -> Array:
         """The centres of the spheres in the shapes, (n, 3)."""
-        return self.moved(self.table.inscribed_centre)
+        return self.to_world(self.table.inscribed_centre)
 
     @cached_property
     def placed_cores(self) -> PlacedCores:
         """The cores of the shapes."""
-        turns = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
-        centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
-        return PlacedCores(self.table.cores, turns, centres, inner)
+        rotations = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
+        centres, inscribed = map(np.ascontiguousarray, (self.centres.T, self.inscribed_centres.T))
+        return PlacedCores(self.table.cores, rotations, centres, inscribed)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
         """The pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
@@ -216,7 +222,7 @@ def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
 def matching_pairs(
     tick: TickShapes,
     predicate: PairPredicate,
-    holds: Callable[[int, int], bool],
+    satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
 ) -> PairResult:
     """The pairs of entities for which a predicate holds.
@@ -224,24 +230,27 @@ def matching_pairs(
     Args:
         tick: the shapes.
         predicate: the condition on two shapes.
-        holds: decides the pairs of shapes that no rule decides.
+        satisfies: decides the pairs of shapes that no rule decides.
         among: the pairs of shapes to compare; None for all candidate pairs.
     """
-    among = predicate.candidates(tick) if among is None else _usable(tick, among)
+    among = predicate.candidates(tick) if among is None else _comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
-    if predicate.of == "colliding":
+    if predicate.kind == "colliding":
         rules = _by_spheres, _by_planes, _by_axes, _by_cores
     else:  # a distance is not negative
-        usable = bounds >= 0.0
-        among, bounds = (among[0][usable], among[1][usable]), bounds[usable]
-    return _found(tick, among, rules, bounds, holds)
+        is_non_negative = bounds >= 0.0
+        among, bounds = (
+            (among[0][is_non_negative], among[1][is_non_negative]),
+            bounds[is_non_negative],
+        )
+    return _matching_entities(tick, among, rules, bounds, satisfies)
 
 
-def _usable(tick: TickShapes, shapes: Pairs) -> Pairs:
+def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
     first, second = shapes
-    usable = tick.is_known & tick.table.has_points
-    both = usable[first] & usable[second]
+    has_known_points = tick.is_known & tick.table.has_points
+    both = has_known_points[first] & has_known_points[second]
     return first[both], second[both]
 
 
@@ -250,7 +259,7 @@ Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
 
 # Shapes whose squared lengths overflow stay undecided.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _found(
+def _matching_entities(
     tick: TickShapes,
     candidates: Pairs,
     rules: Sequence[Rule],
@@ -270,36 +279,42 @@ def _found(
     has_single_shapes = tick.table.has_single_shapes
     owners = tick.owners(first, second)
     compared = owners if has_single_shapes else np.unique(owners)
-    found = np.zeros(0, np.intp)
+    matching = np.zeros(0, np.intp)
     for rule in rules:
         verdicts = rule(tick, first, second, bounds)
-        found = np.concatenate((found, owners[verdicts == BELOW]))
-        left = verdicts == UNDECIDED
+        matching = np.concatenate((matching, owners[verdicts == BELOW]))
+        is_undecided = verdicts == UNDECIDED
         if not has_single_shapes:
-            left &= ~np.isin(owners, found)
-        first, second, owners, bounds = first[left], second[left], owners[left], bounds[left]
-    more: set[int] = set()
+            is_undecided &= ~np.isin(owners, matching)
+        first, second, owners, bounds = (
+            first[is_undecided],
+            second[is_undecided],
+            owners[is_undecided],
+            bounds[is_undecided],
+        )
+    # The remaining pairs are compared one by one.
+    others: set[int] = set()
     for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
-        if owner not in more and is_below(s, t):
-            more.add(owner)
-    found = np.concatenate((found, np.array(sorted(more), np.intp)))
-    return PairResult(np.sort(found) if has_single_shapes else np.unique(found), compared)
+        if owner not in others and is_below(s, t):
+            others.add(owner)
+    matching = np.concatenate((matching, np.array(sorted(others), np.intp)))
+    return PairResult(np.sort(matching) if has_single_shapes else np.unique(matching), compared)
 
 
-def _candidates(tick: TickShapes, boxes: Array, apart: float) -> Pairs:
+def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
     """The pairs of known shapes of two entities whose boxes (6, n) are near each other.
 
     There are none if the greatest distance is negative or NaN.
     """
-    if not apart >= 0.0:
+    if not max_distance >= 0.0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     table = tick.table
-    usable = np.flatnonzero(tick.is_known & table.has_points)
-    if apart == np.inf:
-        first, second = np.triu_indices(len(usable), 1)
+    known = np.flatnonzero(tick.is_known & table.has_points)
+    if max_distance == np.inf:
+        first, second = np.triu_indices(len(known), 1)
     else:
-        first, second = overlapping_pairs(boxes[:, usable], apart)
-    first, second = usable[first], usable[second]
+        first, second = overlapping_pairs(boxes[:, known], max_distance)
+    first, second = known[first], known[second]
     if table.has_single_shapes:
         return first, second
     different = table.entities[first] != table.entities[second]
@@ -316,8 +331,8 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
     outer_radii = table.bounding_radius[first] + table.bounding_radius[second]
     verdicts[_distances(tick.centres, first, second) > outer_radii + bounds + error] = ABOVE
     inner_radii = table.inscribed_radius[first], table.inscribed_radius[second]
-    apart = _distances(tick.inner, first, second) - inner_radii[0] - inner_radii[1]
-    verdicts[(apart < bounds - error) & (inner_radii[0] > 0.0) & (inner_radii[1] > 0.0)] = BELOW
+    gaps = _distances(tick.inscribed_centres, first, second) - inner_radii[0] - inner_radii[1]
+    verdicts[(gaps < bounds - error) & (inner_radii[0] > 0.0) & (inner_radii[1] > 0.0)] = BELOW
     return verdicts
 
 

@@ -148,7 +148,7 @@ def _of_polygons(
     start, end = start[used], end[used]
     owners = np.repeat(groups, used.sum(axis=1))
     left, right = np.minimum(start[:, 0], end[:, 0]), np.maximum(start[:, 0], end[:, 0])
-    first, last = raster.reached(left, right, within, 0)
+    first, last = raster.overlapped_cells(left, right, within, 0)
     counts = np.maximum(last - first + 1, 0)
     for part in _batches(owners, counts):
         strips = _runs(first[part], counts[part])

@@ -41,7 +41,7 @@ class RoundShape:
         if start[2] > high or end[2] < low or low > high:
             return None
         within = -CELL_TOLERANCE if self.half == 0.0 else CELL_TOLERANCE
-        first, last = raster.reached(start[:1], end[:1], within, 0)
+        first, last = raster.overlapped_cells(start[:1], end[:1], within, 0)
         strips = np.arange(first[0], last[0] + 1)
         left = raster.origin[0] + strips * raster.size + within
         right = left + raster.size - 2 * within

@@ -60,8 +60,7 @@ class RecordingMethods(ABC):
         ...     ss.past("kitchen").times
         [0.0, 0.25, 0.5, 0.75, 1.0]
         """
-        if not isinstance(recording, Recording | None):
-            raise ArgumentError(f"record takes a Recording or None, not {short_repr(recording)}")
+        validation.instance(recording, Recording, "record: recording")
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()

@@ -90,7 +90,7 @@ class TickSeries:
 
     def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
-        numbers, _ = self.record.until_now()
+        numbers, _ = self.record.ticks_until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             start = max(end - size, 0)
@@ -113,7 +113,7 @@ def _since(series: TickSeries, age: Any) -> float | None:
 
 def _held_for(series: TickSeries, age: Any) -> float:
     start = _since(series, age)
-    return 0.0 if start is None else float(series.record.until_now()[1][-1]) - start
+    return 0.0 if start is None else float(series.record.ticks_until_now()[1][-1]) - start
 
 
 def _holds(series: TickSeries, age: Any) -> list[list[float]]:

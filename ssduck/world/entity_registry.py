@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any
 
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
 from ssduck.simulators.interface import Simulator
+from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
 from ssduck.world.entities import Entity
 from ssduck.world.layout import EntityInfo
@@ -53,7 +54,7 @@ class EntityRegistry:
         ]
         used_names = {info.name for info in self.entities}
         for body in added:
-            name = _unique(body.name, used_names)
+            name = unique_name(body.name, used_names)
             used_names.add(name)
             self.entities.append(EntityInfo(next(self._ids), name, body.kind, body=body))
 
@@ -81,7 +82,7 @@ class EntityRegistry:
         values = {
             "type": type,
             "on": host.name,
-            "name": name if name is not None else _unique(f"{host.name}_{type}", used_names),
+            "name": name if name is not None else unique_name(f"{host.name}_{type}", used_names),
             **settings,
         }
         try:
@@ -129,19 +130,17 @@ class EntityRegistry:
         by_name = {info.name: info for info in self.entities}
         sensors = []
         for index, (id, spec) in enumerate(zip(ids, specs, strict=True)):
-            host = by_name[spec.on]
+            host = by_name.get(spec.on)
+            if host is None:
+                raise SceneError(
+                    f"there is no body {spec.on!r} for the sensor {spec.name!r}",
+                    suggestions=nearest(spec.on, by_name),
+                )
             mount = (host.id, _link_number(host, spec, index))
             sensors.append(
                 EntityInfo(id, spec.name, "sensor", parent=spec.on, sensor=spec, mount=mount)
             )
         return sensors
-
-
-def _unique(name: str, used_names: Container[str]) -> str:
-    """Returns a name, with a number if the name is in use."""
-    if name not in used_names:
-        return name
-    return next(n for n in (f"{name}_{i}" for i in count(2)) if n not in used_names)
 
 
 def _link_number(host: EntityInfo, spec: SensorSpec, index: int) -> int:

@@ -94,7 +94,12 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
         Raises:
             SceneError: the scene cannot be loaded; the message has file, key and reason.
+            ArgumentError: `scene` is no `Scene`.
         """
+        if not isinstance(scene, Scene):
+            raise ArgumentError(
+                f"load: {short_repr(scene)} is no Scene; find_scene of ssduck.simulators reads one"
+            )
         loaded = backend(simulator).load(scene)
         try:
             return cls.owning(loaded, scene.name, scene.sensors, scene.camera)
@@ -137,7 +142,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         Args:
             client: the number of the client, or an object with this number as `_client`.
             names: the names of present bodies by PyBullet body number; other bodies are named
-                as in their models, made unique.
+                as in their models, as identifiers, made unique.
             kinds: `"robot"` or `"kinbody"` by body number; by default a body with movable joints
                 is a robot.
             name: the name until the world is bound to a variable.

@@ -67,7 +67,7 @@ WRONG = [
     (["robots", "--no-sql"], 2, "are for scenes", ""),
     (["chaos", "-o", "a.png"], 2, "are for scenes", ""),
     (["kitchen", "-o", "a.png", "--out", "b"], 2, "--output and --out exclude each other", ""),
-    (["kitchen", "--out", "file/folder"], 1, "file/folder cannot be made: Not a directory", ""),
+    (["kitchen", "--out", "file/folder"], 1, "file/folder cannot be created: Not a directory", ""),
     (["robots", "--seed", "-1"], 2, "--seed", ""),
 ]
 
@@ -242,7 +242,7 @@ def test_robots_that_collide_and_sights_that_differ_are_noticed():
         ss.record("kitchen", ssduck.Recording(tables=("entities", "sensings")))
         kitchen = ss.call_variable("kitchen")
         watch = robots.Watch(kitchen)
-        ss.add_trigger("seen", robots.SEEN, 0.0, watch)
+        ss.add_trigger("seen", robots.SENSED, 0.0, watch)
         kitchen.step()
         assert robots.history_agrees(ss, watch)
         assert robots.collisions(ss, said.append) == []

@@ -43,7 +43,7 @@ def test_a_crash_and_a_hang_are_found(monkeypatch, tmp_path):
     worker = fuzz._Worker(0, range(0, 8, 2), str(tmp_path / "log.txt"))
     worker.log = str(tmp_path / "log.txt")
     Path(worker.log).write_text('  File "/x/ssduck/tree.py", line 3 in f\n')
-    worker.place = [2.0, 0.0]
+    worker.progress = [2.0, 0.0]
     monkeypatch.setattr(worker, "begin", lambda: None)
     finding = worker._lost("crash, exit status -11")
     assert (finding.number, finding.cause) == (2, 'tree.py", line 3 in f')

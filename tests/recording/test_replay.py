@@ -18,15 +18,15 @@ from tools import replay
 @pytest.mark.slow
 def test_a_record_answers_as_the_live_world_did(tmp_path: Path) -> None:
     live = replay.recorded(tmp_path / "run", 0.5, 12, seed=3)
-    again = replay.replayed(tmp_path / "run", list(live.answers))
-    assert len(live.answers) == 10
-    assert all(any(answer != "[]" for answer in told) for told in live.answers.values())
+    again = replay.replayed(tmp_path / "run", list(live.results))
+    assert len(live.results) == 10
+    assert all(any(answer != "[]" for answer in told) for told in live.results.values())
     assert replay.differences(live, again) == []
 
 
 def test_what_differs_is_found() -> None:
-    live = replay.Answers({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
-    again = replay.Answers({1.0: ["[1]", "[3]"]}, [])
+    live = replay.RunResults({1.0: ["[1]", "[2]"], 2.0: ["[]"]}, [(1.0, "[]")])
+    again = replay.RunResults({1.0: ["[1]", "[3]"]}, [])
     assert len(replay.differences(live, again)) == 3
 
 
@@ -61,6 +61,7 @@ def test_a_record_is_gone_through(opened: Any) -> None:
         kitchen["table"].move([0, 0, 0])
 
 
+@pytest.mark.slow
 def test_a_query_holds_the_record_at_its_tick(opened: Any) -> None:
     ss, kitchen = opened
     ss.add_function("goes_on", lambda _: kitchen.seek(0.0) is not None, "")
@@ -108,6 +109,7 @@ def outcome(ss: ssduck.Interpreter, program: str) -> str:
         return re.sub(r"ticks \d+ and \d+", "ticks", f"{type(error).__name__}: {error.message}")
 
 
+@pytest.mark.slow
 def test_programs_of_two_ticks_end_alike_live_and_opened(tmp_path: Path, client: int) -> None:
     box = {"halfExtents": [0.5, 0.5, 0.1], "physicsClientId": client}
     shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box)

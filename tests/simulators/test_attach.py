@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 
 import pybullet
+import pybullet_data
 import pytest
 from pybullet_utils.bullet_client import BulletClient
 
@@ -39,6 +40,57 @@ def test_names_and_kinds_are_the_users_or_the_models(client, make, write):
     assert [entity.name for entity in world] == ["cube", "cube_2", "mine", f"body_{plain}"]
     assert world["mine"].kind == "robot"
     assert world["cube_2"].kind == "kinbody"
+
+
+# (the name in the model file, the name of the body)
+MODEL_NAMES = [
+    ("cube", "cube"),
+    ("cube.urdf", "cube"),
+    ("TABLE.URDF", "TABLE"),
+    ("Amazon Pod", "Amazon_Pod"),
+    ("roboschool/models_outdoor/part0.obj", "part0"),
+    ("C:\\models\\part1.obj", "part1"),
+    ("arm/left", "arm_left"),
+    ("robot_v1.2", "robot_v1_2"),
+    ("a - b", "a_b"),
+    ("(crate)", "crate"),
+    ("_hidden__", "_hidden__"),
+    ("2nd", "body_2nd"),
+    ("Küche", "Küche"),
+    ("!?", "body_0"),
+    (".urdf", "body_0"),
+    ("x.urdf.urdf", "x_urdf"),
+]
+
+
+@pytest.mark.parametrize(("model", "name"), MODEL_NAMES)
+def test_the_name_of_a_body_is_its_models_as_an_identifier(client, write, model, name):
+    urdf = f'<robot name="{model}"><link name="l"/></robot>'
+    pybullet.loadURDF(str(write("model.urdf", urdf)), physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+        assert ss.eval(f"sim.{name} == sim.{name};")
+        assert ss.eval(f"SELECT id FROM sim WHERE this == sim.{name} AS list;") == [name]
+
+
+def test_names_of_pybullets_own_models(client):
+    pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), physicsClientId=client)
+    for file in (
+        "plane.urdf",
+        "table/table.urdf",
+        "cube.urdf",
+        "lego/lego.urdf",
+        "duck_vhacd.urdf",
+    ):
+        pybullet.loadURDF(file, physicsClientId=client)
+    pybullet.loadSDF("kiva_shelf/model.sdf", physicsClientId=client)
+    models = [pybullet.getBodyInfo(body, client)[1] for body in range(6)]
+    assert models == [b"plane", b"table.urdf", b"cube", b"cube.urdf", b"cube.urdf", b"Amazon Pod"]
+    names = ["plane", "table", "cube", "cube_2", "cube_3", "Amazon_Pod"]
+    assert [entity.name for entity in ssduck.World.attach(client)] == names
+    world = ssduck.World.attach(client, names={3: "cube", 4: "rubber duck"})
+    names = ["plane", "table", "cube_2", "cube", "rubber duck", "Amazon_Pod"]
+    assert [entity.name for entity in world] == names  # the user's names are as they are
 
 
 def test_what_has_movable_joints_is_a_robot(client, write):
@@ -293,6 +345,7 @@ def next_number():
     return number
 
 
+@pytest.mark.slow
 def test_a_closed_world_does_not_close_the_next_one():
     first = ssduck.World.load(find_scene("kitchen"))
     first.close()
@@ -323,6 +376,7 @@ def test_a_lost_client_stays_lost():
     pybullet.disconnect(number)
 
 
+@pytest.mark.slow
 def test_a_world_that_nobody_holds_frees_its_client():
     number = next_number()
     world = ssduck.World.load(find_scene("kitchen"))

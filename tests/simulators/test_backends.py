@@ -1,5 +1,6 @@
 """A simulator of two boxes, connected as the manual says: no part of it knows PyBullet."""
 
+import inspect
 import sys
 import types
 
@@ -7,13 +8,15 @@ import numpy as np
 import pytest
 
 from ssduck import Interpreter, World
-from ssduck.errors import UnknownNameError, UnsupportedError
+from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError
 from ssduck.geometry.poses import IDENTITY
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
-from ssduck.simulators.backends import BACKENDS
+from ssduck.simulators.backends import BACKENDS, Backend
+from ssduck.simulators.backends import backend as backend_of
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Body, ContactPoints, Link, LinkPoses
-from ssduck.simulators.scenes import Scene
+from ssduck.simulators.partial import PartialSimulator
+from ssduck.simulators.scenes import Scene, find_scene
 
 
 def cube(handle, name, mass):
@@ -21,7 +24,7 @@ def cube(handle, name, mass):
     return Body(handle, name, "kinbody", mass > 0, (Link(name, -1, mass),), (), (shape,))
 
 
-class TwoBoxes:
+class TwoBoxes(PartialSimulator):
     """A box at rest, and one that falls onto it."""
 
     backend = "two_boxes"
@@ -114,6 +117,7 @@ def test_queries_ask_a_simulator_of_two_boxes(tmp_path, backend):
         world.run(1.0)
         assert world.time == pytest.approx(1.0)
         assert ss.eval("SELECT id FROM boxes WHERE on(ground, this) AS list;") == ["box"]
+        assert ss.eval("SELECT id FROM boxes WHERE inContact(ground, this) AS list;") == []
         assert not ss.eval("SELECT id FROM boxes WHERE collides(ground, this) AS list;")
         world.simulator.heights[1] = 0.9
         world.tick()
@@ -127,6 +131,42 @@ def test_worlds_are_copied_and_saved_by_the_backend_of_their_own_simulator(tmp_p
     assert isinstance(copy.simulator, TwoBoxes)
     with pytest.raises(UnsupportedError, match="no scene"):
         world.save(tmp_path / "saved")
+
+
+CHANGES = {
+    "move bodies": lambda world: world["box"].move([0, 0, 2]),
+    "switch collisions": lambda world: setattr(world["box"], "enabled", False),
+    "show or hide": lambda world: setattr(world["box"], "visible", False),
+    "connect bodies": lambda world: world["box"].hold(world["ground"]),
+    "remove bodies": lambda world: world.remove("box"),
+    "draw images": lambda world: world.render(10, 10),
+}
+
+
+@pytest.mark.parametrize("action", CHANGES)
+def test_what_a_simulator_lacks_is_unsupported(action):
+    world = World(TwoBoxes(1.0))
+    with pytest.raises(UnsupportedError, match=f"TwoBoxes cannot {action}"):
+        CHANGES[action](world)
+    assert world.tick().time == 0.0
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_backends_have_the_functions_of_the_protocol(name):
+    functions = [f for n, f in vars(Backend).items() if inspect.isfunction(f) and n[0] != "_"]
+    assert functions
+    for function in functions:
+        _, *expected = inspect.signature(function).parameters
+        assert list(inspect.signature(getattr(backend_of(name), function.__name__)).parameters) == (
+            expected
+        )
+
+
+def test_a_world_is_loaded_of_a_scene_that_its_simulator_has(backend):
+    with pytest.raises(ArgumentError, match=r"load: 'kitchen' is no Scene; find_scene"):
+        World.load("kitchen")
+    with pytest.raises(SceneError, match="there is no body 'fridge' for the sensor"):
+        World.load(find_scene("kitchen"), simulator="two_boxes")
 
 
 def test_an_unknown_simulator_comes_with_the_nearest_names(tmp_path):

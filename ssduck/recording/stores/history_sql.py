@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import lru_cache
 
 import pyarrow as pa
 from sqlglot import exp
@@ -15,6 +16,7 @@ BOX_TOLERANCE = 1e-9
 _BUFFERED = "buffered entities"
 
 
+@lru_cache(maxsize=1024)
 def quoted(name: str) -> str:
     """Returns a quoted identifier."""
     return exp.to_identifier(name, quoted=True).sql("duckdb")

@@ -207,6 +207,7 @@ class PyBulletSimulator:
             self._kinds.get(handle),
             saved,
             self._user_shapes.get(handle),
+            self._names.values(),
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return description
