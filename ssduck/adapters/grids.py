@@ -282,36 +282,39 @@ def _finite_position(entity: Entity) -> list[float]:
 GRIDS = (
     Adapter(
         ("occupancygrid", "map"),
-        "The cells that shapes occupy at a height, or between two, [lowest, highest].",
+        "The grid of cells that shapes occupy at a height, or between two heights [lowest, "
+        "highest]; all lengths in m.",
         _occupancy,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("roombaGrid",),
-        "The same with the sizes of SelectScript's tutorial, and one more cell along each axis.",
+        "The grid of AS occupancygrid with the sizes of SelectScript's tutorial, in m, and one "
+        "more cell along each axis.",
         _roomba_grid,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("voxelgrid",),
-        "The cubes that shapes occupy.",
+        "The grid of cubes that shapes occupy; all lengths in m.",
         _voxels,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("sensorgrid",),
-        "How many of the selected sensors see each cell at a height.",
+        "The grid of the number of selected sensors that see each cell at a height; all lengths "
+        "in m.",
         _sensor_grid,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("plane",),
-        "The sums of the rows' values in the cells of a plane such as 'XY', by position; "
-        "size is [cells, cells, side of a cell in m].",
+        "The grid of the sums of the rows' values in each cell of a plane such as 'XY', by "
+        "position; size is [cells, cells, side of a cell in m].",
         _plane,
         needs="entities",
         select=_with_entity,

@@ -157,14 +157,14 @@ def _string(text: str) -> str:
 LOGIC = (
     Adapter(
         ("prolog",),
-        "Relations as Prolog clauses: a sorted list of texts, without the dot.",
+        "The selected relations as Prolog clauses: a sorted list of texts, without the final dot.",
         _prolog,
         select=with_arguments,
     ),
     Adapter(
         ("asp",),
-        "Relations as facts for clingo: a sorted list of texts, with the dot. Fractions are "
-        "strings, or integers if multiplied by scale.",
+        "The selected relations as facts for clingo: a sorted list of texts, with the final "
+        "dot. Fractions become strings, or integers if they are multiplied by scale.",
         _asp,
         select=with_arguments,
     ),

@@ -210,14 +210,15 @@ def _quoted(text: str) -> str:
 NETWORK = (
     Adapter(
         ("graph",),
-        "A networkx graph: entities are nodes, relations of two directed edges. Extra: graph.",
+        "A networkx graph: entities are nodes, relations of two entities are directed edges. "
+        "Extra: graph.",
         _graph,
         needs="entities",
         select=_graph_query,
     ),
     Adapter(
         ("dot",),
-        "The same graph as a text for Graphviz, each edge with its relations.",
+        "The graph of AS graph as a text for Graphviz, each edge with its relations.",
         _dot,
         needs="entities",
         select=_graph_query,

@@ -26,8 +26,8 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         "double",
         "COALESCE(map_extract_value((SELECT map(list((sensor, entity)), list(hits / rays)) "
         "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
-        "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
-        "0 to 1; 0 where isSensing(s, e) is False.",
+        "Returns the share of the rays, pixels or contact points of sensor s that end on e, "
+        "from 0 to 1; 0 if isSensing(s, e) is False.",
         across_worlds="0.0::DOUBLE",
         recorded_formula=f"COALESCE({recorded_numbers('sensed', 's', 'e')}[1], 0.0)",
     ),
@@ -38,8 +38,8 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         "COALESCE(map_extract_value((SELECT map(list(sensor), list(ids)) FROM (SELECT sensor, "
         "list(entity ORDER BY entity) AS ids FROM sensings GROUP BY sensor) AS seen), s.id), "
         "[]::BIGINT[])",
-        "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
-        "order; an empty list while it is switched off.",
+        "Returns the ids (see environmentID) of the entities that sensor s perceives at the "
+        "tick, in ascending order; an empty list while it is switched off.",
         element="integer",
         recorded_formula=f"{recorded_numbers('perceived', 's')}::BIGINT[]",
     ),
