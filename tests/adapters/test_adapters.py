@@ -157,7 +157,7 @@ def test_a_lazy_form_reads_before_it_returns(kitchen, registry):
     ssduck.adapter("keep", needs="query")(kept.append)
     kitchen.eval("SELECT z FROM kitchen AS keep;")
     for late in (lambda: kept[0].rows, lambda: kept[0].head(1)):
-        with pytest.raises(ArgumentError, match="the query is over"):
+        with pytest.raises(ArgumentError, match="the query has ended"):
             late()
 
 
@@ -177,7 +177,7 @@ def test_a_form_that_needs_entities(kitchen, registry):
 
 def test_a_form_that_needs_columns(kitchen, registry):
     ssduck.adapter("table_of", needs="columns")(lambda s: s.columns)
-    with pytest.raises(ArgumentError, match="two columns are called 'id'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'id'"):
         kitchen.eval("SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen AS table_of;")
 
 

@@ -8,6 +8,7 @@ from ssduck.recording.spec import Recording
 from ssduck.schema import MODELS, RECORDABLE, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 
 # A literal for each type of parameter; entities are the rows a and b.
 LITERALS = {
@@ -79,7 +80,7 @@ def quoted(relation):
     return f'"{relation.name}"({called(relation).partition("(")[2]}'
 
 
-@pytest.mark.parametrize("name", NAMES)
+@sampled("name", NAMES, every=3)
 def test_every_relation_may_have_its_world_before_it(worlds, name):
     several, alone = worlds
     for relation in RELATIONS.values():
@@ -106,6 +107,7 @@ def test_however_it_is_written(worlds, call):
     assert len(worlds[0].sql(f"SELECT {call} FROM sim.entities a, sim.entities b")) == 4
 
 
+@pytest.mark.slow
 def test_it_stays_with_worlds_that_change(client):
     boxes(client)
     asked = "SELECT count(*) FROM sim.entities a, sim.entities b WHERE sim.overlaps(a, b)"
@@ -127,6 +129,7 @@ def test_it_stays_with_worlds_that_change(client):
         assert ss.sql(asked.replace("sim", "later")).fetchall() == [(2,)]
 
 
+@pytest.mark.slow
 def test_opened_records_and_files(client, tmp_path):
     asked = "SELECT sim.overlaps(a, b) FROM sim.entities a, sim.entities b WHERE a.id < b.id"
     path = tmp_path / "own.duckdb"
@@ -146,6 +149,7 @@ def test_opened_records_and_files(client, tmp_path):
         assert ss.sql(past + " AND a.tick = b.tick").fetchall()[0] == (True,)
 
 
+@pytest.mark.slow
 def test_what_a_file_keeps_may_call_them(client, tmp_path):
     boxes(client)
     path = tmp_path / "own.duckdb"
@@ -249,6 +253,7 @@ def test_second_names_mean_the_same(first, second, one):
     assert one.sql(f"SELECT * FROM entities a, entities b WHERE {differing}").fetchall() == []
 
 
+@pytest.mark.slow
 def test_resting_is_found_by_the_second_name():
     with ssduck.load("kitchen") as ss:
         ss.call_variable("kitchen").step(480)

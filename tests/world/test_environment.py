@@ -24,6 +24,7 @@ from ssduck.errors import (
 from ssduck.simulators.scenes import shipped_scenes
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
 # Nothing that these rest on moves, and nothing else touches them.
@@ -127,6 +128,7 @@ def kitchen():
 # -- what there is -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", shipped_scenes())
 def test_an_excerpt_of_all_is_the_same_and_stays_so(scene):
     ss = ssduck.load(scene)
@@ -151,6 +153,7 @@ def test_relations_agree(kitchen, chosen):
     assert relations(copy, names, skipped=skipped) == relations(kitchen, names, skipped=skipped)
 
 
+@pytest.mark.slow
 def test_what_is_closed_in_itself_goes_on_alike(kitchen):
     copy = kitchen.excerpt(CLOSED)
     assert farthest(kitchen, copy, CLOSED) == 0.0
@@ -159,6 +162,7 @@ def test_what_is_closed_in_itself_goes_on_alike(kitchen):
     assert farthest(kitchen, copy, CLOSED) < 1e-6
 
 
+@pytest.mark.slow
 def test_after_steps_an_excerpt_begins_alike_and_goes_on_nearly_so(kitchen):
     """Bodies of several shapes find their contacts anew, and no two runs of those agree."""
     kitchen.step(240)
@@ -401,6 +405,7 @@ def test_bodies_of_others_go_on_alike(menagerie, steps):
         assert farthest(menagerie, world) < 1e-6
 
 
+@pytest.mark.slow
 def test_relations_of_bodies_of_others_agree(menagerie):
     menagerie.step(300)
     with pytest.warns(UserWarning, match=MOTORS):
@@ -412,6 +417,7 @@ def test_relations_of_bodies_of_others_agree(menagerie):
     assert rounded(ours) == rounded(theirs)
 
 
+@pytest.mark.slow
 def test_hulls_and_meshes_of_others(client, tmp_path):
     """Their margins are others, so that they rest elsewhere by a 100th of a millimetre."""
     own = {"physicsClientId": client}
@@ -564,6 +570,7 @@ def recorded(kitchen):
     return ss, half
 
 
+@pytest.mark.slow
 def test_a_recorded_tick(recorded):
     ss, half = recorded
     copy = ss.eval("SELECT obj FROM kitchen{0.5} AS environment;")
@@ -591,6 +598,7 @@ def test_a_tick_of_which_joints_are_not_recorded(kitchen):
     assert [j.position for j in copy["barrett_4918"].joints] == pytest.approx(positions, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_opened_record_makes_a_world_of_what_is_recorded(recorded, tmp_path):
     ss, half = recorded
     ss.export(tmp_path / "run")
@@ -626,6 +634,7 @@ def test_a_what_if_world_goes_on(kitchen):
 # -- errors ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_entities_of_other_worlds_and_ticks(kitchen, client, recorded):
     ss, _ = recorded
     other = ssduck.World.attach(client, name="other")
@@ -712,6 +721,7 @@ def test_closed_worlds_and_forgotten_ones_give_all_back(kitchen):
     assert memory() - first < 100  # a client takes some ten: 50 of them would be more
 
 
+@pytest.mark.slow
 def test_worlds_in_circles_make_room(kitchen, monkeypatch):
     """What waits for the collector holds a client; there are so many only."""
     copy = kitchen.excerpt(["table"])
@@ -731,7 +741,7 @@ def test_worlds_in_circles_make_room(kitchen, monkeypatch):
 # -- scenes ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("steps", [0, 120])
+@sampled("steps", [0, 120], every=2)
 def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     kitchen.step(steps)
     kitchen["can"].enabled = False
