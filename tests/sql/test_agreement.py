@@ -5,7 +5,9 @@ from __future__ import annotations
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from tests.support.grammar import evaluators, program, programs, seeded, shrunk
+from tests.support.choices import seeded
+from tests.support.evaluators import evaluators, shrunk
+from tests.support.grammar import program, programs
 
 pytestmark = pytest.mark.slow
 
