@@ -37,5 +37,5 @@ def placed_shapes(world: World, entities: Sequence[Entity]) -> PlacedSolids:
     ids = [entity.id for entity in entities]
     for id in shapes.unknown(ids)[:1]:
         name = world.entity(id).name
-        raise ArgumentError(f"{name!r} is nowhere: its pose is no number; leave it out by WHERE")
+        raise ArgumentError(f"{name!r}: the pose is not a number; exclude the entity by WHERE")
     return shapes.placed(ids)

@@ -19,6 +19,7 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
 from tests.support import pairs
+from tests.support.cases import sampled
 from tests.support.pairs import Shape
 from tests.support.solids import (
     STRAIGHT,
@@ -92,7 +93,7 @@ def at(geometry, position, turn=STRAIGHT):
     return Shape(geometry.type, geometry, np.array(position, float), turn / np.linalg.norm(turn))
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
+@sampled("depth", DEPTHS, every=6)
 def test_stacked(depth):
     """Parallel faces that touch, or are hardly in each other, also 10 km away."""
     two = [
@@ -206,7 +207,7 @@ def boxes_apart(tick, i, j):
 
 
 @pytest.mark.parametrize("is_round", [False, True])
-@pytest.mark.parametrize("seed", range(4))
+@sampled("seed", range(4), every=4)
 def test_all_pairs_of_a_tick(seed, is_round):
     entities = crowd(seed, is_round=is_round)
     together, alone = narrow(*entities), narrow(*entities)

@@ -15,6 +15,7 @@ from ssduck.geometry.raster import CELL_TOLERANCE, Raster
 from ssduck.geometry.rasterize import Rasterizer
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids, solid_of
+from tests.support.cases import sampled
 
 RNG = np.random.default_rng(7)
 POINTS = RNG.normal(size=(20, 3)) * [0.3, 0.2, 0.25]
@@ -249,7 +250,7 @@ def windings(triangles, points):
     return np.arctan2(over, under).sum(axis=1) / (2 * np.pi)
 
 
-@pytest.mark.parametrize("turn", ["upright", "lying", "tilted"])
+@sampled("turn", ["upright", "lying", "tilted"], every=3)
 @pytest.mark.parametrize("height", [0.0, 0.11])
 def test_a_torus(turn, height):
     torus = trimesh.creation.torus(0.5, 0.2, major_sections=16, minor_sections=8)
