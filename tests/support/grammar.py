@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
-
-from hypothesis import strategies as st
 
 from tests.support.choices import (
     AGED,
@@ -690,14 +687,3 @@ class Grammar:
 def program(choices: Choices) -> str:
     """Returns the text of a program."""
     return Grammar(choices).program()
-
-
-@cache
-def _below(bound: int) -> st.SearchStrategy[int]:
-    return st.integers(0, bound - 1)
-
-
-@st.composite
-def programs(draw: st.DrawFn) -> str:
-    """Programs, for hypothesis."""
-    return program(Choices(lambda bound: draw(_below(bound))))
