@@ -135,7 +135,7 @@ class SensorReader:
         return clone
 
     def is_on(self, id: int) -> bool:
-        """Whether a sensor is switched on."""
+        """Checks whether a sensor is switched on."""
         return id not in self._off
 
     def switch(self, id: int, *, on: bool) -> None:
@@ -320,7 +320,7 @@ def sensor_poses(
 
 
 def has_rays(info: EntityInfo) -> bool:
-    """Whether a sensor casts rays; otherwise it measures contacts."""
+    """Checks whether a sensor casts rays; otherwise it measures contacts."""
     assert info.sensor is not None
     return SENSOR_TYPES[info.sensor.type].rays is not None
 
