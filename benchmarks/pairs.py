@@ -54,13 +54,13 @@ SQL = "SELECT a.name, b.name FROM entities a, entities b WHERE collides(a, b) AN
 _LOAD = "SELECT (SELECT count(x) FROM entities), (SELECT count(x) FROM shapes)"
 _GAPS = """
     SELECT clearance(a, b) - penetration(a, b)
-    FROM (SELECT unnest($one) AS one, unnest($other) AS other) asked
-    JOIN entities a ON a.name = asked.one JOIN entities b ON b.name = asked.other
+    FROM (SELECT unnest($one) AS one, unnest($other) AS other) pairs
+    JOIN entities a ON a.name = pairs.one JOIN entities b ON b.name = pairs.other
     ORDER BY a.id, b.id
 """
 
 
-class Ours:
+class SsduckScene:
     """A random scene in a world of ssduck.
 
     Attributes:
@@ -93,17 +93,17 @@ class Ours:
         self.ss.sql(_LOAD).fetchall()
         self._before = self.ss.statistics()["world"]
 
-    def ask(self) -> list[str]:
+    def query(self) -> list[str]:
         """Runs the SelectScript query."""
-        found: list[str] = self.ss.eval(self._compiled)
+        names: list[str] = self.ss.eval(self._compiled)
         self._record_statistics("ours")
-        return found
+        return names
 
-    def ask_sql(self) -> list[tuple[str, str]]:
+    def query_sql(self) -> list[tuple[str, str]]:
         """Runs the SQL query."""
-        found: list[tuple[str, str]] = self.ss.sql(SQL).fetchall()
+        pairs: list[tuple[str, str]] = self.ss.sql(SQL).fetchall()
         self._record_statistics("sql")
-        return found
+        return pairs
 
     def _record_statistics(self, way: str) -> None:
         """Records the work since the tick once; another call would take minutes in some scenes."""
@@ -120,8 +120,8 @@ class Ours:
     def gaps(self, pairs: Pairs) -> list[float]:
         """Returns the distances of pairs in ascending order, metres; depths are negative."""
         one, other = ([f"b{number}" for number in side] for side in zip(*pairs, strict=True))
-        found = self.ss.sql(_GAPS, {"one": one, "other": other}).fetchall()
-        return [gap for (gap,) in found]
+        rows = self.ss.sql(_GAPS, {"one": one, "other": other}).fetchall()
+        return [gap for (gap,) in rows]
 
 
 # -- one scene ----------------------------------------------------------------------------------
@@ -153,7 +153,7 @@ class Measurement:
         form: the form of the scene.
         kind: the kind of the shapes.
         scene: the scene.
-        found: the number of pairs that collide.
+        collisions: the number of pairs that collide.
         times: the times of the ways, seconds.
         scaled: the ways of which only a sample was timed.
         statistics: the work of the narrow phase, in SelectScript and in SQL.
@@ -163,7 +163,7 @@ class Measurement:
     form: str
     kind: str
     scene: RandomScene
-    found: int
+    collisions: int
     times: dict[str, float]
     scaled: frozenset[str]
     statistics: dict[str, Statistics]
@@ -195,14 +195,14 @@ class Measurement:
 class Sample:
     """The pairs on which a loop is timed: all, or those of some bodies with all others."""
 
-    def __init__(self, count: int, most: int) -> None:
-        self.is_whole = count <= most
+    def __init__(self, count: int, max_count: int) -> None:
+        self.is_whole = count <= max_count
         self.pairs: Pairs
         if self.is_whole:
             self.pairs = list(combinations(range(count), 2))
         else:
-            some = np.random.default_rng(count).choice(count, SAMPLED, replace=False).tolist()
-            self.pairs = [(min(i, j), max(i, j)) for i in some for j in range(count) if i != j]
+            sample = np.random.default_rng(count).choice(count, SAMPLED, replace=False).tolist()
+            self.pairs = [(min(i, j), max(i, j)) for i in sample for j in range(count) if i != j]
         self.scale = count * (count - 1) / 2 / len(self.pairs)
 
 
@@ -211,72 +211,76 @@ class Contest:
 
     def __init__(self, scene: RandomScene, client: int, bodies: Sequence[int]) -> None:
         self.scene = scene
-        self.ours = Ours(scene, client, bodies)
+        self.ours = SsduckScene(scene, client, bodies)
         self.closest = pybullet_loop(client, bodies)
         self.fcl = Fcl(scene)
         coal = coal_or_none()
         self.coal = None if coal is None else Coal(coal, scene)
-        self.some, self.few = Sample(len(scene), LOOPED), Sample(len(scene), CLOSEST)
+        self.fcl_sample = Sample(len(scene), LOOPED)
+        self.pybullet_sample = Sample(len(scene), CLOSEST)
 
-    def times(self, rounds: int, most: float) -> dict[str, float]:
+    def times(self, rounds: int, max_seconds: float) -> dict[str, float]:
         """Returns the time of each way, seconds."""
         ours = self.ours
         ways = {
-            "ours": Way(ours.ask, before=ours.tick),
-            "again": Way(ours.ask, before=ours.ask),
-            "sql": Way(ours.ask_sql, before=ours.tick),
+            "ours": Way(ours.query, before=ours.tick),
+            "again": Way(ours.query, before=ours.query),
+            "sql": Way(ours.query_sql, before=ours.tick),
             "manager": Way(self.fcl.managed),
-            "loop": Way(partial(self.fcl.loop, self.some.pairs), before=self.fcl.place),
-            "pybullet": Way(partial(self.closest, self.few.pairs)),
+            "loop": Way(partial(self.fcl.loop, self.fcl_sample.pairs), before=self.fcl.place),
+            "pybullet": Way(partial(self.closest, self.pybullet_sample.pairs)),
         }
         if self.coal is not None:
             ways["coal"] = Way(self.coal.managed)
-        times = minima(ways, rounds, most)
-        times["loop"] *= self.some.scale
-        times["pybullet"] *= self.few.scale
+        times = minima(ways, rounds, max_seconds)
+        times["loop"] *= self.fcl_sample.scale
+        times["pybullet"] *= self.pybullet_sample.scale
         return times
 
-    def differences(self, found: set[tuple[int, int]]) -> dict[str, Difference]:
+    def differences(self, collisions: set[tuple[int, int]]) -> dict[str, Difference]:
         """Returns how the pairs of the other ways differ from those of ssduck."""
-        names = [name for pair in self.ours.ask_sql() for name in pair]
+        names = [name for pair in self.ours.query_sql() for name in pair]
         others = {
-            "again": self.ours.pairs(self.ours.ask()),
+            "again": self.ours.pairs(self.ours.query()),
             "sql": self.ours.pairs(names),
             "manager": self.fcl.managed(),
             "pybullet": self.closest([(i, j) for i, j in self.scene.met.tolist()]),
         }
         if self.coal is not None:
             others["coal"] = self.coal.managed()
-        differing = {way: found.symmetric_difference(pairs) for way, pairs in others.items()}
-        looped = self.fcl.loop(self.some.pairs)
-        differing["loop"] = found.intersection(self.some.pairs).symmetric_difference(looped)
-        return {way: self._judge(sorted(pairs), found) for way, pairs in differing.items()}
+        differing = {way: collisions.symmetric_difference(pairs) for way, pairs in others.items()}
+        looped = self.fcl.loop(self.fcl_sample.pairs)
+        sampled = collisions.intersection(self.fcl_sample.pairs)
+        differing["loop"] = sampled.symmetric_difference(looped)
+        return {way: self._judge(sorted(pairs), collisions) for way, pairs in differing.items()}
 
-    def _judge(self, pairs: Pairs, found: set[tuple[int, int]]) -> Difference:
+    def _judge(self, pairs: Pairs, collisions: set[tuple[int, int]]) -> Difference:
         """Judges the pairs that only one of two ways finds."""
         gaps = dict(zip(pairs, self.ours.gaps(pairs), strict=True)) if pairs else {}
         touching = [pair for pair in pairs if abs(gaps[pair]) <= TOUCHING]
         wrong = [pair for pair in touching if not may_touch(self.scene, *pair, 2 * TOUCHING)]
-        left = [pair for pair in pairs if abs(gaps[pair]) > TOUCHING]
-        wrong += [p for p in left if verdict(self.scene, *p, COLLIDES) is not (p in found)]
-        return Difference(len(touching), len(left), wrong)
+        clear = [pair for pair in pairs if abs(gaps[pair]) > TOUCHING]
+        wrong += [p for p in clear if verdict(self.scene, *p, COLLIDES) is not (p in collisions)]
+        return Difference(len(touching), len(clear), wrong)
 
 
-def measure(form: str, kind: str, count: int, rounds: int, most: float) -> Measurement:
+def measure(form: str, kind: str, count: int, rounds: int, max_seconds: float) -> Measurement:
     """Times all ways in one scene and compares their pairs."""
     scene = random_scene(form, kind, count)
     with bodies_of(scene) as (client, bodies):
         contest = Contest(scene, client, bodies)
         ours = contest.ours
         try:
-            times = contest.times(rounds, most)
-            found = set(ours.pairs(ours.ask()))
-            differences = contest.differences(found)
+            times = contest.times(rounds, max_seconds)
+            collisions = set(ours.pairs(ours.query()))
+            differences = contest.differences(collisions)
         finally:
             ours.ss.close()
-    samples = {"loop": contest.some, "pybullet": contest.few}
+    samples = {"loop": contest.fcl_sample, "pybullet": contest.pybullet_sample}
     scaled = frozenset(way for way, sample in samples.items() if not sample.is_whole)
-    return Measurement(form, kind, scene, len(found), times, scaled, ours.statistics, differences)
+    return Measurement(
+        form, kind, scene, len(collisions), times, scaled, ours.statistics, differences
+    )
 
 
 # -- tables -------------------------------------------------------------------------------------
@@ -350,7 +354,7 @@ def _counts(one: Measurement) -> tuple[str, ...]:
         f"{len(one.scene):,}",
         f"{one.scene.neighbours:.2f}",
         f"{len(one.scene.met):,}",
-        f"{one.found:,}",
+        f"{one.collisions:,}",
         *(f"{one.statistics[way].calls:,}" for way in ("ours", "sql")),
         *different,
         str(one.differences.get("coal", "not installed")),
@@ -385,19 +389,23 @@ def _label(one: Measurement) -> str:
     return f"{one.name}, {len(one.scene):,}"
 
 
-def _line(what: str, figures: dict[str, float], most: float) -> str:
+def _line(budget: str, figures: dict[str, float], maximum: float) -> str:
     if not figures:
-        return f"not measured: {what}"
+        return f"not measured: {budget}"
     worst = max(figures, key=figures.__getitem__)
-    answer = "met" if figures[worst] <= most else "not met"
-    return f"{answer}: {what}: {_share(figures[worst])} ({worst})"
+    outcome = "met" if figures[worst] <= maximum else "not met"
+    return f"{outcome}: {budget}: {_share(figures[worst])} ({worst})"
 
 
 # -- the run ------------------------------------------------------------------------------------
 
 
 def run(
-    forms: Sequence[str], kinds: Sequence[str], sizes: Sequence[int], rounds: int, most: float
+    forms: Sequence[str],
+    kinds: Sequence[str],
+    sizes: Sequence[int],
+    rounds: int,
+    max_seconds: float,
 ) -> list[Measurement]:
     """Measures the scenes and prints the table of times."""
     results: list[Measurement] = []
@@ -407,7 +415,7 @@ def run(
             for kind in kinds:
                 before = None
                 for size in sorted(sizes):
-                    results.append(measure(form, kind, size, rounds, most))
+                    results.append(measure(form, kind, size, rounds, max_seconds))
                     yield _cells(results[-1], before)
                     before = results[-1]
 
@@ -434,7 +442,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     parser.add_argument("--rounds", type=int, default=25, help="how often each way is timed")
-    parser.add_argument("--seconds", type=float, default=0.8, help="a way is not timed again after")
+    parser.add_argument(
+        "--seconds", type=float, default=0.8, help="the time after which a way is not timed again"
+    )
     options = parser.parse_args(arguments)
     print(NOTES)
     results = run(options.forms, options.kinds, options.sizes, options.rounds, options.seconds)

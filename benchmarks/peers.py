@@ -54,7 +54,7 @@ class Fcl:
 
     def __init__(self, scene: RandomScene) -> None:
         # A geometry for each body, as contacts only name geometries.
-        self._geometries = [_of_fcl(scene.piece(body)) for body in range(len(scene))]
+        self._geometries = [_fcl_geometry(scene.piece(body)) for body in range(len(scene))]
         self._numbers = {id(geometry): n for n, geometry in enumerate(self._geometries)}
         quaternions = [np.roll(turn, 1) for turn in scene.orientations]
         self._poses = list(map(fcl.Transform, quaternions, scene.positions))
@@ -88,7 +88,7 @@ class Fcl:
 
 
 def _collide(one: Any, other: Any, data: Any) -> bool:
-    """Returns the callback of the tree: records contacts and continues."""
+    """Records the contacts of a pair of the tree; returns that the search goes on."""
     fcl.collide(one, other, data.request, data.result)
     return False
 
@@ -98,7 +98,7 @@ def _primitive(library: ModuleType, piece: Piece) -> Any:
     return getattr(library, piece.kind.capitalize())(*sizes)
 
 
-def _of_fcl(piece: Piece) -> Any:
+def _fcl_geometry(piece: Piece) -> Any:
     if piece.kind != "hull":
         return _primitive(fcl, piece)
     corners, faces = _surface(piece.points)
@@ -111,9 +111,9 @@ class Coal:
 
     def __init__(self, coal: ModuleType, scene: RandomScene) -> None:
         self._coal = coal
-        kinds = [_of_coal(coal, piece) for piece in scene.pieces]
+        shapes = [_coal_geometry(coal, piece) for piece in scene.pieces]
         # A geometry for each body, as above.
-        geometries = [type(kinds[piece])(kinds[piece]) for piece in scene.of.tolist()]
+        geometries = [type(shapes[piece])(shapes[piece]) for piece in scene.of.tolist()]
         self._numbers = {geometry.id(): n for n, geometry in enumerate(geometries)}
         matrices = map(scene.matrix, range(len(scene)))
         self._poses = list(map(coal.Transform3s, matrices, scene.positions))
@@ -122,7 +122,7 @@ class Coal:
         for one in self._objects:
             self._manager.registerObject(one)
         self._manager.setup()
-        self._most = len(scene.met) + 1
+        self._max_contacts = len(scene.met) + 1
 
     def managed(self) -> Pairs:
         """Returns all pairs that collide."""
@@ -131,13 +131,13 @@ class Coal:
             one.computeAABB()
         self._manager.update()
         callback = self._coal.CollisionCallBackDefault()
-        callback.data.request.num_max_contacts = self._most
+        callback.data.request.num_max_contacts = self._max_contacts
         self._manager.collide(callback)
         number, contacts = self._numbers, callback.data.result.getContacts()
         return [_sorted(number[c.o1.id()], number[c.o2.id()]) for c in contacts]
 
 
-def _of_coal(coal: ModuleType, piece: Piece) -> Any:
+def _coal_geometry(coal: ModuleType, piece: Piece) -> Any:
     if piece.kind != "hull":
         return _primitive(coal, piece)
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()

@@ -43,7 +43,7 @@ class Piece:
         points: (n, 3), m.
         ball: the radius of the ball, m.
         disc: the radius of the disc, m.
-        given: the points of a hull from which PyBullet computes `points`.
+        input_points: the points of a hull from which PyBullet computes `points`.
     """
 
     kind: str
@@ -51,9 +51,9 @@ class Piece:
     points: Array
     ball: float = 0.0
     disc: float = 0.0
-    given: Array | None = None
+    input_points: Array | None = None
 
-    def reached(self, directions: Array) -> Array:
+    def farthest(self, directions: Array) -> Array:
         """Returns the points of the shape that are farthest in unit directions, both (n, 3)."""
         result: Array = (
             self.points[np.argmax(directions @ self.points.T, axis=1)] + self.ball * directions
@@ -125,8 +125,8 @@ def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
             return Piece(kind, (a / 2, b), axis * b, ball=a / 2)
         case "cylinder":
             return Piece(kind, (a, 2 * b), axis * 2 * b, disc=a)
-    given = _scattered(rng) * (a, b, c)
-    return Piece("hull", (), _as_pybullet_has(given, client), given=given)
+    points = _scattered(rng) * (a, b, c)
+    return Piece("hull", (), _pybullet_corners(points, client), input_points=points)
 
 
 def _scattered(rng: np.random.Generator) -> Array:
@@ -136,7 +136,7 @@ def _scattered(rng: np.random.Generator) -> Array:
     return result
 
 
-def _as_pybullet_has(points: Array, client: int) -> Array:
+def _pybullet_corners(points: Array, client: int) -> Array:
     """Returns the corners of PyBullet's hull of points, which are rounded.
 
     PyBullet rounds to a 10,000th of the size, and would round the corners again.
@@ -153,17 +153,18 @@ def _shape(piece: Piece, client: int) -> int:
     size = piece.size
     match piece.kind:
         case "box":
-            given = {"shapeType": pybullet.GEOM_BOX, "halfExtents": size}
+            settings = {"shapeType": pybullet.GEOM_BOX, "halfExtents": size}
         case "sphere":
-            given = {"shapeType": pybullet.GEOM_SPHERE, "radius": size[0]}
+            settings = {"shapeType": pybullet.GEOM_SPHERE, "radius": size[0]}
         case "capsule":
-            given = {"shapeType": pybullet.GEOM_CAPSULE, "radius": size[0], "height": size[1]}
+            settings = {"shapeType": pybullet.GEOM_CAPSULE, "radius": size[0], "height": size[1]}
         case "cylinder":
-            given = {"shapeType": pybullet.GEOM_CYLINDER, "radius": size[0], "height": size[1]}
+            settings = {"shapeType": pybullet.GEOM_CYLINDER, "radius": size[0], "height": size[1]}
         case _:
-            assert piece.given is not None
-            given = {"shapeType": pybullet.GEOM_MESH, "vertices": piece.given.tolist()}
-    number: int = pybullet.createCollisionShape(**given, physicsClientId=client)
+            assert piece.input_points is not None
+            points = piece.input_points.tolist()
+            settings = {"shapeType": pybullet.GEOM_MESH, "vertices": points}
+    number: int = pybullet.createCollisionShape(**settings, physicsClientId=client)
     return number
 
 
@@ -233,7 +234,7 @@ def _along(axis: int, angles: Array) -> Array:
 def _boxes(pieces: Sequence[Piece], of: Indices, turns: Rotation) -> Array:
     """Returns the boxes around the bodies at the origin, (6, n)."""
     corners = [
-        np.einsum("ij,ij->i", _AXES, pieces[piece].reached(_AXES @ turn) @ turn.T)
+        np.einsum("ij,ij->i", _AXES, pieces[piece].farthest(_AXES @ turn) @ turn.T)
         for piece, turn in zip(of.tolist(), turns.as_matrix(), strict=True)
     ]
     extents = np.array(corners).T

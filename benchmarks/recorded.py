@@ -193,8 +193,8 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
     if place.name == "run":
         return sum(f.stat().st_size for f in place.rglob("*") if f.is_file())
     store = _recorder(ss)._store
-    ((of_tables,),) = ss.sql("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchall()
-    return int(of_tables + (store.nbytes if isinstance(store, MemoryStore) else 0))
+    ((table_bytes,),) = ss.sql("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchall()
+    return int(table_bytes + (store.nbytes if isinstance(store, MemoryStore) else 0))
 
 
 # -- a long run ---------------------------------------------------------------------------------
@@ -292,7 +292,7 @@ def over(ss: ssduck.Interpreter, rounds: int) -> Iterator[tuple[str, ...]]:
         result, expected = _pairs(ours()), sorted(hand())
         if result != expected:
             raise AssertionError(f"{name}: {str(result)[:200]} is not {str(expected)[:200]}")
-        times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, most=60.0)
+        times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, max_seconds=60.0)
         ratio = f"{times['ours'] / times['hand']:.2f}"
         yield name, f"{rows:,}", f"{len(result):,}", *map(text_of, times.values()), ratio
 
@@ -324,7 +324,7 @@ def near(sizes: Sequence[int], rounds: int) -> Iterator[tuple[str, ...]]:
         times: dict[str, list[float]] = {"ours": [], "bare": [], "set": []}
         for _ in range(rounds):  # a second query of the same run would reuse results
             with long_run(ticks) as ss:
-                ours = minima({"ours": Way(partial(ss.eval, NEARBY))}, 1, most=60.0)
+                ours = minima({"ours": Way(partial(ss.eval, NEARBY))}, 1, max_seconds=60.0)
                 pairs = ss.statistics()["lab"].pairs
                 result = len(ss.eval(NEARBY))
                 poses = ss.sql(
@@ -332,19 +332,19 @@ def near(sizes: Sequence[int], rounds: int) -> Iterator[tuple[str, ...]]:
                     "WHERE name IN ('gripper', 'cup') AND tick > 1 ORDER BY tick, name"
                 ).fetchall()
             hands = {name: Way(loop) for name, loop in _by_fcl(np.array(poses), result).items()}
-            for name, seconds in {**ours, **minima(hands, 3, most=30.0)}.items():
+            for name, seconds in {**ours, **minima(hands, 3, max_seconds=30.0)}.items():
                 times[name].append(seconds)
         each = min(times["ours"]) / max(pairs, 1)
         # The loops call FCL at each tick, also for boxes that are far apart.
-        bare, posed = (min(times[name]) / (len(poses) / 2) for name in ("bare", "set"))
+        bare, with_poses_set = (min(times[name]) / (len(poses) / 2) for name in ("bare", "set"))
         texts = (text_in_microseconds(each), text_in_microseconds(bare), f"{each / bare:.2f}")
         yield (
             "near",
             f"{ticks:,}",
             f"{pairs:,}",
             *texts,
-            text_in_microseconds(posed),
-            f"{each / posed:.2f}",
+            text_in_microseconds(with_poses_set),
+            f"{each / with_poses_set:.2f}",
         )
 
 
@@ -364,7 +364,7 @@ def _by_fcl(poses: Array, result: int) -> dict[str, Callable[[], object]]:
     def bare() -> int:
         return sum(map(is_near, transforms[::2], transforms[1::2]))
 
-    def posed() -> int:
+    def with_poses_set() -> int:
         near = 0
         for k in range(0, len(places), 2):
             one = fcl.Transform(turns[k], places[k])
@@ -373,7 +373,7 @@ def _by_fcl(poses: Array, result: int) -> dict[str, Callable[[], object]]:
 
     if abs(bare() - result) > 1:
         raise AssertionError(f"near at {result} ticks, FCL: {bare()}")
-    return {"bare": bare, "set": posed}
+    return {"bare": bare, "set": with_poses_set}
 
 
 # -- a record -----------------------------------------------------------------------------------
@@ -406,11 +406,11 @@ def opened(megabytes: float, rounds: int) -> Iterator[tuple[str, ...]]:
                 f"{rows} WHERE {tick} AND z > 0.5",
             ),
         }
-        for name, (program, by_hand) in queries.items():
-            ours, hand = partial(_open, place, program), partial(_read, by_hand)
+        for name, (program, sql) in queries.items():
+            ours, hand = partial(_open, place, program), partial(_read, sql)
             if program and _pairs(ours()) != sorted(hand()):
                 raise AssertionError(f"{name}: {str(ours())[:200]} is not {str(hand())[:200]}")
-            times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, most=30.0)
+            times = minima({"ours": Way(ours), "hand": Way(hand)}, rounds, max_seconds=30.0)
             ratio = f"{times['ours'] / times['hand']:.2f}"
             yield name, f"{size:.0f}", f"{files}", *map(text_of, times.values()), ratio
 
@@ -434,14 +434,22 @@ PARTS = ("cost", "bytes", "over", "near", "opened")
 def main(arguments: Sequence[str]) -> int:
     """Prints the requested tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks time")
-    parser.add_argument("--sizes", type=int, nargs="+", default=(40, 300, 1000), help="of worlds")
-    parser.add_argument("--ticks", type=int, default=2400, help="that are kept each time")
-    parser.add_argument("--long", type=int, default=250_000, help="ticks of the long run")
     parser.add_argument(
-        "--near", type=int, nargs="+", default=(20_000, 100_000), help="ticks that shapes meet at"
+        "--sizes", type=int, nargs="+", default=(40, 300, 1000), help="the sizes of worlds"
     )
-    parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="which tables")
-    parser.add_argument("--gigabytes", type=float, default=0.1, help="of the record")
+    parser.add_argument("--ticks", type=int, default=2400, help="the ticks of each recording")
+    parser.add_argument("--long", type=int, default=250_000, help="the ticks of the long run")
+    parser.add_argument(
+        "--near",
+        type=int,
+        nargs="+",
+        default=(20_000, 100_000),
+        help="the ticks of the runs in which shapes meet",
+    )
+    parser.add_argument(
+        "--only", choices=PARTS, nargs="+", default=PARTS, help="the tables to print"
+    )
+    parser.add_argument("--gigabytes", type=float, default=0.1, help="the size of the record")
     parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
     options = parser.parse_args(arguments)
     if "cost" in options.only:

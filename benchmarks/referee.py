@@ -36,7 +36,7 @@ def _farthest(scene: RandomScene, body: int, directions: Array) -> Array:
     """Returns the points of a body that are farthest in some directions, (n, 3)."""
     matrix = scene.matrix(body)
     points: Array = (
-        scene.piece(body).reached(directions @ matrix) @ matrix.T + scene.positions[body]
+        scene.piece(body).farthest(directions @ matrix) @ matrix.T + scene.positions[body]
     )
     return points
 
@@ -52,12 +52,12 @@ def bounds(scene: RandomScene, i: int, j: int, beside: float) -> tuple[float, fl
     """
     directions = _sphere_directions()
     points = np.zeros((0, 3))
-    least, most = -math.inf, math.inf
+    lower, upper = -math.inf, math.inf
     for _ in range(ROUNDS):
         new = _farthest(scene, i, directions) - _farthest(scene, j, -directions)
-        most = min(most, float(np.einsum("ij,ij->i", directions, new).min()))
+        upper = min(upper, float(np.einsum("ij,ij->i", directions, new).min()))
         points = np.concatenate((points, new))
-        if most < beside:
+        if upper < beside:
             break
         try:
             hull = ConvexHull(points)
@@ -65,22 +65,22 @@ def bounds(scene: RandomScene, i: int, j: int, beside: float) -> tuple[float, fl
             break
         depths = -hull.equations[:, 3]
         if depths.min() >= 0.0:  # otherwise the origin is outside, which gives no bound
-            least = max(least, float(depths.min()))
-        if least > beside:
+            lower = max(lower, float(depths.min()))
+        if lower > beside:
             break
         directions = hull.equations[np.argsort(depths)[:_NEAREST], :3]
-    return least, most
+    return lower, upper
 
 
 def verdict(scene: RandomScene, i: int, j: int, deeper: float) -> bool | None:
     """Checks whether two bodies are deeper than a depth; None if the bounds do not decide."""
-    least, most = bounds(scene, i, j, deeper)
-    if least > deeper:
+    lower, upper = bounds(scene, i, j, deeper)
+    if lower > deeper:
         return True
-    return False if most < deeper else None
+    return False if upper < deeper else None
 
 
 def may_touch(scene: RandomScene, i: int, j: int, within: float) -> bool:
     """Checks whether the bounds allow that two bodies touch within a distance."""
-    least, most = bounds(scene, i, j, within)
-    return least <= within and most >= -within
+    lower, upper = bounds(scene, i, j, within)
+    return lower <= within and upper >= -within

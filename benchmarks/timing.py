@@ -39,19 +39,19 @@ class Way:
     before: Callable[[], object] = lambda: None
 
 
-def minima(ways: Mapping[str, Way], rounds: int, most: float) -> dict[str, float]:
+def minima(ways: Mapping[str, Way], rounds: int, max_seconds: float) -> dict[str, float]:
     """Returns the minimal time of a call of each way, seconds.
 
     Args:
         ways: the calls by name.
         rounds: the number of calls of each way.
-        most: the time, s, after which a way is not called again.
+        max_seconds: the time, s, after which a way is not called again.
     """
     times: dict[str, list[float]] = {name: [] for name in ways}
     with _uncollected():
         for _ in range(rounds):
             for name, way in ways.items():
-                if sum(times[name]) <= most:
+                if sum(times[name]) <= max_seconds:
                     way.before()
                     times[name].append(_timed(way.call))
     return {name: min(values) for name, values in times.items()}

@@ -1,4 +1,4 @@
-"""`python -m ssduck`: the command `ssduck`."""
+"""Runs the command `ssduck` for `python -m ssduck`."""
 
 from ssduck.cli.app import main
 

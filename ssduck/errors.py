@@ -12,15 +12,15 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-# Longer messages and lines of a program are cut, so that a person can read them.
+# Longer messages and lines of a program are cut, to stay readable.
 MAX_MESSAGE_LENGTH = 4000
 MAX_LINE_LENGTH = 160
-_BEFORE = 60
-# A longer name is compared with others by its beginning.
+_MAX_CONTEXT = 60
+# Of a longer name, only the beginning is compared with others.
 _MAX_NAME_LENGTH = 200
 _PACKAGE = __name__.partition(".")[0]
-# Frames of decorators, context managers and cached properties stand between those of the package.
-_BETWEEN = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
+# Frames of decorators, context managers and cached properties lie between those of the package.
+_SKIPPED_PACKAGES = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class SourceSpan:
 
     Attributes:
         start: the index of its first character.
-        end: the index behind its last character.
+        end: the index after its last character.
     """
 
     start: int
@@ -45,9 +45,9 @@ def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ..
     if not isinstance(name, str):
         return ()
     by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
-    wanted = name[:_MAX_NAME_LENGTH].casefold()
-    found = difflib.get_close_matches(wanted, list(by_folded), n=limit, cutoff=0.6)
-    return tuple(by_folded[match] for match in found)
+    folded = name[:_MAX_NAME_LENGTH].casefold()
+    matches = difflib.get_close_matches(folded, list(by_folded), n=limit, cutoff=0.6)
+    return tuple(by_folded[match] for match in matches)
 
 
 class SelectScriptError(Exception):
@@ -119,23 +119,23 @@ class SelectScriptError(Exception):
         last = len(self.text) if last < 0 else last
         cut = ""
         if last - first > MAX_LINE_LENGTH:
-            cut = "…" if self.span.start - first > _BEFORE else ""
-            first = max(first, self.span.start - _BEFORE)
+            cut = "…" if self.span.start - first > _MAX_CONTEXT else ""
+            first = max(first, self.span.start - _MAX_CONTEXT)
             last = min(last, first + MAX_LINE_LENGTH)
         line = cut + self.text[first:last]
         before = line[: len(cut) + self.span.start - first]
         width = max(1, min(self.span.end, last) - self.span.start)
-        # A tab keeps its place, so that the mark stands under what it marks.
+        # Tabs are kept, so that the mark is below the marked text.
         indent = "".join("\t" if letter == "\t" else " " for letter in before)
         return f"    {line}\n    {indent}{'^' * width}"
 
 
 class ProgramWarning(UserWarning):
-    """A part of a program has a meaning, but is probably a mistake."""
+    """A part of a program is valid, but probably a mistake."""
 
 
 class ParseError(SelectScriptError, ValueError):
-    """The text is no SelectScript program."""
+    """The text is not a valid SelectScript program."""
 
 
 class UnknownNameError(SelectScriptError, LookupError):
@@ -143,7 +143,7 @@ class UnknownNameError(SelectScriptError, LookupError):
 
 
 class ArgumentError(SelectScriptError, TypeError):
-    """The number of arguments or the type of one is wrong."""
+    """The number of arguments or the type of an argument is wrong."""
 
 
 class NumberError(ArgumentError, ValueError):
@@ -167,7 +167,7 @@ class UnsupportedError(SelectScriptError, NotImplementedError):
 
 
 class LimitError(SelectScriptError, RuntimeError):
-    """A program exceeded the limits of the interpreter, or searches without end."""
+    """A program exceeded the limits of the interpreter, or its search would not end."""
 
 
 class SceneError(SelectScriptError, ValueError):
@@ -179,7 +179,7 @@ class RemovedEntityError(SelectScriptError, LookupError):
 
 
 class SimulatorError(SelectScriptError, RuntimeError):
-    """The simulator does not answer: its client was disconnected, say."""
+    """The simulator does not answer, for example because its client was disconnected."""
 
 
 class RecordError(SelectScriptError, OSError):
@@ -201,14 +201,14 @@ class SqlError(SelectScriptError, RuntimeError):
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warns with the place of the innermost line outside ssduck.
+    """Warns, with the innermost line outside ssduck as the location.
 
     Args:
         message: the text of the warning.
         category: the class of the warning.
     """
     frame, level = sys._getframe(), 1  # noqa: SLF001  # warnings counts frames, too
-    while frame.f_back is not None and _package(frame.f_globals) in _BETWEEN:
+    while frame.f_back is not None and _package(frame.f_globals) in _SKIPPED_PACKAGES:
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
 

@@ -1,4 +1,4 @@
-"""Writes values and errors into messages: in one line, and never long."""
+"""Formats values and errors for messages: in one line, and shortened if long."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ from typing import Any
 
 from ssduck.errors import EvaluationError, SourceSpan
 
-# The largest numbers of keys and of letters in a message.
-MAX_KEYS = 20
+# The largest numbers of elements and of characters of a value in a message.
+MAX_SHOWN_ELEMENTS = 20
 MAX_TEXT_LENGTH = 200
 _MAX_KINDS = 5
 
 # The largest number of names in a message.
 MAX_NAMED = 50
 
-_SHORT = Repr()
-_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = _SHORT.maxset = MAX_KEYS
-_SHORT.maxstring = _SHORT.maxlong = _SHORT.maxother = 2 * MAX_TEXT_LENGTH
+_SHORT_REPR = Repr()
+_SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = _SHORT_REPR.maxdict = _SHORT_REPR.maxset = (
+    MAX_SHOWN_ELEMENTS
+)
+_SHORT_REPR.maxstring = _SHORT_REPR.maxlong = _SHORT_REPR.maxother = 2 * MAX_TEXT_LENGTH
 
 
 def short_repr(value: Any) -> str:
@@ -32,22 +34,22 @@ def short_repr(value: Any) -> str:
     'a number of some 5000 digits'
     """
     try:
-        return first_line(_SHORT.repr(value))
-    except ValueError:  # Python writes no number of thousands of digits
+        return first_line(_SHORT_REPR.repr(value))
+    except ValueError:  # Python refuses to format integers of thousands of digits
         if not isinstance(value, int):
             return type_in_words(value)
         sign = "negative " if value < 0 else ""
         return f"a {sign}number of some {int(value.bit_length() * math.log10(2))} digits"
 
 
-def joined_names(names: Sequence[str], most: int = MAX_NAMED) -> str:
+def joined_names(names: Sequence[str], maximum: int = MAX_NAMED) -> str:
     """Returns names separated by commas, and the number of those left out.
 
-    >>> joined_names(["cup", "fork", "plate"], most=2)
+    >>> joined_names(["cup", "fork", "plate"], maximum=2)
     'cup, fork and 1 more'
     """
-    left = len(names) - most
-    return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
+    omitted = len(names) - maximum
+    return ", ".join(names[:maximum]) + (f" and {omitted} more" if omitted > 0 else "")
 
 
 def error_text(error: BaseException) -> str:
@@ -55,7 +57,7 @@ def error_text(error: BaseException) -> str:
     try:
         return first_line(str(error))
     except Exception:  # noqa: BLE001  # a user's class may do anything
-        return "it does not tell why"
+        return "it gives no reason"
 
 
 def first_line(text: str) -> str:
@@ -65,7 +67,7 @@ def first_line(text: str) -> str:
 
 
 def type_in_words(value: Any) -> str:
-    """Returns the type of a value in words; a class may give its own as `IN_WORDS`.
+    """Returns the type of a value in words; a class may define its words as `IN_WORDS`.
 
     >>> type_in_words(2.5), type_in_words(None)
     ('a number', 'nothing')
@@ -80,8 +82,8 @@ def type_in_words(value: Any) -> str:
         list: "a list",
     }
     kind = type(value)
-    own: str = getattr(kind, "IN_WORDS", kind.__name__)
-    return words.get(kind, own)
+    default: str = getattr(kind, "IN_WORDS", kind.__name__)
+    return words.get(kind, default)
 
 
 def argument_in_words(value: Any) -> str:
@@ -102,8 +104,8 @@ def argument_in_words(value: Any) -> str:
 
 
 def as_evaluation_error(error: Exception, span: SourceSpan | None) -> EvaluationError:
-    """Returns the error of a Python value, such as an array that is neither true nor false.
+    """Returns an error that a Python value raised, such as an array without a truth value.
 
-    Its library has errors of its own, of any class and length.
+    The library of the value may raise errors of any class, with messages of any length.
     """
     return EvaluationError(f"{type(error).__name__}: {error_text(error)}", span=span)

@@ -1,6 +1,6 @@
-"""Exports the names of a package without importing their modules before they are used.
+"""Exports the names of a package, and imports their modules on first use.
 
-Importing a module imports the packages that contain it. This keeps that cheap.
+Importing a module also imports its parent packages; lazy exports keep this cheap.
 """
 
 from __future__ import annotations

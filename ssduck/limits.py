@@ -10,8 +10,8 @@ from typing import Any
 from ssduck import validation
 from ssduck.errors import LimitError
 
-# The number of steps between two looks at the clock.
-_STRIDE = 8
+# The number of steps between two checks of the time.
+_STEPS_PER_CHECK = 8
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Limits:
 
     Attributes:
         seconds: the longest running time, s; None for no limit.
-        rows: the largest number of rows of a query, and of combinations that Python goes through.
+        rows: the largest number of rows of a query, and of combinations that Python evaluates.
         memory: the memory of DuckDB, bytes.
         depth: the largest number of rows in a path of a hierarchical query.
         eval: whether programs may call `eval('text')`.
@@ -28,7 +28,7 @@ class Limits:
             result forms may write files.
 
     Raises:
-        ArgumentError: a value is none that a limit can have.
+        ArgumentError: a limit has an invalid value.
 
     >>> Limits(seconds=2).seconds
     2.0
@@ -46,7 +46,7 @@ class Limits:
             value = getattr(self, name)
             if value is None and name != "depth":
                 continue
-            rule = f"limits: {name} is to be more than 0"
+            rule = f"limits: {name} must be more than 0"
             if name == "seconds":
                 value = validation.number_above_0(value, rule, may_be_infinite=True)
             else:
@@ -59,7 +59,7 @@ class Limits:
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
-        """Returns limits for foreign programs: 10 s, a million rows, 1 GB, no `eval`, no files.
+        """Returns limits for untrusted programs: 10 s, a million rows, 1 GB, no `eval`, no files.
 
         Args:
             changes: limits that differ from these.
@@ -85,7 +85,7 @@ class UsageMeter:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._ends = None if limits.seconds is None else time.monotonic() + limits.seconds
+        self._deadline = None if limits.seconds is None else time.monotonic() + limits.seconds
         self._steps = 0
 
     def step(self) -> None:
@@ -95,47 +95,47 @@ class UsageMeter:
             LimitError: the time is up.
         """
         self._steps += 1
-        if self._ends is not None and self._steps % _STRIDE == 0:
+        if self._deadline is not None and self._steps % _STEPS_PER_CHECK == 0:
             self.check_time()
 
     def combination_counter(self) -> Callable[[], None]:
-        """Returns a function to call at each combination of sources that Python goes through.
+        """Returns a function to call for each combination of rows that Python evaluates.
 
-        It raises a LimitError if there are too many, or the time is up.
+        The function raises a LimitError if there are too many, or the time is up.
         """
-        most = self.limits.rows
-        if most is None:
+        maximum = self.limits.rows
+        if maximum is None:
             return self.step
         count = 0
 
         def count_combination() -> None:
             nonlocal count
             count += 1
-            if count > most:
-                raise LimitError(f"a query looks at more than {most} rows")
+            if count > maximum:
+                raise LimitError(f"a query looks at more than {maximum} rows")
             self.step()
 
         return count_combination
 
     def check_time(self) -> None:
-        """Checks the time.
+        """Checks that there is time left.
 
         Raises:
             LimitError: the time is up.
         """
-        if self._ends is not None and time.monotonic() > self._ends:
+        if self._deadline is not None and time.monotonic() > self._deadline:
             raise LimitError(f"the program took more than {self.limits.seconds:g} s")
 
     @property
     def remaining(self) -> float | None:
         """The remaining time, s, 0 or more; None for no limit."""
-        return None if self._ends is None else max(0.0, self._ends - time.monotonic())
+        return None if self._deadline is None else max(0.0, self._deadline - time.monotonic())
 
     def check_rows(self, count: int) -> None:
-        """Checks the number of rows of a query.
+        """Checks the number of rows of a query against the limit.
 
         Raises:
-            LimitError: there are more than the limits allow.
+            LimitError: the query has more rows than the limit.
         """
         if self.limits.rows is not None and count > self.limits.rows:
             raise LimitError(f"a query has more than {self.limits.rows} rows")

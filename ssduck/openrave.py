@@ -36,7 +36,7 @@ __all__ = [
 
 
 class OccupancyGridMap:
-    """Computes the cells that the bodies of a world occupy at a height.
+    """A module that computes the cells that the bodies of a world occupy at a height.
 
     Commands: `SetTranslation x y z` sets the corner and the height of the grid, m;
     `SetSize nx ny size` sets the numbers of cells and their side, m; `Scan` returns a byte for
@@ -77,22 +77,24 @@ class OccupancyGridMap:
 
     def _set_translation(self, x: float, y: float, z: float) -> str:
         if not all(map(math.isfinite, (x, y, z))):
-            raise ValueError("a corner has finite coordinates")
+            raise ValueError("the coordinates of the corner must be finite")
         self._corner = (x, y, z)
         return ""
 
     def _set_size(self, nx: float, ny: float, size: float) -> str:
         if not (nx >= 1 and ny >= 1 and 0.0 < size < math.inf):
-            raise ValueError("there is a cell at least, and it is wider than 0 m")
+            raise ValueError("there must be at least one cell, wider than 0 m")
         if not (nx * ny <= MAX_CELLS and nx.is_integer() and ny.is_integer()):
-            raise ValueError(f"there are whole numbers of cells, {MAX_CELLS:,} at most")
+            raise ValueError(
+                f"the numbers of cells must be whole, with {MAX_CELLS:,} cells at most"
+            )
         self._size = (int(nx), int(ny), size)
         return ""
 
     def _scan(self) -> bytes:
         (x, y, z), (nx, ny, size) = self._corner, self._size
         if not nx:
-            raise ValueError("SetSize comes first")
+            raise ValueError("SetSize must be sent before")
         with self._world.pinned(("shapes",)):
             placed = placed_shapes(self._world, self._world.GetBodies())
         return Rasterizer(placed).cells(Raster((x, y), size, (nx, ny)), z, z).tobytes()
@@ -105,8 +107,8 @@ def RaveCreateModule(  # noqa: N802  # OpenRAVE's name
     env: World, name: str
 ) -> OccupancyGridMap | None:
     """Returns a new module for a world; None, as in OpenRAVE, if the name is unknown."""
-    make = MODULES.get(name.lower())
-    return None if make is None else make(env)
+    module = MODULES.get(name.lower())
+    return None if module is None else module(env)
 
 
 def RaveInitialize() -> None:  # noqa: N802  # OpenRAVE's name
@@ -114,7 +116,7 @@ def RaveInitialize() -> None:  # noqa: N802  # OpenRAVE's name
 
 
 def RaveLoadPlugin(path: str) -> bool:  # noqa: N802  # OpenRAVE's name
-    """Whether a plugin is available: only `filter` is, as a part of ssduck.
+    """Checks whether a plugin is available: only `filter` is, as a part of ssduck.
 
     >>> RaveLoadPlugin("build/filter.so"), RaveLoadPlugin("other.so")
     (True, False)

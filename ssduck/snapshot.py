@@ -1,6 +1,6 @@
-"""A tick as tables: `Snapshot`.
+"""Exports `Snapshot`, the tables of a tick.
 
-A world takes one of its simulator with every tick; see the package `ssduck.world`.
+A world takes a snapshot of its simulator with every tick; see the package `ssduck.world`.
 """
 
 from ssduck.world.snapshot import Snapshot

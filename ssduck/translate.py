@@ -1,6 +1,6 @@
-"""From a query to DuckDB SQL: `translate` makes a `Plan` of a query's tree.
+"""Exports `translate`, which translates the tree of a query to a `Plan` with DuckDB SQL.
 
-The translation is the package `ssduck.sql`; `ssduck.language` parses queries.
+The package `ssduck.sql` translates queries; `ssduck.language` parses them.
 """
 
 from ssduck.sql.plan import Plan

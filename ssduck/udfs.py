@@ -1,6 +1,6 @@
-"""The relations between entities, by name: `RELATIONS`, each of them a `Relation`.
+"""Exports `RELATIONS`, the relations between entities by name, each of them a `Relation`.
 
-They are defined, topic by topic, in the package `ssduck.sql.relations`.
+The package `ssduck.sql.relations` defines them by topic.
 """
 
 from ssduck.sql.relations.registry import RELATIONS

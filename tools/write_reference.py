@@ -1,19 +1,25 @@
 """Writes the generated pages of the manual.
 
 `python tools/write_reference.py` takes some seconds: it writes `docs/reference/relations.md` from
-the registry of relations and functions, and `docs/reference/tables.md` from the declarations of
-tables. `--check` only compares them, with exit status 1 if a page differs.
+the registry of relations and functions, `docs/reference/tables.md` from the declarations of
+tables, and the marked sections of `docs/reference/command-line.md` from the command `ssduck`.
+`--check` only compares them, with exit status 1 if a page differs.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
+import typer
+from typer.core import TyperArgument, TyperCommand, TyperOption
+
 from ssduck.adapters.registry import all_adapters
+from ssduck.cli.app import app
 from ssduck.language.builtins import BUILTINS
 from ssduck.schema import TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
@@ -31,12 +37,12 @@ holds. Python treats None as false and cannot compare it.
 ## Boxes and shapes
 
 `above`, `below`, `within`, `overlaps`, `volume` and `aabbVolume` use positions and boxes. They
-are formulas over columns, and fast. Relations that say `Asks the narrow phase` use the shapes
+are formulas over columns, and fast. Relations that say `Calls the narrow phase` use the shapes
 themselves: the boxes of two balls side by side may overlap while the balls are apart. DuckDB then
 calls Python, but only for the candidate pairs that the entry names, wherever the relation stands:
-in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared once in a tick, however often
-it is asked for. `clearance` compares every pair that it is asked for; if a bound is enough,
-`near(a, b, d)` is cheaper.
+in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared at most once in a tick.
+`clearance` compares every pair of which a row needs it; if a bound is enough, `near(a, b, d)` is
+cheaper.
 
 If two sources are the same world, `collides`, `near`, `touching`, `on`, `supports`, `restsOn`,
 `contains` and `enclosed` in the `WHERE` of a SelectScript query find all pairs of the tick at
@@ -84,9 +90,9 @@ In simulators, things at rest do not touch exactly. PyBullet presses boxes, ball
 capsules into what they rest on by 0.01 to 0.02 mm, and keeps hulls and concave meshes away from
 it by a margin of 1 mm each. So a cup of hulls on a plate of hulls has a clearance of 1.99 mm. The
 table `shapes` has each shape's margin at the tick (`margin`); records have the margin with which
-the body was first recorded. Ask as follows:
+the body was first recorded. Which relation to use:
 
-| question | ask |
+| question | relation |
 |---|---|
 | does b rest on a? | `on(a, b)`, which includes margins |
 | do they touch? | `touching(a, b)`, which includes margins |
@@ -106,21 +112,20 @@ and in a what-if world. `inContact` and `contactForce` report what the physics s
 - `on(a, b)`: b stands on a by itself, because its centre is over a. `supports(a, b)`: a carries
   b, alone or with others, wherever b's centre is; two blocks both support the plank that bridges
   them. A contact within 30 degrees of up carries alone. Steeper contacts, up to 80 degrees, carry
-  if they need each other to push up: the sides of a groove, three balls under a fourth, a slope
-  where a wall holds the body. Friction and moments are ignored, so only the floor carries a
-  ladder.
+  if only together they push up: the sides of a groove, three balls under a fourth, a slope with a
+  wall at its foot. Friction and moments are ignored, so only the floor carries a ladder.
 - `restsOn(a, b)`: b is on a, or on something that rests on a, and so on.
 - `contains(a, b)` and `inside(a, b)` use a's convex hull: a ball between the legs of a table is
-  in it. `enclosed(a, b)` needs walls: rays from the centre of b's box must meet a on both sides
-  along at least two of a's three axes. Cups, drawers, shelves and rooms enclose; tables, trays
-  and corners do not. Rays meet the surfaces of meshes from within, too, but no convex shape in
-  which they begin: of two blocks in each other, neither is enclosed. An axis along which b
+  inside it. `enclosed(a, b)` needs walls: rays from the centre of b's box must meet a on both
+  sides along at least two of a's three axes. Cups, drawers, shelves and rooms enclose; tables,
+  trays and corners do not. A ray meets the surface of a mesh from inside, too, but not a convex
+  shape in which it begins: of two blocks that collide, neither is enclosed. An axis along which b
   extends past a at both ends does not count, so a box is not in the cup that it holds.
-- `nextTo(a, b)`: a and b are beside each other, neither is on or in the other, and nothing is
-  between them: there is a horizontal line through both with no third body between. The lines that
-  are tried run along the connection of the nearest points and along that of the boxes' centres,
-  through the nearest points and through 25 places over the breadth and height that both share. A
-  gap that is smaller than the space between these lines may be missed.
+- `nextTo(a, b)`: a and b are beside each other, neither is on or in the other, and some
+  horizontal line through both meets no third body between them. ssduck tries lines in two
+  directions, that of the nearest points and that of the boxes' centres, through the nearest
+  points and through 25 places over the breadth and height that both share. It may miss a gap that
+  is smaller than the space between these lines.
 
 ```python
 import ssduck
@@ -143,9 +148,9 @@ ss.eval("""
 it is open by at least half of its range, `isClosed(e, name)` whether it is open by at most a
 20th; another share may be given. The closed end is the limit nearer to 0, or the lower one.
 Without a name, `isOpen` needs any joint with limits to be open, and `isClosed` all of them to be
-closed; an entity without such joints is neither. A name that the entity has no joint of is an
-error that suggests the nearest one, so a query about several entities must first select the right
-ones. Raw SQL evaluates conditions in any order; there the value is NULL for an entity without
+closed; an entity without such joints is neither. If the entity has no joint of the name, the
+error suggests the nearest name; so a query about several entities must first select those that
+have it. Raw SQL evaluates conditions in any order; there the value is NULL for an entity without
 such a joint, and an error if no entity of the world has one. In Python, each joint in
 `entity.joints` has a `position` and an `openness`. For past ticks, the table `joints` must have
 been recorded.
@@ -187,7 +192,7 @@ TABLES_HEAD = """# Tables
 
 Each world is a schema of its name (`kitchen.entities`). The tables of the first world are also
 available without it (`entities`). All rows are of the world's last tick. `links`, `joints`,
-`shapes`, `contacts` and `sensings` are read from the simulator only after a query has asked for
+`shapes`, `contacts` and `sensings` are read from the simulator only after a query has used
 them.
 
 Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, z; positions are
@@ -198,12 +203,12 @@ those of link frames, not of centres of mass.
 def relation_lines(relation: Relation) -> Iterator[str]:
     """Returns the entry of a relation."""
     yield f"\n### `{relation.usage}`\n"
-    unit = f" Unit: {relation.unit}." if relation.unit else ""
+    unit = f" {relation.unit_note}" if relation.unit else ""
     symmetric = " The order of the two does not matter." if relation.is_symmetric else ""
     pairs = relation.geometry.pairs if relation.geometry is not None else ""
-    asked = f" Asks the narrow phase {pairs}." if pairs else ""
+    calls = f" Calls the narrow phase {pairs}." if pairs else ""
     others = f" {relation.alias_note}" if relation.alias_note else ""
-    yield f"{relation.about}{unit}{symmetric}{asked}{others}\n"
+    yield f"{relation.about}{unit}{symmetric}{calls}{others}\n"
     for parameter in relation.parameters:
         yield f"- `{parameter.name}`: {parameter.meaning}"
 
@@ -214,11 +219,11 @@ def relations_page() -> str:
     for relation in RELATIONS.values():
         if not relation.alias_of:
             lines += relation_lines(relation)
-    lines += ["\n## Functions of plain values\n", "| function | what it does |", "|---|---|"]
+    lines += ["\n## Functions of plain values\n", "| function | meaning |", "|---|---|"]
     for function in BUILTINS.values():
         about, usage = function.help.split("\nUsage: ")
         lines.append(f"| `{usage}` | {about} |")
-    lines += ["\n## Result forms\n", "| AS | what it gives |", "|---|---|"]
+    lines += ["\n## Result forms\n", "| AS | result |", "|---|---|"]
     for adapter in all_adapters():
         usage = adapter.usage.replace("|", "\\|")
         lines.append(f"| `{usage}` | {adapter.help} |")
@@ -249,12 +254,78 @@ def tables_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+# A generated section of the page of the command line: its marks, and the command between them.
+SECTION = re.compile(r"(<!-- command: (\w+) -->\n).*?(<!-- end -->\n)", re.DOTALL)
+
+
+def parameter_line(parameter: TyperArgument | TyperOption) -> str:
+    """Returns the row of an argument or an option of a command."""
+    value = ""
+    if isinstance(parameter, TyperOption) and not parameter.is_flag:
+        value = (parameter.metavar or "").replace("|", "\\|")
+    names = sorted((*parameter.opts, *parameter.secondary_opts), key=len)
+    if not isinstance(parameter, TyperOption):
+        names = [str(parameter.metavar)]
+    words = ", ".join(f"`{name}`" for name in names[:-1])
+    last = f"`{names[-1]} {value}`" if value else f"`{names[-1]}`"
+    shown = getattr(parameter, "show_default", None)
+    default = shown if isinstance(shown, str) else parameter.default
+    is_named = default is not None and not isinstance(default, bool) and default != ()
+    note = f" Default: {default}." if is_named and not parameter.required else ""
+    help_text = getattr(parameter, "help", "")
+    return f"| {', '.join(filter(None, (words, last)))} | {help_text}{note} |"
+
+
+def command_section(name: str, command: TyperCommand) -> str:
+    """Returns the heading, the description and the table of a command."""
+    arguments = [
+        (str(parameter.metavar), parameter.required)
+        for parameter in command.params
+        if isinstance(parameter, TyperArgument)
+    ]
+    usage = " ".join(text if required else f"[{text}]" for text, required in arguments)
+    about = " ".join((command.help or "").partition("\n\n")[0].split())
+    lines = [f"## `{f'ssduck {name} {usage}'.strip()}`\n", about]
+    rows = [
+        parameter_line(parameter)
+        for parameter in command.params
+        if isinstance(parameter, TyperArgument | TyperOption)
+    ]
+    if rows:
+        lines += ["", "| argument or option | meaning |", "|---|---|", *rows]
+    return "\n".join(lines) + "\n"
+
+
+def command_line_page() -> str:
+    """Returns the page of the command line: its marked sections follow the command `ssduck`.
+
+    Raises:
+        ValueError: a command has no section, or a section no command.
+    """
+    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    text = (DOCS / "command-line.md").read_text(encoding="utf-8")
+    names = [name for _, name, _ in SECTION.findall(text)]
+    if sorted(names) != sorted(commands):
+        raise ValueError(f"sections {names} of the commands {list(commands)}")
+
+    def section(match: re.Match[str]) -> str:
+        name = match[2]
+        return f"{match[1]}\n{command_section(name, commands[name])}\n{match[3]}"
+
+    return SECTION.sub(section, text)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description="Write the manual's generated pages.")
     parser.add_argument("--check", action="store_true", help="only report pages that differ")
     check = parser.parse_args().check
     stale = []
-    for name, text in (("relations.md", relations_page()), ("tables.md", tables_page())):
+    pages = {
+        "relations.md": relations_page(),
+        "tables.md": tables_page(),
+        "command-line.md": command_line_page(),
+    }
+    for name, text in pages.items():
         path = DOCS / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             stale.append(name)

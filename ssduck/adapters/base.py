@@ -174,7 +174,7 @@ class Adapter:
 
 
 def _refuse_reading(_: int | None) -> Rows:
-    raise ArgumentError("the query is over; a form reads its rows before it returns")
+    raise ArgumentError("the query has ended; a form must read its rows before it returns")
 
 
 def _collect_entities(value: Any, entities: dict[tuple[Entity, int | None], Entity]) -> None:

@@ -55,7 +55,7 @@ def clauses(selection: Selection) -> Iterator[Clause]:
     names = rows.names if isinstance(rows.names, list) else [rows.names] * len(rows.values)
     for row_names, row in zip(names, rows.values, strict=True):
         for name, (*arguments, result) in zip(row_names, row, strict=True):
-            validation.text(name, "a relation is to be called by a text")
+            validation.text(name, "the name of a relation must be a text")
             yield Clause(name, arguments, result)
 
 
@@ -87,7 +87,7 @@ def _arguments(value: Node, query: Query) -> tuple[Node, ...] | None:
             return (This(span, None),)
         case Name(span=span, name=name):
             raise ArgumentError(
-                f"of several sources, say which one is meant: {name}(a.this)", span=span
+                f"with several sources, name the argument: {name}(a.this)", span=span
             )
     return None
 

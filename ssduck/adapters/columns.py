@@ -41,9 +41,9 @@ def checked_names(names: Sequence[Any]) -> Sequence[str]:
         ArgumentError: a name is not a string, or two names are equal.
     """
     for index, name in enumerate(names):
-        validation.text(name, "a column is to be called by a text")
+        validation.text(name, "the name of a column must be a text")
         if name in names[:index]:
-            raise ArgumentError(f"two columns are called {name!r}; name them with to(…, 'name')")
+            raise ArgumentError(f"two columns have the name {name!r}; name them with to(…, 'name')")
     return names
 
 
@@ -109,7 +109,7 @@ def _type_of(values: list[Any], name: str) -> pa.DataType:
         return pa.infer_type(present)
     except pa.ArrowException as error:
         raise ArgumentError(
-            f"the column {name!r} holds what no table does: {type_in_words(present[0])} "
+            f"the column {name!r} holds values that no table can hold: {type_in_words(present[0])} "
             f"({error_text(error)})"
         ) from error
 
@@ -136,7 +136,7 @@ def _mixed_numbers(values: list[float], name: str) -> pa.DataType:
     for value in values:
         if type(value) is int and abs(value) > EXACT:
             raise ArgumentError(
-                f"the column {name!r} holds fractions and {short_repr(value)}, which is none "
+                f"the column {name!r} holds fractions and {short_repr(value)}, which is no float "
                 "exactly; "
                 "float(…) rounds it"
             )

@@ -14,7 +14,7 @@ def environment(selection: Selection) -> World:
 WORLDS = (
     Adapter(
         ("environment",),
-        "A new, running world of the selected entities, in a simulation of its own.",
+        "A new, running world of the selected entities, in its own simulation.",
         environment,
         needs="entities",
     ),

@@ -23,16 +23,16 @@ def check_file(selection: Selection, file: Any) -> Path:
     query = selection.query
     if query.group or query.recursion is not None:
         raise ArgumentError(
-            "each group and each path would replace the file of the one before; select without "
+            "each group or path would replace the file of the previous one; select without "
             "GROUP BY or CONNECT BY"
         )
     if not isinstance(file, str) or not _is_path(file):
-        raise ArgumentError(f"the file is to be a path in quotes, not {short_repr(file)}")
+        raise ArgumentError(f"the file must be a path in quotes, not {short_repr(file)}")
     return Path(file)
 
 
 def _is_path(file: str) -> bool:
-    """Whether a file can have the path."""
+    """Checks whether a file can have the path."""
     try:
         file.encode()
     except UnicodeEncodeError:

@@ -41,8 +41,7 @@ def _occupancy(
     selection: Selection, z_pos: Any, grid_size: Any, bounds: Any = None
 ) -> OccupancyGrid:
     heights = z_pos if isinstance(z_pos, list | tuple) else [z_pos, z_pos]
-    if len(heights) != 2:
-        raise ArgumentError(f"z_pos is a height or [lowest, highest], not {short_repr(z_pos)}")
+    validation.sequence(heights, 2, "z_pos is a height or [lowest, highest]")
     low, high = (validation.number(height, "z_pos") for height in heights)
     if low > high:
         raise ArgumentError(f"z_pos: the lowest height {low:g} is above the highest, {high:g}")
@@ -84,7 +83,9 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
-        cells[:, :, layer] = rasterizer.cells(raster, ground, ground + size, reach=CELL_TOLERANCE)
+        cells[:, :, layer] = rasterizer.cells(
+            raster, ground, ground + size, min_overlap=CELL_TOLERANCE
+        )
     return VoxelGrid(cells, lower, size)
 
 
@@ -100,7 +101,7 @@ def _sensor_grid(
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
     world = selection.world
     placed = placed_shapes(world, [e for e in world if not isinstance(e, Sensor)])
-    bounded = placed.of(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
+    bounded = placed.select(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
     lower, upper = _bounds(bounds, bounded, 2)
     nx, ny = _counts(lower, upper, size)
     cells = np.zeros((nx, ny), dtype=np.int32)
@@ -123,12 +124,12 @@ def _visible_points(sensor: Sensor, placed: PlacedSolids, points: Array, toleran
         return []
     start, orientation = np.array(sensor.position), np.array([sensor.orientation])
     if not np.isfinite(np.concatenate((start, orientation[0]))).all():
-        raise ArgumentError(f"{sensor.name!r} is nowhere: its pose is no number")
+        raise ArgumentError(f"{sensor.name!r}: the pose is not a number")
     matrix = rotation_matrices(orientation)[0]
     inside = np.flatnonzero(
         view((points - start) @ matrix, spec.max_range, spec.settings, tolerance)
     )
-    others = placed.of(placed.owners != sensor.host)
+    others = placed.select(placed.owners != sensor.host)
     return inside[~are_blocked(others, start, points[inside])]
 
 
@@ -145,7 +146,7 @@ def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 
     )
     side = validation.length(side, "the size of a cell")
     if any(count < 1 or count != int(count) for count in counts):
-        raise ArgumentError(f"size: there are whole numbers of cells, not {short_repr(size)}")
+        raise ArgumentError(f"size: the numbers of cells must be whole, not {short_repr(size)}")
     nx, ny = map(int, counts)
     validation.integer_between(blur, "blur", 1, max(nx, ny))
     _check_count((nx + 2 * blur, ny + 2 * blur))
@@ -175,7 +176,9 @@ def _entity_values(selection: Selection) -> list[tuple[Entity, float]]:
     for row in selection.rows:
         entities = [value for value in row if isinstance(value, Entity)]
         if not entities:
-            raise ArgumentError("a row has no entity, whose position says where its values go")
+            raise ArgumentError(
+                "a row has no entity, whose position selects the cell of its values"
+            )
         values = [
             _sum(value, name)
             for name, value in zip(names, row, strict=True)
@@ -193,7 +196,7 @@ def _sum(value: Any, name: str) -> float:
         return math.fsum(_sum(part, name) for part in value)
     if isinstance(value, int | float | np.number):
         return float(value)
-    raise ArgumentError(f"column {name!r} is to be summed, but {short_repr(value)} is no number")
+    raise ArgumentError(f"column {name!r} cannot be summed: {short_repr(value)} is no number")
 
 
 def _with_entity(query: Query) -> Query:
@@ -222,10 +225,10 @@ def _bounds(
     if bounds is not None:
         return _given_bounds(bounds, count)
     if not len(placed):
-        raise ArgumentError("nothing that is selected has shapes; give bounds for an empty grid")
+        raise ArgumentError("no selected entity has shapes; give bounds for an empty grid")
     low, high = placed.boxes[:, :count].min(axis=0), placed.boxes[:, 3 : 3 + count].max(axis=0)
     if not np.isfinite((low, high)).all():
-        raise ArgumentError("a plane has no end: give bounds, or leave it out by WHERE")
+        raise ArgumentError("a plane is infinite: give bounds, or exclude it by WHERE")
     low = np.floor(low / _BOUNDS_STEP + _TOLERANCE) * _BOUNDS_STEP
     high = np.maximum(
         np.ceil(high / _BOUNDS_STEP - _TOLERANCE) * _BOUNDS_STEP, low + _BOUNDS_STEP
@@ -274,43 +277,46 @@ def _check_count(counts: Sequence[float]) -> None:
 def _finite_position(entity: Entity) -> list[float]:
     position = entity.position
     if not np.isfinite(position).all():
-        raise ArgumentError(f"{entity.name!r} is nowhere: its position is no number")
+        raise ArgumentError(f"{entity.name!r}: the position is not a number")
     return position
 
 
 GRIDS = (
     Adapter(
         ("occupancygrid", "map"),
-        "The cells that shapes occupy at a height, or between two, [lowest, highest].",
+        "The grid of cells that shapes occupy at a height, or between two heights [lowest, "
+        "highest]; all lengths in m.",
         _occupancy,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("roombaGrid",),
-        "The same with the sizes of SelectScript's tutorial, and one more cell along each axis.",
+        "The grid of AS occupancygrid with the sizes of SelectScript's tutorial, in m, and one "
+        "more cell along each axis.",
         _roomba_grid,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("voxelgrid",),
-        "The cubes that shapes occupy.",
+        "The grid of cubes that shapes occupy; all lengths in m.",
         _voxels,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("sensorgrid",),
-        "How many of the selected sensors see each cell at a height.",
+        "The grid of the number of selected sensors that see each cell at a height; all lengths "
+        "in m.",
         _sensor_grid,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("plane",),
-        "The sums of the rows' values in the cells of a plane such as 'XY', by position; "
-        "size is [cells, cells, side of a cell in m].",
+        "The grid of the sums of the rows' values in each cell of a plane such as 'XY', by "
+        "position; size is [cells, cells, side of a cell in m].",
         _plane,
         needs="entities",
         select=_with_entity,

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
+from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.clauses import Clause, clauses, with_arguments
 from ssduck.adapters.columns import plain_value
@@ -97,8 +98,8 @@ _INTEGERS = range(-(2**31), 2**31)
 
 
 def _asp(selection: Selection, scale: float | None = None) -> list[str]:
-    if scale is not None and (type(scale) not in (int, float) or not 0 < scale < math.inf):
-        raise ArgumentError(f"scale is to be a number above 0, not {short_repr(scale)}")
+    if scale is not None:
+        validation.number_above_0(scale, "scale must be a number above 0")
 
     def term(value: Any) -> str:
         return _asp_term(value, scale)
@@ -156,14 +157,14 @@ def _string(text: str) -> str:
 LOGIC = (
     Adapter(
         ("prolog",),
-        "Relations as Prolog clauses: a sorted list of texts, without the dot.",
+        "The selected relations as Prolog clauses: a sorted list of texts, without the final dot.",
         _prolog,
         select=with_arguments,
     ),
     Adapter(
         ("asp",),
-        "Relations as facts for clingo: a sorted list of texts, with the dot. Fractions are "
-        "strings, or integers if multiplied by scale.",
+        "The selected relations as facts for clingo: a sorted list of texts, with the final "
+        "dot. Fractions become strings, or integers if they are multiplied by scale.",
         _asp,
         select=with_arguments,
     ),

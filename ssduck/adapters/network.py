@@ -39,7 +39,7 @@ class _Network:
         known = self.entities.setdefault(entity.name, entity)
         if known is not entity and known != entity:
             raise ArgumentError(
-                f"two worlds have an entity that is called {entity.name!r}; a graph is of one"
+                f"two worlds have an entity {entity.name!r}; a graph needs entities of one world"
             )
         self.nodes.setdefault(entity.name, {})
         return entity.name
@@ -58,12 +58,12 @@ class _Network:
 
 
 def _set_attributes(
-    attributes: dict[str, Any], new: Mapping[str, Any], what: str, remedy: str
+    attributes: dict[str, Any], new: Mapping[str, Any], owner: str, remedy: str
 ) -> None:
     for key, value in new.items():
         if attributes.setdefault(key, value) != value:
             raise ArgumentError(
-                f"{what} would be given two values of {key!r}: {short_repr(attributes[key])} and "
+                f"{owner} would have two values of {key!r}: {short_repr(attributes[key])} and "
                 f"{short_repr(value)}; {remedy}"
             )
 
@@ -127,7 +127,7 @@ def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
             network.describe(only, {relation: plain_value(result)})
         case _:
             raise ArgumentError(
-                f"{relation} is of {len(entities)} entities; an edge is of two, and a node one"
+                f"{relation} has {len(entities)} entities; an edge has two, and a node one"
             )
 
 
@@ -203,21 +203,22 @@ _ESCAPES = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\r": "\\r"}
 
 
 def _quoted(text: str) -> str:
-    r"""A text as Graphviz shows it: in a label \\ is a backslash and \n ends a line."""
+    r"""Returns a text in quotes for Graphviz, with backslashes, quotes and line ends escaped."""
     return '"' + "".join(_ESCAPES.get(letter, letter) for letter in text) + '"'
 
 
 NETWORK = (
     Adapter(
         ("graph",),
-        "A networkx graph: entities are nodes, relations of two directed edges. Extra: graph.",
+        "A networkx graph: entities are nodes, relations of two entities are directed edges. "
+        "Extra: graph.",
         _graph,
         needs="entities",
         select=_graph_query,
     ),
     Adapter(
         ("dot",),
-        "The same graph as a text for Graphviz, each edge with its relations.",
+        "The graph of AS graph as a text for Graphviz, each edge with its relations.",
         _dot,
         needs="entities",
         select=_graph_query,

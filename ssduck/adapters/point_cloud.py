@@ -53,8 +53,8 @@ class PointCloud:
         """
         if name not in self.names:
             raise ArgumentError(f"there are no points of {name!r}", suggestions=list(self.names))
-        own: Array = self.points[self.owners == self.names.index(name)]
-        return own
+        points: Array = self.points[self.owners == self.names.index(name)]
+        return points
 
     def save(self, path: str | Path) -> Path:
         """Writes a file in the format of its suffix: `.ply`, `.xyz`, `.obj` or `.glb`."""
@@ -86,7 +86,7 @@ def sample_points(
     random = np.random.default_rng(seed)
     areas = [surface_area(solid) for solid in placed.solids]
     if not math.isfinite(sum(areas)):
-        raise ArgumentError("a plane has no end; leave it out by WHERE")
+        raise ArgumentError("a plane is infinite; exclude it by WHERE")
     square = max(spacing**2, sys.float_info.min)  # not 0
     if sum(areas) / square > MAX_POINTS:
         raise ArgumentError(

@@ -37,7 +37,7 @@ def save(
     path = path if path.suffix else path.with_suffix(".yaml")
     picture = path.with_suffix(".pgm")
     if picture == path:
-        raise ArgumentError(f"{path} is where the picture goes; name the YAML file, map.yaml say")
+        raise ArgumentError(f"{path} is the name of the picture; name the YAML file, map.yaml say")
     pixels = np.where(cells.T[::-1], OCCUPIED, FREE).astype(np.uint8)
     values = {
         "image": picture.name,
@@ -86,14 +86,14 @@ def load(
     if values.get("mode") == "raw":
         raise ArgumentError(f"{path}: the mode is raw; trinary and scale can be read")
     if yaw != 0.0:
-        raise ArgumentError(f"{path}: the map is turned by {yaw:g} rad; grids are along the axes")
+        raise ArgumentError(f"{path}: the map is rotated by {yaw:g} rad; grids are axis-aligned")
     if values["negate"] not in (1, "true", "True"):
         shade = 1.0 - shade
     occupied, free = shade > thresholds[0], shade < thresholds[1]
     unknown_count = int((~occupied & ~free).sum())
     if unknown_count and unknown is None:
         raise ArgumentError(
-            f"{path}: {unknown_count} cells are unknown; load(path, unknown=True) takes them for "
+            f"{path}: {unknown_count} cells are unknown; load(path, unknown=True) counts them as "
             "occupied, unknown=False for free"
         )
     return (~free if unknown else occupied), (x, y), resolution, z  # type: ignore[return-value]

@@ -18,7 +18,7 @@ def shapes_of(selection: Selection) -> PlacedSolids:
     """Returns the shapes of the selected entities at the tick of the query; sensors have none."""
     entities = [entity for entity in selection.entities if not isinstance(entity, Sensor)]
     if not entities:
-        return PlacedSolids.none()
+        return PlacedSolids.empty()
     return placed_shapes(selection.world, entities)
 
 
@@ -37,5 +37,5 @@ def placed_shapes(world: World, entities: Sequence[Entity]) -> PlacedSolids:
     ids = [entity.id for entity in entities]
     for id in shapes.unknown(ids)[:1]:
         name = world.entity(id).name
-        raise ArgumentError(f"{name!r} is nowhere: its pose is no number; leave it out by WHERE")
+        raise ArgumentError(f"{name!r}: the pose is not a number; exclude the entity by WHERE")
     return shapes.placed(ids)

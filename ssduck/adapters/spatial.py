@@ -46,7 +46,7 @@ def _mesh(selection: Selection) -> trimesh.Scene:
         entity = entities[owner]
         surface = _triangles(solid)
         if surface is None:
-            raise ArgumentError(f"{entity.name!r} has a plane, which has no end; leave it out")
+            raise ArgumentError(f"{entity.name!r} has a plane, which is infinite; exclude it")
         surface.visual.face_colors = _COLOURS[entity.kind]
         surface.metadata["entity"] = entity.name
         pose = np.eye(4)
@@ -85,7 +85,7 @@ def _glb(selection: Selection, path: Any) -> str:
     file = check_file(selection, path)
     scene: Any = _mesh(selection)
     if not scene.geometry:
-        raise ArgumentError("nothing that is selected has shapes, and a glTF file has some")
+        raise ArgumentError("no selected entity has shapes; a glTF file needs some")
     scene.apply_transform(_UPRIGHT)
     content = scene.export(file_type="glb")
     replace_file(file, lambda stream: stream.write(content))
@@ -103,21 +103,23 @@ def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.I
 SPATIAL = (
     Adapter(
         ("points",),
-        "Points on the surfaces of shapes at random, one for each square of that spacing, m.",
+        "Random points on the surfaces of shapes, in m, one for each square with the side "
+        "spacing, in m.",
         _points,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("mesh",),
-        "The shapes as a trimesh scene in the world frame, with a node for each shape.",
+        "A trimesh scene of the shapes in the world frame, in m, with a node for each shape.",
         _mesh,
         needs="entities",
         tables=SHAPES,
     ),
     Adapter(
         ("glb",),
-        "Writes the same to a glTF file, with y up as viewers expect, and gives its path.",
+        "Writes the scene of AS mesh to a glTF file, with y up as viewers expect, and returns "
+        "its path.",
         _glb,
         needs="entities",
         tables=SHAPES,
@@ -125,7 +127,8 @@ SPATIAL = (
     ),
     Adapter(
         ("image",),
-        "A picture of the scene that fades all but the entities; sensors appear as their bodies.",
+        "A picture of the scene in which all entities but the selected ones are faded; sensors "
+        "appear as their bodies. Sizes in pixels.",
         _image,
         needs="entities",
     ),

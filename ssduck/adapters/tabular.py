@@ -108,7 +108,7 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
 
 
 def _are_exact(array: npt.NDArray[Any]) -> bool:
-    """Whether all numbers can be converted to floats without rounding."""
+    """Checks whether all numbers can be converted to floats without rounding."""
     return array.dtype.kind != "i" or bool(((array >= -EXACT) & (array <= EXACT)).all())
 
 
@@ -145,8 +145,8 @@ def _flattened(column: list[Any]) -> tuple[tuple[int, ...], list[Any]]:
 TABULAR = (
     Adapter(
         ("table",),
-        "A table with df(), pl(), arrow() and fetchall(), as Interpreter.sql gives; "
-        "shows in notebooks.",
+        "A table with df(), pl(), arrow() and fetchall(), as Interpreter.sql returns; notebooks "
+        "display it.",
         _result,
         needs="columns",
     ),
@@ -155,20 +155,20 @@ TABULAR = (
     Adapter(("polars", "pl"), "A polars data frame. Extra: polars.", _polars, needs="columns"),
     Adapter(
         ("numpy",),
-        "A 2-D array if all columns are numbers, or lists of as many numbers, side by side; "
-        "else a structured array.",
+        "A 2-D NumPy array if all columns are numbers, or lists of equally many numbers, side "
+        "by side; else a structured array.",
         _numpy,
     ),
     Adapter(
         ("json",),
-        "A JSON text: a list of objects. Entities appear by name, NaN and infinities as null.",
+        "A JSON text, a list of objects. Entities appear by name, NaN and infinities as null.",
         _json,
         needs="columns",
     ),
     Adapter(("records",), "A list of named tuples, one for each row.", _records),
     Adapter(
         ("parquet",),
-        "Writes a Parquet file, replacing an existing one, and gives its path.",
+        "Writes the rows to a Parquet file, replaces an existing one, and returns its path.",
         cast("Any", _parquet),
         needs="columns",
         writes=True,

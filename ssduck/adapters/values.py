@@ -18,7 +18,7 @@ def _dicts(selection: Selection) -> list[dict[Any, Any]]:
                 for names, values in zip(rows.names, rows.values, strict=True)
             ]
         except TypeError as error:
-            raise ArgumentError(f"a column cannot be called by that: {error}") from error
+            raise ArgumentError(f"this cannot be the name of a column: {error}") from error
     return [dict(zip(rows.names, values, strict=True)) for values in rows.values]
 
 
@@ -39,14 +39,14 @@ def _single_value(selection: Selection, default: Any = _NO_DEFAULT) -> Any:
 VALUES = (
     Adapter(
         ("dict", "dictionary"),
-        "A list of dicts, one for each row, by the columns' names. The default.",
+        "A list of dicts, one for each row, with the names of the columns as keys. The default.",
         _dicts,
         needs="columns",
     ),
-    Adapter(("list",), "One flat list: row after row, column after column.", _flat),
+    Adapter(("list",), "One flat list of the values, row by row.", _flat),
     Adapter(
         ("value", "val"),
-        "The first column of the first row; default, or [], if there is none.",
+        "The value in the first column of the first row; default, or [], if there is no row.",
         _single_value,
     ),
 )

@@ -146,7 +146,7 @@ def _ssduck(
         typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Query a robot simulation, in SelectScript or in SQL.
+    """Query a robot simulation in SelectScript or in SQL.
 
     SCENE is the name of a scene that comes with ssduck (see: ssduck scenes),
     or the path of a scene file (.toml) or of a model (.urdf, .sdf, .mjcf, .xml).
@@ -158,16 +158,15 @@ def _ssduck(
 
 _DemoName = Annotated[
     str,
-    typer.Argument(
-        metavar="NAME", help="The demonstration (see --list), or a scene: a name or a path."
-    ),
+    typer.Argument(metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."),
 ]
 _OutputFolder = Annotated[
     Path | None,
     typer.Option(
         "--out",
-        help="The folder for pictures and files; other files in it stay.",
-        show_default="demo-NAME; of a scene this folder",
+        metavar="FOLDER",
+        help="The folder for pictures and files. It is made if necessary; other files in it stay.",
+        show_default="demo-NAME; for kitchen and scenes, the current folder",
     ),
 ]
 _PictureFile = Annotated[
@@ -175,8 +174,10 @@ _PictureFile = Annotated[
     typer.Option(
         "--output",
         "-o",
-        help="Of a scene, the file of its picture.",
-        show_default="SCENE.png in that folder",
+        metavar="FILE",
+        help="For kitchen and scenes: the file of the picture, in the format of its ending. "
+        "An existing file is replaced.",
+        show_default="NAME.png after the scene, or a free name beside it",
     ),
 ]
 
@@ -185,23 +186,28 @@ _PictureFile = Annotated[
 def demo(
     name: _DemoName = "kitchen",
     listed: Annotated[
-        bool, typer.Option("--list", help="List the demonstrations, and show none.")
+        bool, typer.Option("--list", help="List the demonstrations instead of running one.")
     ] = False,
     out: _OutputFolder = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="The seed of random numbers.")] = 0,
+    seed: Annotated[
+        int, typer.Option("--seed", min=0, metavar="N", help="The seed of random numbers.")
+    ] = 0,
     output: _PictureFile = None,
     picture: Annotated[
-        bool, typer.Option("--picture/--no-picture", help="Whether to draw a scene.")
+        bool,
+        typer.Option(
+            "--picture/--no-picture", help="For kitchen and scenes: whether to draw a picture."
+        ),
     ] = True,
     sql: Annotated[
         bool,
-        typer.Option("--sql/--no-sql", help="Whether to show the SQL of a scene's queries."),
+        typer.Option("--sql/--no-sql", help="For kitchen and scenes: whether to show the SQL."),
     ] = True,
 ) -> None:
-    """Show what ssduck does: the tutorial's queries, or another demonstration.
+    """Run a demonstration, or general questions about a scene.
 
-    For a scene, general queries run: each program is shown with its SQL and its result. For the
-    kitchen, these are the queries of SelectScript's tutorial.
+    The questions are shown with their programs, SQL and results. Those of the kitchen are from
+    SelectScript's tutorial.
     """
     from ssduck.demos import NAMES, description_of, run_of
 
@@ -257,24 +263,31 @@ def _created_folder(folder: Path) -> Path:
 
 
 _SceneOrRecord = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A scene's name or path, or a record's path.")
+    str, typer.Argument(metavar="SCENE", help="The name or the path of a scene, or a RECORD.")
 ]
 _Program = Annotated[
     str | None,
-    typer.Argument(metavar="PROGRAM", help="The program; standard input if it is - or missing."),
+    typer.Argument(
+        metavar="PROGRAM", help="The program; it comes from standard input if it is - or missing."
+    ),
 ]
 _Seconds = Annotated[
     float | None,
-    typer.Option(min=0.0, help="Simulate that long first, in whole steps of the scene."),
+    typer.Option(
+        min=0.0, metavar="T", help="Simulate T seconds first, rounded to whole steps of the scene."
+    ),
 ]
 _Episode = Annotated[
     int | None,
     typer.Option(
-        min=0, help="Of a record, the number of the episode.", show_default="the last one"
+        min=0,
+        metavar="N",
+        help="The number of the episode of a record.",
+        show_default="the last one",
     ),
 ]
 _Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse probable mistakes, which otherwise cause warnings.")
+    bool, typer.Option("--strict", help="Refuse probable mistakes instead of warning.")
 ]
 
 
@@ -283,14 +296,18 @@ def query(
     scene: _SceneOrRecord,
     program: _Program = None,
     file: Annotated[
-        Path | None, typer.Option("--file", "-f", help="Read the program from a file.")
+        Path | None,
+        typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
     ] = None,
     format: Annotated[
-        Format, typer.Option("--format", "-F", help="The format of the result.")
+        Format,
+        typer.Option("--format", "-F", metavar="table|json|csv", help="The format of the result."),
     ] = Format.TABLE,
-    sql: Annotated[bool, typer.Option("--sql", help="The program is SQL.")] = False,
+    sql: Annotated[
+        bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
+    ] = False,
     steps: Annotated[
-        int | None, typer.Option(min=0, help="Simulate that many steps first.")
+        int | None, typer.Option(min=0, metavar="N", help="Simulate N steps first.")
     ] = None,
     seconds: _Seconds = None,
     episode: _Episode = None,
@@ -298,7 +315,7 @@ def query(
 ) -> None:
     """Run a program on a scene or a record, and write its result to standard output.
 
-    A program that begins with a minus follows two of them:
+    A program that begins with a minus sign follows two of them:
     ssduck query kitchen -- '-1;'
     """
     if steps is not None and seconds is not None:
@@ -338,10 +355,10 @@ def scenes() -> None:
 def functions(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="NAME", help="The function to describe; by default all."),
+        typer.Argument(metavar="NAME", help="The function to describe; all are listed by default."),
     ] = None,
 ) -> None:
-    """List the functions of the language, or describe one."""
+    """List the functions of the language with their usage, or describe one."""
     from ssduck.interpreter.interpreter import Interpreter
 
     with Interpreter() as ss:

@@ -25,7 +25,7 @@ _MAGIC = slice(8, 12), b"DUCK"
 
 
 def is_record(location: str) -> bool:
-    """Whether a path is the folder or file of a record; names of shipped scenes are not."""
+    """Checks whether a path is the folder or file of a record; names of shipped scenes are not."""
     from ssduck.simulators.scenes import shipped_scenes
 
     path = Path(location)
@@ -38,30 +38,50 @@ def is_record(location: str) -> bool:
         return file.read(position.stop)[position] == magic
 
 
+_Duration = Annotated[
+    float,
+    typer.Option(
+        min=0.0, metavar="T", help="The simulated time, s, rounded to whole steps of the scene."
+    ),
+]
+_RecordPath = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="A folder for Parquet files, or a DuckDB file if the name ends with .duckdb. "
+        "An existing one gets a new episode.",
+    ),
+]
+_Tables = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="A table to record: entities, links, joints, shapes, contacts or sensings; "
+        "may be repeated.",
+        show_default="all",
+    ),
+]
+_Entities = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="The name of an entity to record; may be repeated.",
+        show_default="all",
+    ),
+]
+
+
 def record(
-    scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="The scene to simulate: a name or a path.")
-    ],
-    seconds: Annotated[float, typer.Option(min=0.0, help="How long to simulate, in whole steps.")],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="The destination: a folder of Parquet files, or a DuckDB file (.duckdb).",
-        ),
-    ],
-    tables: Annotated[
-        list[str] | None,
-        typer.Option(help="A table to record; may be repeated.", show_default="all"),
-    ] = None,
-    entities: Annotated[
-        list[str] | None,
-        typer.Option(help="The name of an entity to record; may be repeated.", show_default="all"),
-    ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Record every n-th step only.")] = 1,
+    scene: Annotated[str, typer.Argument(metavar="SCENE", help="The name or the path of a scene.")],
+    seconds: _Duration,
+    output: _RecordPath,
+    tables: _Tables = None,
+    entities: _Entities = None,
+    every: Annotated[int, typer.Option(min=1, metavar="N", help="Record only each N-th step.")] = 1,
 ) -> None:
-    """Simulate a scene and record each step; after Ctrl-C, the recorded part is complete."""
+    """Simulate a scene and record it; each step of the simulator is a tick."""
     from ssduck.interpreter.opening import load
     from ssduck.recording.spec import Recording
     from ssduck.schema import RECORDABLE
@@ -138,25 +158,39 @@ def _deferred_ctrl_c() -> Iterator[threading.Event]:
 
 
 def export(
-    path: Annotated[Path, typer.Argument(metavar="RECORD", help="A DuckDB file, or a folder.")],
+    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="The destination: a folder of Parquet files.")
+        Path,
+        typer.Option("--output", "-o", metavar="PATH", help="The folder; it is made if necessary."),
     ],
     world: Annotated[
-        str | None, typer.Option(help="The world to write.", show_default="all")
+        str | None, typer.Option(metavar="NAME", help="The world to write.", show_default="all")
     ] = None,
     episode: Annotated[
         int | None,
-        typer.Option(min=0, help="The number of the episode.", show_default="the last one"),
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="The number of the episode.",
+            show_default="the last one of each world",
+        ),
     ] = None,
     entities: Annotated[
         list[str] | None,
-        typer.Option(help="The name of an entity to write; may be repeated.", show_default="all"),
+        typer.Option(
+            metavar="NAME",
+            help="The name of an entity to write; may be repeated.",
+            show_default="all",
+        ),
     ] = None,
-    start: Annotated[float | None, typer.Option(help="The first simulated time, s.")] = None,
-    end: Annotated[float | None, typer.Option(help="The last simulated time, s.")] = None,
+    start: Annotated[
+        float | None, typer.Option(metavar="T", help="The simulated time of the first tick, s.")
+    ] = None,
+    end: Annotated[
+        float | None, typer.Option(metavar="T", help="The simulated time of the last tick, s.")
+    ] = None,
 ) -> None:
-    """Write an episode of a record as Parquet files, or a part of it."""
+    """Write an episode of a record, or a part of it, to a folder of Parquet files."""
     from ssduck.interpreter.opening import open_record
 
     with open_record(path, world, episode) as ss:
@@ -165,9 +199,9 @@ def export(
 
 
 def episodes(
-    path: Annotated[Path, typer.Argument(metavar="RECORD", help="A folder, or a DuckDB file.")],
+    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
 ) -> None:
-    """List the episodes of a record with their ticks, times and tables."""
+    """List the episodes of a record: world, number, start, ticks, simulated times and tables."""
     columns = ["world", "episode", "started", "ticks", "from", "to", "tables"]
     rows = [
         (e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables))

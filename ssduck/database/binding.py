@@ -16,7 +16,7 @@ from ssduck.errors import EvaluationError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
-from ssduck.recording.replay.lookups import TOLD
+from ssduck.recording.replay.lookups import LOOKUPS
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
@@ -260,7 +260,7 @@ class BoundWorld:
         Raises:
             UnsupportedError: they are not recorded.
         """
-        return TOLD[kind](partial(self._recorded, tick=tick), a, b)
+        return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)
 
 
 def _pose_text(pose: Sequence[float | None]) -> str:

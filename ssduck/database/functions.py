@@ -21,7 +21,7 @@ from ssduck.geometry.batch import PairPredicate, PredicateKind
 from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
-from ssduck.recording.replay.record import PAIR, Record
+from ssduck.recording.replay.record import PREDICATE_COLUMNS, Record
 from ssduck.recording.stores.base import PairRequest
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
@@ -141,7 +141,7 @@ def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWor
             "DOUBLE",
             null_handling=FunctionNullHandling.SPECIAL,
         )
-    pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PAIR)})[]"
+    pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PREDICATE_COLUMNS)})[]"
     for search in PAIR_SEARCHES:
         if search.predicate is None:
             continue
@@ -266,11 +266,11 @@ def _pairs_over_ticks(
         if history is None:
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
         predicate = PairPredicate(kind, depth(distance) if kind == "colliding" else distance)
-        reach = 0.0 if kind == "colliding" else distance
+        max_gap = 0.0 if kind == "colliding" else distance
         if kind == "touching":
             worlds[world].warn_of_changed_margins(first)
-        pairs = history.record.pairs(PairRequest(first, last, a, b, reach), predicate)
-        return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PAIR)
+        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, max_gap), predicate)
+        return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PREDICATE_COLUMNS)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)
     results = [pairs_of(*row) for row in rows]

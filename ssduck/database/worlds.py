@@ -157,7 +157,7 @@ class WorldRegistry:
         self.bound.append(bound)
         try:
             if isinstance(world, ReplayedWorld):
-                bound.history = WorldHistory(world.archive, world.own_record)
+                bound.history = WorldHistory(world.archive, world.source_record)
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
             self.register(bound)

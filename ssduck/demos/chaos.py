@@ -1,12 +1,12 @@
 """Bodies fly about in a closed box, and queries over the record count how often they collide.
 
 As in SelectScript's demonstration of its dialect for ODE: boxes, spheres, cylinders and capsules
-without gravity, which lose no energy. They begin where the scene says; how fast is drawn.
+without gravity, which lose no energy. The scene has their initial poses; the velocities are random.
 
-The solver finds a contact in the step after the tick at which two bodies overlap. So what it
-tells can be compared with what the shapes tell: the exact narrow phase has to find the same
-pairs a tick earlier. Nobody may leave the box, and the energy has to stay, which it does
-for spheres; what is long and turns fast gains or loses some, for steps are finite.
+The solver finds a contact in the step after the tick at which two bodies overlap. So its contacts
+can be compared with the shapes: the exact narrow phase must find the same pairs a tick earlier. No
+body may leave the box, and the energy must be constant. It is constant for spheres; a long body
+that spins fast gains or loses some energy, because steps are finite.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ MAX_ENERGY_CHANGE = 0.15
 # Smaller penetrations, m, need not agree: PyBullet rounds the edges of its cylinders.
 MIN_DEPTH = 1e-3
 
-SEEN = "SELECT id FROM chaos WHERE isSensing(watcher, this) AND mass(this) > 0 AS list;"
+VISIBLE = "SELECT id FROM chaos WHERE isSensing(watcher, this) AND mass(this) > 0 AS list;"
 
 COUNTED = """\
 WITH met AS (
@@ -79,19 +79,19 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
     from ssduck.world.world import World
 
     scene = find_scene("chaos")
-    draw = random.Random(seed)  # noqa: S311  # no secret
+    rng = random.Random(seed)  # noqa: S311  # no secret
     scene = replace(
         scene,
         bodies=tuple(
-            b if b.fixed else replace(b, velocity=_random_velocity(draw)) for b in scene.bodies
+            b if b.fixed else replace(b, velocity=_random_velocity(rng)) for b in scene.bodies
         ),
     )
-    seen: list[int] = []
+    visible_counts: list[int] = []
     with Interpreter() as ss:
         chaos = ss.add_variable("chaos", World.load(scene))
         ss.record("chaos", Recording(tables=("entities", "contacts"), seconds=seconds + 1))
         ss.add_variable("watcher", chaos["watcher"])
-        ss.add_trigger("seen", SEEN, 0.1, lambda names: seen.append(len(names)))
+        ss.add_trigger("seen", VISIBLE, 0.1, lambda names: visible_counts.append(len(names)))
         chaos.run(seconds, every=1)
         energies = energy(ss, scene)
         say(COUNTED)
@@ -103,8 +103,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
         counts = DisplayTable(["second", "body and body", "body and side", "energy, J"], rows)
         say("\n".join(text_lines(counts)))
         say(
-            f"What the camera in the western side sees changed {len(seen) - 1} times: "
-            f"{min(seen)} to {max(seen)} bodies at once"
+            f"What the camera in the western side sees changed {len(visible_counts) - 1} "
+            f"times: {min(visible_counts)} to {max(visible_counts)} bodies at once"
         )
         agree = shapes_agree(ss, say)
         ss.add_variable("low", [-2.05] * 3)
@@ -118,8 +118,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
     return agree and not escaped and drift < MAX_ENERGY_CHANGE
 
 
-def _random_velocity(draw: random.Random) -> tuple[float, ...]:
-    return tuple(draw.uniform(-MAX_SPEED, MAX_SPEED) for _ in range(6))
+def _random_velocity(rng: random.Random) -> tuple[float, ...]:
+    return tuple(rng.uniform(-MAX_SPEED, MAX_SPEED) for _ in range(6))
 
 
 def shapes_agree(ss: Interpreter, say: Callable[[str], None]) -> bool:
@@ -187,8 +187,8 @@ def _in_body(vector: Array, orientation: Array) -> Array:
 
 def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
     """Draws the scene above a bar chart of collisions of bodies, and with sides, by second."""
-    width, high = scene.width, 130
-    picture = Image.new("RGB", (width, scene.height + high), (255, 255, 255))
+    width, chart_height = scene.width, 130
+    picture = Image.new("RGB", (width, scene.height + chart_height), (255, 255, 255))
     picture.paste(scene)
     draw = ImageDraw.Draw(picture)
     font = ImageFont.load_default(12)
@@ -202,6 +202,6 @@ def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
             top -= 80 * count / tallest
         draw.text((left, baseline + 3), f"{second} s", fill=(20, 22, 26), font=font)
         draw.text((left, top - 15), f"{bodies} + {sides}", fill=(20, 22, 26), font=font)
-    words = "collisions: of two bodies + of a body with a side"
-    draw.text((20, scene.height - 6), words, fill=(20, 22, 26), font=font)
+    caption = "collisions: of two bodies + of a body with a side"
+    draw.text((20, scene.height - 6), caption, fill=(20, 22, 26), font=font)
     return picture

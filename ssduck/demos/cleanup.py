@@ -1,9 +1,9 @@
 """A robot takes the cups from the kitchen's table to the sink, on paths that it plans itself.
 
-The job is that of SelectScript's tutorial: what is on the table, and less than 1.3 m away from
-the robot, belongs in the sink; a query says what that is, and another whether it was done. The
-robot drives on its wheels, spreads its fingers in a cup, and lets go of it over the sink: by
-motors and gravity of the running simulation. What the fingers touch is held by a constraint.
+The job is that of SelectScript's tutorial: everything that is on the table, and less than 1.3 m
+away from the robot, belongs in the sink. A query selects these cups, and another checks the result.
+The robot drives on its wheels, spreads its fingers in a cup, and drops it over the sink, by motors
+and gravity of the running simulation. A constraint holds a cup that the fingers touch.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ sink    = SELECT obj FROM kitchen WHERE id(this) == 'sink' AS value;
 cleanUp = SELECT obj FROM kitchen
           WHERE isCup(this) AND onX(table, this) AND distance(barrett, this) < 1.3
           AS list;"""
-LEFT = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(table, this) AS list;"
-WASHED = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(sink, this) AS list;"
+ON_TABLE = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(table, this) AS list;"
+IN_SINK = "SELECT obj FROM kitchen WHERE isCup(this) AND onX(sink, this) AS list;"
 DEEPEST = """\
 SELECT coalesce(max(kitchen.penetration(a, b)), 0.0)
 FROM entities_history a JOIN entities_history b USING (tick)
@@ -129,7 +129,7 @@ def clean(
 def _take_away(report: _Report, cleaner: Cleaner, cups: list[Entity], outcome: Outcome) -> None:
     """Takes the cups away, the nearest first; failed ones are tried again later."""
     for _ in range(ATTEMPTS):
-        waiting = [cup for cup in cups if cup in report.select(LEFT)]
+        waiting = [cup for cup in cups if cup in report.select(ON_TABLE)]
         while waiting:
             robot_position = np.array(report.world[ROBOT].position[:2])
             distances = [
@@ -173,7 +173,7 @@ class _Report:
     def take(self, cleaner: Cleaner, cup: Entity) -> None:
         """Takes a cup from the table to the sink."""
         self.say(f"{cup.name}: the robot drives to it, and takes it.")
-        for spots in map(self._free, (ROWS, ANYWHERE)):
+        for spots in map(self._free_spots, (ROWS, ANYWHERE)):
             if spots and cleaner.can_drop(cup, spots):
                 break
         else:
@@ -181,20 +181,20 @@ class _Report:
         cleaner.pick(cup)
         self.picture(f"holding_{cup.name}")
         cleaner.drop(spots)
-        if cup not in self.select(WASHED):
+        if cup not in self.select(IN_SINK):
             raise Failed("it did not fall into the sink")
         self.say(f"{cup.name}: is in the sink, at {_coordinates(cup.position)}.")
 
-    def _free(self, spots: Sequence[tuple[float, float]]) -> list[Array]:
+    def _free_spots(self, spots: Sequence[tuple[float, float]]) -> list[Array]:
         """Returns the free ones of some spots in the sink, (3,) each, m."""
         low, high = (np.array(corner) for corner in self.world["sink"].aabb)
-        middle = np.array([*((low + high) / 2)[:2], high[2]])
-        taken = [np.array(cup.position[:2]) for cup in self.select(WASHED)]
-        spots_in_world = [middle + np.array([x, y, 0.0]) for x, y in spots]
+        centre = np.array([*((low + high) / 2)[:2], high[2]])
+        occupied = [np.array(cup.position[:2]) for cup in self.select(IN_SINK)]
+        spots_in_world = [centre + np.array([x, y, 0.0]) for x, y in spots]
         return [
-            s
-            for s in spots_in_world
-            if all(np.linalg.norm(s[:2] - t) > CUP_DISTANCE for t in taken)
+            spot
+            for spot in spots_in_world
+            if all(np.linalg.norm(spot[:2] - other) > CUP_DISTANCE for other in occupied)
         ]
 
     def picture(self, name: str) -> None:
@@ -209,18 +209,18 @@ class _Report:
 
     def conclude(self, outcome: Outcome) -> None:
         """Queries and reports the outcome."""
-        left, washed = self.select(LEFT), self.select(WASHED)
+        left, washed = self.select(ON_TABLE), self.select(IN_SINK)
         outcome.left = [cup.name for cup in left]
         outcome.washed = [cup.name for cup in washed]
         outcome.deepest = float(self.ss.sql(DEEPEST, [ROBOT]).fetchall()[0][0])
-        self.say(LEFT)
+        self.say(ON_TABLE)
         self.say(f"On the table: {', '.join(outcome.left) or 'no cup'}.")
         self.say(f"In the sink: {', '.join(outcome.washed) or 'no cup'}.")
         for name in outcome.cups:
             if name not in outcome.washed:
-                where = _coordinates(self.world[name].position)
-                why = "; ".join(outcome.trouble.get(name, ["nobody tried"]))
-                self.say(f"{name} is not in the sink, but at {where}: {why}.")
+                place = _coordinates(self.world[name].position)
+                reasons = "; ".join(outcome.trouble.get(name, ["nobody tried"]))
+                self.say(f"{name} is not in the sink, but at {place}: {reasons}.")
         self.say(
             f"{outcome.seconds:.0f} s of simulation; the robot was at most "
             f"{1000 * outcome.deepest:.2f} mm deep in furniture or floor."

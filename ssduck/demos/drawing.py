@@ -62,12 +62,12 @@ class TopView:
         self._corner = (low[0], high[1])
         height = round(width * deep / wide)
         far = _HEIGHT * max(wide, deep)
-        middle = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
+        centre = ((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
         # A camera that looks straight down has no up direction, so it stands south by less
         # than a pixel.
         camera = Camera(
-            eye=(middle[0], middle[1] - 1e-4 * far, floor + far),
-            target=(*middle, floor),
+            eye=(centre[0], centre[1] - 1e-4 * far, floor + far),
+            target=(*centre, floor),
             fov=2 * math.degrees(math.atan2(deep / 2, far)),
         )
         self.image = Image.fromarray(world.render(width, height, camera, shadow=False))
@@ -99,12 +99,12 @@ class TopView:
         half = side * self._scale / 2
         self._draw.rectangle((x - half, y - half, x + half, y + half), outline=colour)
 
-    def text(self, point: Sequence[float], words: str, colour: Colour = _INK) -> None:
+    def text(self, point: Sequence[float], text: str, colour: Colour = _INK) -> None:
         """Writes text beside a point on a light background, within the picture."""
         x, y = self.pixel(point)
-        left, top, right, bottom = self._draw.textbbox((0, 0), words, font=self._font)
+        left, top, right, bottom = self._draw.textbbox((0, 0), text, font=self._font)
         wide, high = right - left + 6, bottom - top + 4
         x = min(max(x + 8, 0), self.image.width - wide)
         y = min(max(y - high - 4, 0), self.image.height - high)
         self._draw.rectangle((x, y, x + wide, y + high), fill=(255, 255, 255))
-        self._draw.text((x + 3 - left, y + 2 - top), words, fill=colour, font=self._font)
+        self._draw.text((x + 3 - left, y + 2 - top), text, fill=colour, font=self._font)

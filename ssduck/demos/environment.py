@@ -1,8 +1,8 @@
 """A world of everything near the vacuum cleaner, copied from the kitchen, runs by itself.
 
-As the tutorial's section 10.1: `AS environment`. Without the kitchen there is no floor: the vacuum
-cleaner falls, and what is on the table, which is held where it is, stays. How deep it falls is
-checked against gravity's formula, and a copy of the whole kitchen goes on as the kitchen does.
+As in the tutorial's section 10.1: `AS environment`. Without the kitchen there is no floor, so the
+vacuum cleaner falls; the fixed table and the things on it stay. The fall is checked against the
+formula of gravity, and a copy of the whole kitchen against the kitchen.
 """
 
 from __future__ import annotations

@@ -31,8 +31,8 @@ class SearchGrid:
     """A grid of square cells on the floor.
 
     Attributes:
-        first: the middle of cell (0, 0), metres.
-        side: the distance of the middles of neighbours, metres.
+        first: the centre of cell (0, 0), metres.
+        side: the distance of the centres of neighbours, metres.
         counts: the number of cells along x and y.
 
     >>> grid = SearchGrid(first=(0.5, 0.5), side=1.0, counts=(3, 2))
@@ -45,11 +45,11 @@ class SearchGrid:
     counts: Cell
 
     def place(self, cell: Sequence[int]) -> Place:
-        """Returns the middle of a cell, metres."""
+        """Returns the centre of a cell, metres."""
         return self.first[0] + self.side * cell[0], self.first[1] + self.side * cell[1]
 
     def cell(self, place: Sequence[float]) -> Cell:
-        """Returns the cell whose middle is nearest to a place, possibly outside the grid."""
+        """Returns the cell whose centre is nearest to a place, possibly outside the grid."""
         x, y = ((place[axis] - self.first[axis]) / self.side for axis in (0, 1))
         return round(x), round(y)
 

@@ -1,8 +1,8 @@
 """Maps of the kitchen for its vacuum cleaner: of everything, and of everything near it.
 
-As the tutorial's section 10.2 makes them: the cells of 2.5 cm that something occupies 22 cm above
-the floor. The maps are saved as ROS's map_server reads them and loaded again; and the legs that
-stand about the table are counted.
+As in the tutorial's section 10.2, a map contains the cells of 2.5 cm that something occupies 22 cm
+above the floor. The maps are saved for ROS's map_server and loaded again, and the legs around the
+table are counted.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The kitchen as clauses, asked in Prolog, or in answer sets where there is no SWI-Prolog.
 
-As the tutorial's section 10.3: one query becomes clauses, `above(table,cup_58a2)`, and the three
-questions that are printed there are put to SWI-Prolog (`swipl`), or to clingo (of PyPI). Their
-answers have to be those of the same questions in SelectScript.
+As in the tutorial's section 10.3, one query becomes clauses such as `above(table,cup_58a2)`, and
+SWI-Prolog (`swipl`) or clingo (from PyPI) answers the three questions that are printed there. The
+answers must be those of the same questions in SelectScript.
 """
 
 from __future__ import annotations
@@ -68,15 +68,15 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
         ss.add_variable("table", ss.call_variable("kitchen")["table"])
         say("\n".join([*clauses[:9], "…", f"{len(clauses)} clauses, all in {target}"]))
         engine = _engine(say)
-        found = True
+        succeeded = True
         for question in QUESTIONS:
             expected = sorted(ss.eval(question[3]))
             answers = expected if engine is None else sorted(engine(ss, target, question))
             say(f"?- {question[0]}.\n   {question[1]} = {', '.join(answers)}")
             if engine is not None:
                 say(f"SelectScript says {'the same' if answers == expected else expected}")
-            found &= answers == expected and bool(answers)
-    return found
+            succeeded &= answers == expected and bool(answers)
+    return succeeded
 
 
 def _engine(say: Callable[[str], None]) -> Engine | None:
@@ -121,10 +121,10 @@ def _clingo(ss: Interpreter, _: Path, question: Question) -> Sequence[str]:
     control = clingo.Control(["--warn=none"])
     control.add("base", [], "\n".join([*facts, question[2], "#show found/1."]))
     control.ground([("base", [])])
-    found: list[str] = []
+    answers: list[str] = []
     control.solve(
-        on_model=lambda model: found.extend(
+        on_model=lambda model: answers.extend(
             str(symbol.arguments[0]) for symbol in model.symbols(shown=True)
         )
     )
-    return found
+    return answers

@@ -1,13 +1,13 @@
 """A robot's way through a cluttered hall, found by one hierarchical query.
 
-The places are the cells of a grid. A query moves from cell to cell, and stops where the robot
-would be too near to something: a function tells what, by the exact shapes, from a what-if world
-with the robot there. `MEMORIZE` makes a graph of the cells that are reached, and gives the
-shortest way through it.
+The places are the cells of a grid. A query moves from cell to cell, and stops where the robot would
+be too near to something. A function finds such obstacles by the exact shapes, in a what-if world
+with the robot in the cell. `MEMORIZE` makes a graph of the reached cells and returns the shortest
+path.
 
-Two checks do not use that query: the same cells are tried out in a record, about which one
-query asks, and scipy looks for the shortest way over those that are free; and the robot drives
-the way that was found, in which no tick may find it colliding.
+Two checks do not use that query. The robot tries the same cells in a recording, one query selects
+the free ones, and scipy finds the shortest path over them. And the robot drives along the path, and
+may not collide at any tick.
 """
 
 from __future__ import annotations
@@ -106,9 +106,9 @@ def query_path(ss: Interpreter, start: Cell, goal: Cell, say: Callable[[str], No
     )
     ss.add_variable("start", list(start))
     ss.add_variable("goal", list(goal))
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     paths = ss.eval(PROGRAM)
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - start_time
     path: list[Cell] = [(row[0][0], row[0][1]) for row in paths[0]] if paths else []
     outcome = f"a way of {len(path)} steps, {len(path) * GRID.side:g} m" if path else "no way"
     say(f"The query found {outcome}, in {seconds:.1f} s; it looked at {placing.count} places")

@@ -26,7 +26,7 @@ def keep_picture(picture: npt.NDArray[np.uint8] | Image.Image, target: Path) -> 
 
 
 def keep(target: Path, write: Callable[[Path], object]) -> Path:
-    """Writes files to a path or, if it is taken, to a free one beside it, like kitchen_2.png.
+    """Writes files to a path or, if it exists, to a new one beside it, like kitchen_2.png.
 
     Existing files stay. If they are equal to the new ones, nothing is written.
 
@@ -41,26 +41,26 @@ def keep(target: Path, write: Callable[[Path], object]) -> Path:
     Raises:
         SelectScriptError: the files cannot be written.
     """
-    for place in _places(target):
+    for path in _candidates(target):
         with TemporaryDirectory() as folder:
             new_files = Path(folder)
-            write(new_files / place.name)
+            write(new_files / path.name)
             try:
-                if _moved(new_files, place.parent):
-                    return place
+                if _move(new_files, path.parent):
+                    return path
             except OSError as error:
-                message = f"{place} cannot be written: {error.strerror or error}"
+                message = f"{path} cannot be written: {error.strerror or error}"
                 raise SelectScriptError(message) from error
     raise AssertionError("there are more numbers than files")
 
 
-def _places(target: Path) -> Iterator[Path]:
+def _candidates(target: Path) -> Iterator[Path]:
     yield target
     for number in count(2):
         yield target.with_stem(f"{target.stem}_{number}")
 
 
-def _moved(new_files: Path, folder: Path) -> bool:
+def _move(new_files: Path, folder: Path) -> bool:
     """Moves new files into a folder, unless a different file has the name of one of them."""
     pairs = [(new, folder / new.name) for new in new_files.iterdir()]
     if any(old.exists() and not _are_same(new, old) for new, old in pairs):

@@ -1,16 +1,16 @@
 """Two robots drive about in the kitchen, and a trigger reports which sensors see which robot.
 
 As in the second demonstration of SelectScript's tutorial: the arm on its base and the vacuum
-cleaner go to random places, in turns. Where each of them can be is tried out in a second
-simulation, about whose ticks one query asks; ways are the shortest over the places that are
-free. The arm's base goes in any direction without turning, the vacuum cleaner turns.
+cleaner go to random places in turns. A second simulation tries all places for each of them, and one
+query over its ticks selects the free ones; paths are the shortest ones over free places. The arm's
+base moves in any direction without turning; the vacuum cleaner turns.
 
-The robots are put from place to place, a tenth of a second apart: nothing is pushed and
-nothing falls. So the kitchen is without gravity here, a step of it takes as long, and the robots
-are a millimetre above the floor, which they would else press upon.
+The robots are placed anew every tenth of a second: nothing is pushed and nothing falls. So the
+kitchen has no gravity here, a step takes a tenth of a second, and the robots are a millimetre above
+the floor.
 
-In the end the record is asked: no tick may find a robot colliding with anything, and what the
-trigger told has to be what the record tells.
+In the end the history is checked: no robot may collide with anything at any tick, and the results
+of the trigger must be those of the history.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ MIN_TRIP = 1.0
 # The gap between robots and floor, and the height of the floor, m.
 FLOOR_GAP, FLOOR = 0.001, 0.157
 
-SEEN = """\
+SENSED = """\
 env = kitchen;
 SELECT to(id(e1.this), 'sensor'), to(id(e2.this), 'robot')
 FROM e1=env, e2=env
@@ -76,16 +76,16 @@ class Watch:
 
     def __call__(self, rows: list[dict[str, str]]) -> None:
         """Records a callback."""
-        seen = frozenset((row["sensor"], row["robot"]) for row in rows)
-        self.callbacks.append((self.world.snapshot.number, self.world.time, seen))
+        sights = frozenset((row["sensor"], row["robot"]) for row in rows)
+        self.callbacks.append((self.world.snapshot.number, self.world.time, sights))
 
     def spans(self) -> list[tuple[float, float, str, str]]:
         """Returns the intervals, start and end, in which a sensor saw a robot, by start."""
         spans = []
         since: dict[Sight, float] = {}
-        for _, time, seen in [*self.callbacks, (0, self.world.time, frozenset[Sight]())]:
-            spans += [(since.pop(sight), time, *sight) for sight in since.keys() - seen]
-            since |= dict.fromkeys(seen - since.keys(), time)
+        for _, time, sights in [*self.callbacks, (0, self.world.time, frozenset[Sight]())]:
+            spans += [(since.pop(sight), time, *sight) for sight in since.keys() - sights]
+            since |= dict.fromkeys(sights - since.keys(), time)
         return sorted(spans)
 
 
@@ -100,8 +100,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, trips: int = TRI
         ss.record("kitchen", Recording(tables=("entities", "sensings"), seconds=3600))
         kitchen: World = ss.call_variable("kitchen")
         watch = Watch(kitchen)
-        say(SEEN)
-        ss.add_trigger("seen", SEEN, 0.2, watch)
+        say(SENSED)
+        ss.add_trigger("seen", SENSED, 0.2, watch)
         drives = drive_about(kitchen, free, random.Random(seed), trips, say)  # noqa: S311
         kitchen.run(0.5)
         say(f"{kitchen.time:.1f} s; the trigger fired {len(watch.callbacks)} times:")
@@ -147,7 +147,7 @@ def reachable_cells() -> dict[str, set[Cell]]:
 def drive_about(
     kitchen: World,
     free: dict[str, set[Cell]],
-    draw: random.Random,
+    rng: random.Random,
     trips: int,
     say: Callable[[str], None],
 ) -> dict[str, list[list[Place]]]:
@@ -157,7 +157,7 @@ def drive_about(
         for name in ROBOTS:
             robot = kitchen[name]
             others = [kitchen[other] for other in ROBOTS if other != name]
-            path = random_path(robot, clear_cells(others, robot, free[name]), draw)
+            path = random_path(robot, clear_cells(others, robot, free[name]), rng)
             if path is None:
                 say(f"{kitchen.time:6.1f} s  {name} is shut in")
                 continue
@@ -185,12 +185,12 @@ def horizontal_radius(robot: Entity) -> float:
     return math.hypot(max(x - x0, x1 - x), max(y - y0, y1 - y))
 
 
-def random_path(robot: Entity, free: set[Cell], draw: random.Random) -> list[Place] | None:
+def random_path(robot: Entity, free: set[Cell], rng: random.Random) -> list[Place] | None:
     """Returns a path from the robot to a random cell; None if there is none."""
     here: Place = (robot.position[0], robot.position[1])
     start = GRID.cell(here)
     goals = [cell for cell in sorted(free) if math.dist(GRID.place(cell), here) >= MIN_TRIP]
-    draw.shuffle(goals)
+    rng.shuffle(goals)
     for goal in goals:
         path = shortest_path(free, start, goal, diagonal=True)
         if path:
@@ -228,10 +228,10 @@ def collisions(ss: Interpreter, say: Callable[[str], None]) -> list[dict[str, An
 
 def history_agrees(ss: Interpreter, watch: Watch) -> bool:
     """Checks whether the history agrees with the trigger at each tick at which it fired."""
-    seen: dict[int, set[Sight]] = {tick: set() for tick, _, _ in watch.callbacks}
-    for tick, sensor, robot in ss.sql(SIGHTINGS, {"ticks": list(seen)}).fetchall():
-        seen[tick].add((sensor, robot))
-    return all(seen[tick] == sights for tick, _, sights in watch.callbacks)
+    recorded: dict[int, set[Sight]] = {tick: set() for tick, _, _ in watch.callbacks}
+    for tick, sensor, robot in ss.sql(SIGHTINGS, {"ticks": list(recorded)}).fetchall():
+        recorded[tick].add((sensor, robot))
+    return all(recorded[tick] == sights for tick, _, sights in watch.callbacks)
 
 
 def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> Path:

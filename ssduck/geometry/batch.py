@@ -49,37 +49,37 @@ class PairPredicate:
     """A condition on two entities; it holds if it holds for two of their shapes.
 
     Attributes:
-        of: "colliding": they are deeper in each other than `distance`. "within": the distance of
+        kind: "colliding": they are deeper in each other than `distance`. "within": the distance of
             their nearest points is at most `distance`. "touching": that distance is at most
             `distance` plus the collision margins of both shapes.
         distance: metres.
     """
 
-    of: PredicateKind
+    kind: PredicateKind
     distance: float
 
     def bound(self, margins: float) -> float:
-        """The bound of the signed distance of two shapes.
+        """Returns the bound of the signed distance of two shapes.
 
         Args:
             margins: the sum of their collision margins, metres.
         """
-        if self.of == "colliding":
+        if self.kind == "colliding":
             return -self.distance
-        return self.distance + margins if self.of == "touching" else self.distance
+        return self.distance + margins if self.kind == "touching" else self.distance
 
     def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
-        """The bounds for pairs of shapes, (n,)."""
-        found = np.full(len(first), self.bound(0.0))
-        if self.of == "touching":
-            found += table.margins[first] + table.margins[second]
-        return found
+        """Returns the bounds for pairs of shapes, (n,)."""
+        bounds = np.full(len(first), self.bound(0.0))
+        if self.kind == "touching":
+            bounds += table.margins[first] + table.margins[second]
+        return bounds
 
     def candidates(self, tick: TickShapes) -> Pairs:
-        """The pairs of shapes whose boxes are near enough."""
-        if self.of == "colliding":
+        """Returns the pairs of shapes whose boxes are near enough."""
+        if self.kind == "colliding":
             return _candidates(tick, tick.boxes, 0.0)
-        if self.of == "within":
+        if self.kind == "within":
             return _candidates(tick, tick.boxes, self.distance + _BOUND_MARGIN)
         margins = tick.table.margins
         grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
@@ -91,7 +91,7 @@ class ShapeTable:
 
     Args:
         solids: the distinct solids.
-        of: (n,), the index of each shape's solid.
+        solid_indices: (n,), the index of each shape's solid.
         entities: (n,), the index of each shape's entity.
         margins: (n,), the collision margins, metres; None for none.
     """
@@ -99,29 +99,35 @@ class ShapeTable:
     def __init__(
         self,
         solids: Sequence[Solid],
-        of: Indices,
+        solid_indices: Indices,
         entities: Indices,
         margins: Array | None = None,
     ) -> None:
         self.entities = entities
-        self.margins = np.zeros(len(of)) if margins is None else margins
+        self.margins = np.zeros(len(solid_indices)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
         self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
-        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[of]
-        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[of]
-        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[of]
-        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[of]
-        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[of]
-        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[of]
-        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[of]
+        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[solid_indices]
+        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
+        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
+        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
+        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[solid_indices]
         self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(
             -1, 3
-        )[of]
-        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[of]
+        )[solid_indices]
+        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[
+            solid_indices
+        ]
         up = np.array([0.0, 0.0, 1.0])
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
-        self.normal = np.array(normals).reshape(-1, 3)[of]
-        self.cores = ConvexCores(solids, of)
+        self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
+        self.cores = ConvexCores(solids, solid_indices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +148,8 @@ class TickShapes:
     positions: Array
     matrices: Array
 
-    def moved(self, points: Array) -> Array:
-        """A point (n, 3) of each shape, transformed to the world."""
+    def to_world(self, points: Array) -> Array:
+        """Returns a point (n, 3) of each shape, transformed to the world."""
         if not points.any():
             return self.positions
         with np.errstate(invalid="ignore"):
@@ -153,28 +159,28 @@ class TickShapes:
     @cached_property
     def centres(self) -> Array:
         """The centres of the spheres around the shapes, (n, 3)."""
-        return self.moved(self.table.centre)
+        return self.to_world(self.table.centre)
 
     @cached_property
-    def inner(self) -> Array:
+    def inscribed_centres(self) -> Array:
         """The centres of the spheres in the shapes, (n, 3)."""
-        return self.moved(self.table.inscribed_centre)
+        return self.to_world(self.table.inscribed_centre)
 
     @cached_property
     def placed_cores(self) -> PlacedCores:
         """The cores of the shapes."""
-        turns = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
-        centres, inner = map(np.ascontiguousarray, (self.centres.T, self.inner.T))
-        return PlacedCores(self.table.cores, turns, centres, inner)
+        rotations = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
+        centres, inscribed = map(np.ascontiguousarray, (self.centres.T, self.inscribed_centres.T))
+        return PlacedCores(self.table.cores, rotations, centres, inscribed)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
-        """The pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
+        """Returns the pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
         i, j = self.table.entities[first], self.table.entities[second]
         return np.minimum(i, j) * _MAX_ENTITIES + np.maximum(i, j)
 
 
 def pair_number(i: int, j: int) -> int:
-    """The number of a pair of entities, in either order.
+    """Returns the number of a pair of entities, in either order.
 
     >>> pair_number(3, 7) == pair_number(7, 3)
     True
@@ -207,7 +213,7 @@ class PairResult:
 
 
 def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
-    """Whether all shapes of each shape's entity are known, (n,)."""
+    """Checks whether all shapes of each shape's entity are known, (n,)."""
     lost = np.bincount(table.entities[~is_known], minlength=table.count)
     all_known: Flags = lost[table.entities] == 0
     return all_known
@@ -216,32 +222,35 @@ def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
 def matching_pairs(
     tick: TickShapes,
     predicate: PairPredicate,
-    holds: Callable[[int, int], bool],
+    satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
 ) -> PairResult:
-    """The pairs of entities for which a predicate holds.
+    """Returns the pairs of entities for which a predicate holds.
 
     Args:
         tick: the shapes.
         predicate: the condition on two shapes.
-        holds: decides the pairs of shapes that no rule decides.
+        satisfies: decides the pairs of shapes that no rule decides.
         among: the pairs of shapes to compare; None for all candidate pairs.
     """
-    among = predicate.candidates(tick) if among is None else _usable(tick, among)
+    among = predicate.candidates(tick) if among is None else _comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
-    if predicate.of == "colliding":
+    if predicate.kind == "colliding":
         rules = _by_spheres, _by_planes, _by_axes, _by_cores
     else:  # a distance is not negative
-        usable = bounds >= 0.0
-        among, bounds = (among[0][usable], among[1][usable]), bounds[usable]
-    return _found(tick, among, rules, bounds, holds)
+        is_non_negative = bounds >= 0.0
+        among, bounds = (
+            (among[0][is_non_negative], among[1][is_non_negative]),
+            bounds[is_non_negative],
+        )
+    return _matching_entities(tick, among, rules, bounds, satisfies)
 
 
-def _usable(tick: TickShapes, shapes: Pairs) -> Pairs:
+def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
     first, second = shapes
-    usable = tick.is_known & tick.table.has_points
-    both = usable[first] & usable[second]
+    has_known_points = tick.is_known & tick.table.has_points
+    both = has_known_points[first] & has_known_points[second]
     return first[both], second[both]
 
 
@@ -250,14 +259,14 @@ Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
 
 # Shapes whose squared lengths overflow stay undecided.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _found(
+def _matching_entities(
     tick: TickShapes,
     candidates: Pairs,
     rules: Sequence[Rule],
     bounds: Array,
     is_below: Callable[[int, int], bool],
 ) -> PairResult:
-    """The pairs of entities with shapes whose signed distance is below a bound.
+    """Returns the pairs of entities with shapes whose signed distance is below a bound.
 
     Args:
         tick: the shapes.
@@ -270,36 +279,42 @@ def _found(
     has_single_shapes = tick.table.has_single_shapes
     owners = tick.owners(first, second)
     compared = owners if has_single_shapes else np.unique(owners)
-    found = np.zeros(0, np.intp)
+    matching = np.zeros(0, np.intp)
     for rule in rules:
         verdicts = rule(tick, first, second, bounds)
-        found = np.concatenate((found, owners[verdicts == BELOW]))
-        left = verdicts == UNDECIDED
+        matching = np.concatenate((matching, owners[verdicts == BELOW]))
+        is_undecided = verdicts == UNDECIDED
         if not has_single_shapes:
-            left &= ~np.isin(owners, found)
-        first, second, owners, bounds = first[left], second[left], owners[left], bounds[left]
-    more: set[int] = set()
+            is_undecided &= ~np.isin(owners, matching)
+        first, second, owners, bounds = (
+            first[is_undecided],
+            second[is_undecided],
+            owners[is_undecided],
+            bounds[is_undecided],
+        )
+    # The remaining pairs are compared one by one.
+    others: set[int] = set()
     for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
-        if owner not in more and is_below(s, t):
-            more.add(owner)
-    found = np.concatenate((found, np.array(sorted(more), np.intp)))
-    return PairResult(np.sort(found) if has_single_shapes else np.unique(found), compared)
+        if owner not in others and is_below(s, t):
+            others.add(owner)
+    matching = np.concatenate((matching, np.array(sorted(others), np.intp)))
+    return PairResult(np.sort(matching) if has_single_shapes else np.unique(matching), compared)
 
 
-def _candidates(tick: TickShapes, boxes: Array, apart: float) -> Pairs:
-    """The pairs of known shapes of two entities whose boxes (6, n) are near each other.
+def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
+    """Returns the pairs of known shapes of two entities whose boxes (6, n) are near each other.
 
     There are none if the greatest distance is negative or NaN.
     """
-    if not apart >= 0.0:
+    if not max_distance >= 0.0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     table = tick.table
-    usable = np.flatnonzero(tick.is_known & table.has_points)
-    if apart == np.inf:
-        first, second = np.triu_indices(len(usable), 1)
+    known = np.flatnonzero(tick.is_known & table.has_points)
+    if max_distance == np.inf:
+        first, second = np.triu_indices(len(known), 1)
     else:
-        first, second = overlapping_pairs(boxes[:, usable], apart)
-    first, second = usable[first], usable[second]
+        first, second = overlapping_pairs(boxes[:, known], max_distance)
+    first, second = known[first], known[second]
     if table.has_single_shapes:
         return first, second
     different = table.entities[first] != table.entities[second]
@@ -316,8 +331,8 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
     outer_radii = table.bounding_radius[first] + table.bounding_radius[second]
     verdicts[_distances(tick.centres, first, second) > outer_radii + bounds + error] = ABOVE
     inner_radii = table.inscribed_radius[first], table.inscribed_radius[second]
-    apart = _distances(tick.inner, first, second) - inner_radii[0] - inner_radii[1]
-    verdicts[(apart < bounds - error) & (inner_radii[0] > 0.0) & (inner_radii[1] > 0.0)] = BELOW
+    gaps = _distances(tick.inscribed_centres, first, second) - inner_radii[0] - inner_radii[1]
+    verdicts[(gaps < bounds - error) & (inner_radii[0] > 0.0) & (inner_radii[1] > 0.0)] = BELOW
     return verdicts
 
 
@@ -361,36 +376,51 @@ def _by_cores(tick: TickShapes, first: Indices, second: Indices, bounds: Array) 
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
-    found = classify_gaps(tick.placed_cores, first[indices], second[indices], bounds[indices])
-    hollow = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
-    found[hollow & (found == BELOW)] = UNDECIDED
-    verdicts[indices] = found
+    core_verdicts = classify_gaps(
+        tick.placed_cores, first[indices], second[indices], bounds[indices]
+    )
+    is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
+    core_verdicts[is_concave & (core_verdicts == BELOW)] = UNDECIDED
+    verdicts[indices] = core_verdicts
     return verdicts
 
 
 def box_depths(tick: TickShapes, first: Indices, second: Indices) -> Array:
-    """The depths of pairs of boxes, m: the least overlap along 15 axes; negative if separated."""
+    """Returns the depths of pairs of boxes, m: their least overlaps along 15 axes, signed."""
     a, b = tick.table.cores.half_extents[:, first].T, tick.table.cores.half_extents[:, second].T
-    turn_a, turn_b = tick.matrices[first], tick.matrices[second]
+    rotations_a, rotations_b = tick.matrices[first], tick.matrices[second]
     # The second box in the frame of the first.
-    turn = np.einsum("nji,njk->nik", turn_a, turn_b)
-    offsets = np.einsum("nji,nj->ni", turn_a, tick.positions[second] - tick.positions[first])
-    size = np.abs(turn)
-    faces_a = a + np.einsum("nij,nj->ni", size, b) - np.abs(offsets)
-    faces_b = b + np.einsum("nij,ni->nj", size, a) - np.abs(np.einsum("nij,ni->nj", turn, offsets))
-    edges = _edge_overlaps(a, b, turn, size, offsets).reshape(len(first), 9)
+    rotations = np.einsum("nji,njk->nik", rotations_a, rotations_b)
+    offsets = np.einsum("nji,nj->ni", rotations_a, tick.positions[second] - tick.positions[first])
+    magnitudes = np.abs(rotations)
+    faces_a = a + np.einsum("nij,nj->ni", magnitudes, b) - np.abs(offsets)
+    faces_b = (
+        b
+        + np.einsum("nij,ni->nj", magnitudes, a)
+        - np.abs(np.einsum("nij,ni->nj", rotations, offsets))
+    )
+    edges = _edge_overlaps(a, b, rotations, magnitudes, offsets).reshape(len(first), 9)
     depths: Array = np.concatenate((faces_a, faces_b, edges), axis=1).min(axis=1)
     return depths
 
 
-def _edge_overlaps(a: Array, b: Array, turn: Array, size: Array, offsets: Array) -> Array:
-    """The overlaps along the cross products of edges, (n, 3, 3)."""
-    of_a = a[:, _NEXT, None] * size[:, _LAST, :] + a[:, _LAST, None] * size[:, _NEXT, :]
-    of_b = b[:, None, _NEXT] * size[:, :, _LAST] + b[:, None, _LAST] * size[:, :, _NEXT]
-    across = (
-        offsets[:, _LAST, None] * turn[:, _NEXT, :] - offsets[:, _NEXT, None] * turn[:, _LAST, :]
+def _edge_overlaps(
+    a: Array, b: Array, rotations: Array, magnitudes: Array, offsets: Array
+) -> Array:
+    """Returns the overlaps along the cross products of edges, (n, 3, 3)."""
+    extents_a = (
+        a[:, _NEXT, None] * magnitudes[:, _LAST, :] + a[:, _LAST, None] * magnitudes[:, _NEXT, :]
     )
-    length = np.sqrt(np.maximum(1.0 - turn * turn, 0.0))
-    parallel = length < _MIN_SINE
-    overlaps: Array = (of_a + of_b - np.abs(across)) / np.where(parallel, 1.0, length)
-    return np.where(parallel, np.inf, overlaps)
+    extents_b = (
+        b[:, None, _NEXT] * magnitudes[:, :, _LAST] + b[:, None, _LAST] * magnitudes[:, :, _NEXT]
+    )
+    distances = (
+        offsets[:, _LAST, None] * rotations[:, _NEXT, :]
+        - offsets[:, _NEXT, None] * rotations[:, _LAST, :]
+    )
+    length = np.sqrt(np.maximum(1.0 - rotations * rotations, 0.0))
+    is_parallel = length < _MIN_SINE
+    overlaps: Array = (extents_a + extents_b - np.abs(distances)) / np.where(
+        is_parallel, 1.0, length
+    )
+    return np.where(is_parallel, np.inf, overlaps)

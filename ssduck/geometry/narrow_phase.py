@@ -65,7 +65,7 @@ class NarrowPhase:
 
     Args:
         solids: the distinct solids.
-        of: (shapes,), the index of each shape's solid.
+        solid_indices: (shapes,), the index of each shape's solid.
         positions: (shapes, 3), in the world.
         orientations: (shapes, 4), quaternions w, x, y, z of any length.
         boxes: (shapes, 6), lower corner, upper corner, in the world.
@@ -77,7 +77,7 @@ class NarrowPhase:
     def __init__(
         self,
         solids: Sequence[Solid],
-        of: Indices,
+        solid_indices: Indices,
         positions: Array,
         orientations: Array,
         boxes: Array,
@@ -86,11 +86,15 @@ class NarrowPhase:
         margins: Array | None = None,
     ) -> None:
         self.calls = calls
-        self._margins: list[float] = [0.0] * len(of) if margins is None else margins.tolist()
-        self._solids: list[Solid] = [solids[number] for number in np.asarray(of).tolist()]
+        self._margins: list[float] = (
+            [0.0] * len(solid_indices) if margins is None else margins.tolist()
+        )
+        self._solids: list[Solid] = [
+            solids[number] for number in np.asarray(solid_indices).tolist()
+        ]
         self._positions, self._orientations, self._boxes = positions, orientations, boxes
         self._starts = list(starts)
-        self._placed: dict[int, PlacedSolid] = {}
+        self._placed_solids: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
         self._distances: dict[tuple[int, int], SignedDistance | None] = {}
         self._depths: dict[tuple[int, int], SignedDistance] = {}
@@ -98,24 +102,24 @@ class NarrowPhase:
         self._clearance_bounds: dict[tuple[int, int], float] = {}
         self._verdicts: dict[tuple[int, int, PairPredicate], bool | None] = {}
         self._signed_distances: dict[tuple[int, int], SignedDistance | None] = {}
-        self._shares: dict[tuple[int, int], float | None] = {}
+        self._fractions_inside: dict[tuple[int, int], float | None] = {}
         self._hulls: dict[int, WorldHull | None] = {}
         self._hull_bounds: dict[int, Box] = {}
         self._footprints: dict[int, Array] = {}
-        self._all: dict[PairPredicate, PairResult] = {}
+        self._results: dict[PairPredicate, PairResult] = {}
         self._compared: set[int] = set()
         # DuckDB calls from its own threads. Without the lock, pairs would be compared twice.
         self._lock = RLock()
 
     # -- relations ------------------------------------------------------------------------
 
-    def collides(self, i: int, j: int, deeper: float = MIN_DEPTH) -> bool | None:
-        """Whether two entities are deeper in each other than a depth, m."""
-        return self._holds(i, j, PairPredicate("colliding", deeper))
+    def collides(self, i: int, j: int, min_depth: float = MIN_DEPTH) -> bool | None:
+        """Checks whether two entities are deeper in each other than a depth, m."""
+        return self._holds(i, j, PairPredicate("colliding", min_depth))
 
-    def touches(self, i: int, j: int, apart: float = TOUCHING_DISTANCE) -> bool | None:
-        """Whether two of their shapes are at most a distance plus both margins apart, m."""
-        return self._holds(i, j, PairPredicate("touching", apart))
+    def touches(self, i: int, j: int, distance: float = TOUCHING_DISTANCE) -> bool | None:
+        """Checks whether two of their shapes are at most a distance plus both margins apart, m."""
+        return self._holds(i, j, PairPredicate("touching", distance))
 
     def _holds(self, i: int, j: int, predicate: PairPredicate) -> bool | None:
         if i == j:
@@ -126,22 +130,24 @@ class NarrowPhase:
                 self._verdicts[key] = self._decide(*key)
             return self._verdicts[key]
 
-    def all_of(self, predicate: PairPredicate, table: ShapeTable) -> PairResult:
-        """The pairs of entities for which a predicate holds.
+    def all_pairs(self, predicate: PairPredicate, table: ShapeTable) -> PairResult:
+        """Returns the pairs of entities for which a predicate holds.
 
         Args:
             predicate: the condition.
             table: the properties of the shapes.
         """
         with self._lock:
-            if predicate not in self._all:
-                scene = self._scene(table)
-                found = matching_pairs(scene, predicate, lambda s, t: self.answer(s, t, predicate))
-                self.note(found.compared.tolist())
-                self._all[predicate] = found
-            return self._all[predicate]
+            if predicate not in self._results:
+                tick = self._tick_shapes(table)
+                result = matching_pairs(
+                    tick, predicate, lambda s, t: self.satisfies(s, t, predicate)
+                )
+                self.count_compared(result.compared.tolist())
+                self._results[predicate] = result
+            return self._results[predicate]
 
-    def note(self, pairs: Iterable[int]) -> None:
+    def count_compared(self, pairs: Iterable[int]) -> None:
         """Counts pairs of entities, by their numbers, as compared.
 
         A pair counts once a tick, however often and by whatever it is compared.
@@ -151,112 +157,116 @@ class NarrowPhase:
             self._compared.update(pairs)
             self.calls.pairs += len(self._compared) - before
 
-    def _scene(self, table: ShapeTable) -> TickShapes:
+    def _tick_shapes(self, table: ShapeTable) -> TickShapes:
         known = of_known_entities(table, self._finite & table.is_known)
         return TickShapes(table, known, self._boxes.T, self._positions, self._matrices)
 
-    def answer(self, s: int, t: int, predicate: PairPredicate) -> bool:
-        """Whether a predicate holds for two shapes."""
-        if predicate.of == "colliding":
-            return self._are_deep(s, t, predicate.distance)
+    def satisfies(self, s: int, t: int, predicate: PairPredicate) -> bool:
+        """Checks whether a predicate holds for two shapes."""
+        if predicate.kind == "colliding":
+            return self._are_deeper(s, t, predicate.distance)
         return self._are_within(s, t, predicate.bound(self._margin(s, t)))
 
-    def _are_deep(self, s: int, t: int, deeper: float) -> bool:
-        """Whether two shapes are deeper in each other than a depth, m."""
+    def _are_deeper(self, s: int, t: int, min_depth: float) -> bool:
+        """Checks whether two shapes are deeper in each other than a depth, m."""
         if self._bound(s, t) > 0.0:
             return False
         # Most collisions of meshes are found without computing their depth.
         first, second = self._ordered(s, t)
         is_new = self._is_of_mesh(s, t) and (first, second) not in self._distances
-        if is_new and is_surely_deeper(self._place(first), self._place(second), deeper, self.calls):
+        if is_new and is_surely_deeper(
+            self._placed_solid(first), self._placed_solid(second), min_depth, self.calls
+        ):
             return True
-        return self._signed_distance(s, t).distance < -deeper
+        return self._signed_distance(s, t).distance < -min_depth
 
-    def _are_within(self, s: int, t: int, apart: float) -> bool:
-        """Whether two shapes are at most a distance apart, m."""
-        if self._bound(s, t) > apart + ROUNDING:
+    def _are_within(self, s: int, t: int, max_distance: float) -> bool:
+        """Checks whether two shapes are at most a distance apart, m."""
+        if self._bound(s, t) > max_distance + ROUNDING:
             return False
-        found = self._distance_of_shapes(s, t)
-        return (0.0 if found is None else max(0.0, found.distance)) <= apart
+        result = self._distance_of_shapes(s, t)
+        return (0.0 if result is None else max(0.0, result.distance)) <= max_distance
 
     def _margin(self, s: int, t: int) -> float:
-        """The sum of the collision margins of two shapes, m."""
+        """Returns the sum of the collision margins of two shapes, m."""
         return self._margins[s] + self._margins[t]
 
     def _margins_of(self, i: int, j: int) -> float:
-        """The sum of the largest collision margins of two entities' shapes, m."""
+        """Returns the sum of the largest collision margins of two entities' shapes, m."""
         return self.margin(i) + self.margin(j)
 
-    def shapes_touching(self, i: int, j: int, apart: float) -> list[int]:
-        """The shapes of an entity, by their indices, that touch a shape of another entity."""
-        predicate = PairPredicate("touching", apart)
+    def shapes_touching(self, i: int, j: int, distance: float) -> list[int]:
+        """Returns the indices of the shapes of an entity that touch a shape of another entity."""
+        predicate = PairPredicate("touching", distance)
         with self._lock:
-            near = self._near(i, j, apart + self._margins_of(i, j))
-            found = {s for s, t in near if self.answer(s, t, predicate)}
-        return sorted(s - self._starts[i] for s in found)
+            near = self._near_shapes(i, j, distance + self._margins_of(i, j))
+            touching = {s for s, t in near if self.satisfies(s, t, predicate)}
+        return sorted(s - self._starts[i] for s in touching)
 
-    def clearance(self, i: int, j: int, upto: float = math.inf) -> float | None:
-        """The distance of the nearest points, m; 0 if the entities overlap.
+    def clearance(self, i: int, j: int, limit: float = math.inf) -> float | None:
+        """Returns the distance of the nearest points, m; 0 if the entities overlap.
 
         Args:
             i: an entity.
             j: another one.
-            upto: a limit, m; the result is infinite beyond it.
+            limit: the largest distance of interest, m; beyond it, the result is infinite.
         """
         if i == j:
             return 0.0
         key = (i, j) if i < j else (j, i)
         with self._lock:
             if key not in self._clearances:
-                if upto <= self._clearance_bounds.get(key, -math.inf):
+                if limit <= self._clearance_bounds.get(key, -math.inf):
                     return math.inf
-                found = self._compute_clearance(*key, upto)
-                if found == math.inf:
-                    self._clearance_bounds[key] = upto
-                    return found
-                self._clearances[key] = found
-            found = self._clearances[key]
-            return math.inf if found is not None and found > upto else found
+                clearance = self._compute_clearance(*key, limit)
+                if clearance == math.inf:
+                    self._clearance_bounds[key] = limit
+                    return clearance
+                self._clearances[key] = clearance
+            clearance = self._clearances[key]
+            return math.inf if clearance is not None and clearance > limit else clearance
 
     def penetration(self, i: int, j: int) -> float | None:
-        """The depth of the deepest two shapes, m; 0 if all are separate."""
+        """Returns the depth of the deepest two shapes, m; 0 if all are separate."""
         if i == j:
             return 0.0
         with self._lock:
             if not (self._are_known[i] and self._are_known[j]):
                 return None
-            found = (self._signed_distance(s, t) for s, t in self._near(i, j, 0.0))
-            return max((0.0, *(-one.distance for one in found)))
+            results = (self._signed_distance(s, t) for s, t in self._near_shapes(i, j, 0.0))
+            return max((0.0, *(-result.distance for result in results)))
 
     def signed_distance(self, i: int, j: int) -> SignedDistance | None:
-        """That of the deepest two shapes, or of the nearest if none overlap; None without any."""
+        """Returns that of the deepest or else the nearest two shapes; None without shapes."""
         if i == j:
             return None
         key = (i, j) if i < j else (j, i)
         with self._lock:
             if key not in self._signed_distances:
                 self._signed_distances[key] = self._compute_signed_distance(*key)
-            found = self._signed_distances[key]
-        return found if found is None or i < j else found.swapped()
+            result = self._signed_distances[key]
+        return result if result is None or i < j else result.swapped()
 
     def nearest_points(self, i: int, j: int) -> tuple[Point, Point] | None:
-        """A point on i and one on j, in the world: the nearest, or the deepest if they overlap."""
-        found = self.signed_distance(i, j)
-        return None if found is None else (found.point_a, found.point_b)
+        """Returns the nearest points of i and j in the world; the deepest if they overlap."""
+        result = self.signed_distance(i, j)
+        return None if result is None else (result.point_a, result.point_b)
 
-    def pushes(self, a: int, b: int) -> list[Point]:
-        """The contact normals, from a to b, of touching shapes (within 1 mm and both margins)."""
+    def contact_normals(self, a: int, b: int) -> list[Point]:
+        """Returns the normals, from a to b, of touching shapes (within 1 mm and both margins)."""
         with self._lock:
-            near = self._near(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
-            found = (
+            near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
+            results = (
                 (self._signed_distance(s, t), TOUCHING_DISTANCE + self._margin(s, t))
                 for s, t in near
             )
-            normals = [one.normal for one, apart in found if one.distance <= apart]
+            normals = [
+                result.normal for result, max_distance in results if result.distance <= max_distance
+            ]
         return [(-x, -y, -z) for x, y, z in filter(None, normals)]
 
     def on(self, a: int, b: int) -> bool | None:
-        """Whether b rests on a.
+        """Checks whether b rests on a.
 
         They are within 1 mm and the margins of both shapes, a contact normal from a to b is within
         30 degrees of up, and the centre of b's box is over the convex hull of a's footprint.
@@ -266,14 +276,14 @@ class NarrowPhase:
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
-            near = self._near(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
+            near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
             if not near or not self._is_over(a, b):
                 return False
-            return any(push[2] >= MIN_UP for push in self.pushes(a, b))
+            return any(normal[2] >= MIN_UP for normal in self.contact_normals(a, b))
 
     def _is_over(self, a: int, b: int) -> bool:
-        """Whether the centre of b's box is over the convex hull of a's footprint."""
-        x, y, _ = self.middle(b).tolist()
+        """Checks whether the centre of b's box is over the convex hull of a's footprint."""
+        x, y, _ = self.box_centre(b).tolist()
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
         if a not in self._footprints:
@@ -281,32 +291,36 @@ class NarrowPhase:
         return is_over_footprint(self.shapes_of(a), self._footprints[a], x, y)
 
     def inside(self, a: int, b: int) -> float | None:
-        """The fraction of b's volume inside the convex hull of a, 0..1; None if b has no volume.
+        """Returns the fraction of b's volume inside the convex hull of a; None if b has no volume.
 
         See `ssduck.geometry.containment.fraction_inside`.
         """
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
-            if (a, b) not in self._shares:
-                self._shares[a, b] = fraction_inside(self._hull(a), self.shapes_of(b))
-            return self._shares[a, b]
+            if (a, b) not in self._fractions_inside:
+                self._fractions_inside[a, b] = fraction_inside(self._hull(a), self.shapes_of(b))
+            return self._fractions_inside[a, b]
 
     def contains(self, a: int, b: int) -> bool | None:
-        """Whether enough of b's volume is inside the convex hull of a; False if b has no volume."""
+        """Checks whether enough of b's volume is inside the convex hull of a."""
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             volume = self.solid_volume(b)
             if not volume:
                 return False
-            if volume < math.inf and (a, b) not in self._shares and self._is_surely_out(a, b):
+            if (
+                volume < math.inf
+                and (a, b) not in self._fractions_inside
+                and self._is_surely_outside(a, b)
+            ):
                 return False
-            share = self.inside(a, b)
-            return share is not None and share >= MIN_FRACTION_INSIDE
+            fraction = self.inside(a, b)
+            return fraction is not None and fraction >= MIN_FRACTION_INSIDE
 
-    def _is_surely_out(self, a: int, b: int) -> bool:
-        """Whether bounds show that too little of b can be inside the hull of a; b has a volume."""
+    def _is_surely_outside(self, a: int, b: int) -> bool:
+        """Checks whether bounds prove that too little of b is inside; b has a volume."""
         if a not in self._hull_bounds:
             self._hull_bounds[a] = hull_bounds(self._solids_with_boxes(a))
         if (
@@ -328,7 +342,7 @@ class NarrowPhase:
         return [(self._solids[shape], self._corners[shape]) for shape in self._shapes[e]]
 
     def solid_volume(self, e: int) -> float | None:
-        """The sum of the volumes of the shapes, m³; parts that overlap count more than once.
+        """Returns the sum of the volumes of the shapes, m³; overlaps count more than once.
 
         Open meshes have volume 0, half-spaces are infinite.
         """
@@ -337,26 +351,26 @@ class NarrowPhase:
         return sum(self._solids[shape].volume for shape in self._shapes[e])
 
     def margin(self, e: int) -> float:
-        """The largest collision margin of the shapes of an entity, m; 0 without shapes."""
+        """Returns the largest collision margin of the shapes of an entity, m; 0 without shapes."""
         return max((self._margins[shape] for shape in self._shapes[e]), default=0.0)
 
     def is_known(self, e: int) -> bool:
-        """Whether all poses and shapes of an entity are known."""
+        """Checks whether all poses and shapes of an entity are known."""
         return self._are_known[e]
 
     def is_without_shapes(self, e: int) -> bool:
-        """Whether an entity has no shape with a point."""
+        """Checks whether an entity has no shape with a point."""
         return not self._shapes[e]
 
     def placed(self, entities: Sequence[int], ids: Sequence[int]) -> PlacedSolids:
-        """The shapes of entities that have points, in the world, owned by `ids`."""
+        """Returns the shapes of entities that have points, in the world, owned by `ids`."""
         counts = [len(self._shapes[e]) for e in entities]
-        numbers = [s for e in entities for s in self._shapes[e]]
+        shapes = [s for e in entities for s in self._shapes[e]]
         return PlacedSolids(
-            [self._solids[s] for s in numbers],
-            self._positions[numbers],
-            self._matrices[numbers],
-            self._boxes[numbers],
+            [self._solids[s] for s in shapes],
+            self._positions[shapes],
+            self._matrices[shapes],
+            self._boxes[shapes],
             np.repeat(np.array(ids, dtype=np.intp), counts),
         )
 
@@ -365,14 +379,14 @@ class NarrowPhase:
     def _decide(self, i: int, j: int, predicate: PairPredicate) -> bool | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
-        near = self._near(i, j, predicate.bound(self._margins_of(i, j)))
-        if predicate.of == "colliding" and any(
-            self._overlap(s, t) > predicate.distance + ROUNDING for s, t in near
+        near = self._near_shapes(i, j, predicate.bound(self._margins_of(i, j)))
+        if predicate.kind == "colliding" and any(
+            self._min_depth(s, t) > predicate.distance + ROUNDING for s, t in near
         ):
             return True
-        return any(self.answer(s, t, predicate) for s, t in near)
+        return any(self.satisfies(s, t, predicate) for s, t in near)
 
-    def _compute_clearance(self, i: int, j: int, upto: float) -> float | None:
+    def _compute_clearance(self, i: int, j: int, limit: float) -> float | None:
         if not (self._are_known[i] and self._are_known[j]):
             return None
         best = math.inf
@@ -380,15 +394,15 @@ class NarrowPhase:
         if not pairs:
             return None
         for bound, s, t in pairs:
-            if bound > min(best, upto) + ROUNDING:
+            if bound > min(best, limit) + ROUNDING:
                 break
-            if bound <= 0.0 and self._overlap(s, t) > MIN_DEPTH:
+            if bound <= 0.0 and self._min_depth(s, t) > MIN_DEPTH:
                 return 0.0
-            apart = self._distance_of_shapes(s, t)
-            best = min(best, 0.0 if apart is None else max(0.0, apart.distance))
+            result = self._distance_of_shapes(s, t)
+            best = min(best, 0.0 if result is None else max(0.0, result.distance))
             if best == 0.0:
                 break
-        return best if best <= upto else math.inf
+        return best if best <= limit else math.inf
 
     def _compute_signed_distance(self, i: int, j: int) -> SignedDistance | None:
         if not (self._are_known[i] and self._are_known[j]):
@@ -398,13 +412,13 @@ class NarrowPhase:
             # All overlapping shapes are compared, for the deepest; the others up to the nearest.
             if best is not None and bound > max(0.0, best.distance) + ROUNDING:
                 break
-            found = self._signed_distance(s, t)
-            if best is None or found.distance < best.distance:
-                best = found
+            result = self._signed_distance(s, t)
+            if best is None or result.distance < best.distance:
+                best = result
         return best
 
     def _pairs(self, i: int, j: int) -> list[tuple[float, int, int]]:
-        """The pairs of two entities' shapes with lower bounds of their distances, nearest first."""
+        """Returns the pairs of two entities' shapes with lower bounds of distances, sorted."""
         first, second = self._shapes[i], self._shapes[j]
         bound = self._bound
         if len(first) == len(second) == 1:
@@ -412,122 +426,124 @@ class NarrowPhase:
             return [(bound(s, t), s, t)]
         return sorted((bound(s, t), s, t) for s in first for t in second)
 
-    def _near(self, i: int, j: int, within: float) -> list[tuple[int, int]]:
-        """The pairs of shapes that may be at most a distance apart, m."""
-        far = max(0.0, within) + ROUNDING
-        return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= far]
+    def _near_shapes(self, i: int, j: int, max_distance: float) -> list[tuple[int, int]]:
+        """Returns the pairs of shapes that may be at most a distance apart, m."""
+        limit = max(0.0, max_distance) + ROUNDING
+        return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= limit]
 
     def _bound(self, s: int, t: int) -> float:
-        """A lower bound of the distance of two shapes, by their boxes and bounding spheres, m."""
-        both = self._reaches[s] + self._reaches[t]
-        if both == math.inf:
-            is_plane = self._reaches[s] == math.inf
+        """Returns a lower bound of the distance of two shapes, by boxes and bounding spheres, m."""
+        radii = self._bounding_radii[s] + self._bounding_radii[t]
+        if radii == math.inf:
+            is_plane = self._bounding_radii[s] == math.inf
             return self._bound_of_plane(s, t) if is_plane else self._bound_of_plane(t, s)
         a, b = self._corners[s], self._corners[t]
         x = max(0.0, a[0] - b[3], b[0] - a[3])
         y = max(0.0, a[1] - b[4], b[1] - a[4])
         z = max(0.0, a[2] - b[5], b[2] - a[5])
-        spheres = math.dist(self._centres[s], self._centres[t]) - both
+        spheres = math.dist(self._centres[s], self._centres[t]) - radii
         return max(math.sqrt(x * x + y * y + z * z), spheres)
 
     def _bound_of_plane(self, plane: int, other: int) -> float:
-        """A lower bound of the distance to a half-space; far out, a tilted plane leaves its box."""
+        """Returns a lower bound of the distance to a half-space, m, by a bounding sphere."""
+        # The box of a tilted plane does not bound it: far out, the plane leaves its box.
         if self._solids[other].type == "plane":
             return 0.0
-        x, y, z = self._place(plane).normals[0].tolist()
-        (a, b, c), (d, e, f) = self._centres[other], self._place(plane).position
+        x, y, z = self._placed_solid(plane).normals[0].tolist()
+        (a, b, c), (d, e, f) = self._centres[other], self._placed_solid(plane).position
         height: float = x * (a - d) + y * (b - e) + z * (c - f)
         return max(0.0, height - self._solids[other].bounding_radius)
 
-    def _overlap(self, s: int, t: int) -> float:
-        """A lower bound of the depth of two shapes, by the spheres in them, m.
+    def _min_depth(self, s: int, t: int) -> float:
+        """Returns a lower bound of the depth of two shapes, by the spheres in them, m.
 
         Minus infinity for shapes without a known sphere: open meshes, rings and the like.
         """
-        own, other = self._solids[s].inscribed_radius, self._solids[t].inscribed_radius
-        if not (own > 0.0 and other > 0.0):
+        radius, other_radius = self._solids[s].inscribed_radius, self._solids[t].inscribed_radius
+        if not (radius > 0.0 and other_radius > 0.0):
             return -math.inf
-        return own + other - math.dist(self._inner[s], self._inner[t])
+        distance = math.dist(self._inscribed_centres[s], self._inscribed_centres[t])
+        return radius + other_radius - distance
 
     # -- of two shapes --------------------------------------------------------------------
 
     def _distance_of_shapes(self, s: int, t: int) -> SignedDistance | None:
-        """The signed distance of two shapes; None for meshes that overlap."""
+        """Returns the signed distance of two shapes; None for meshes that overlap."""
         first, second = key = self._ordered(s, t)
         if key not in self._distances:
-            a, b = self._place(first), self._place(second)
+            a, b = self._placed_solid(first), self._placed_solid(second)
             compare = mesh_distance if self._is_of_mesh(s, t) else signed_distance
             self._distances[key] = compare(a, b, self.calls)
-        found = self._distances[key]
-        return found if found is None or first == s else found.swapped()
+        result = self._distances[key]
+        return result if result is None or first == s else result.swapped()
 
     def _signed_distance(self, s: int, t: int) -> SignedDistance:
-        found = self._distance_of_shapes(s, t)
-        if found is not None:
-            return found
+        result = self._distance_of_shapes(s, t)
+        if result is not None:
+            return result
         first, second = key = self._ordered(s, t)
         if key not in self._depths:
             self._depths[key] = mesh_penetration(
-                self._place(first), self._place(second), self.calls
+                self._placed_solid(first), self._placed_solid(second), self.calls
             )
         return self._depths[key] if first == s else self._depths[key].swapped()
 
     def _ordered(self, s: int, t: int) -> tuple[int, int]:
-        """Two shapes in an order that depends on their geometries and poses, not on their indices.
+        """Returns two shapes ordered by their geometries and poses, not by their indices.
 
-        So the rounding errors of a comparison do not depend on who asks for it.
+        So the rounding errors of a comparison do not depend on the caller.
         """
         return (s, t) if (self._rank(s), s) <= (self._rank(t), t) else (t, s)
 
     def _rank(self, shape: int) -> tuple[str | float, ...]:
         if shape not in self._ranks:
-            place = *self._positions[shape].tolist(), *self._unit[shape].tolist()
-            self._ranks[shape] = (self._solids[shape].key, *place)
+            pose = *self._positions[shape].tolist(), *self._unit_orientations[shape].tolist()
+            self._ranks[shape] = (self._solids[shape].key, *pose)
         return self._ranks[shape]
 
     def _is_of_mesh(self, s: int, t: int) -> bool:
-        """Whether one of two shapes is a mesh, and none a half-space."""
+        """Checks whether one of two shapes is a mesh, and none a half-space."""
         kinds = {self._solids[s].type, self._solids[t].type}
         return "mesh" in kinds and "plane" not in kinds
 
-    def _place(self, shape: int) -> PlacedSolid:
-        if shape not in self._placed:
+    def _placed_solid(self, shape: int) -> PlacedSolid:
+        if shape not in self._placed_solids:
             x, y, z = self._positions[shape].tolist()
-            turn = self._unit[shape].tolist()
-            orientation = turn[0], turn[1], turn[2], turn[3]
-            self._placed[shape] = PlacedSolid(self._solids[shape], (x, y, z), orientation)
-        return self._placed[shape]
+            quaternion = self._unit_orientations[shape].tolist()
+            orientation = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+            self._placed_solids[shape] = PlacedSolid(self._solids[shape], (x, y, z), orientation)
+        return self._placed_solids[shape]
 
     # -- of one entity --------------------------------------------------------------------
 
     def shapes_of(self, e: int) -> list[PlacedSolid]:
-        """The shapes of an entity that have points, in the world."""
-        return [self._place(shape) for shape in self._shapes[e]]
+        """Returns the shapes of an entity that have points, in the world."""
+        return [self._placed_solid(shape) for shape in self._shapes[e]]
 
     def box(self, e: int) -> Array:
-        """The box of an entity that has shapes, (6,): lower corner, upper corner."""
+        """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
         rows = self._boxes[self._starts[e] : self._starts[e + 1]]
         return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
 
-    def middle(self, e: int) -> Array:
-        """The centre of that box, (3,); not finite for the box of a plane."""
+    def box_centre(self, e: int) -> Array:
+        """Returns the centre of that box, (3,); not finite for the box of a plane."""
         box = self.box(e)
         with np.errstate(invalid="ignore"):
             centre: Array = (box[:3] + box[3:]) / 2
         return centre
 
-    def shapes_in(self, low: Array, high: Array, without: Iterable[int]) -> list[PlacedSolid]:
-        """The known shapes whose boxes overlap a box, without those of some entities."""
+    def shapes_in(self, low: Array, high: Array, excluded: Iterable[int]) -> list[PlacedSolid]:
+        """Returns the known shapes whose boxes overlap a box, without those of some entities."""
         with np.errstate(invalid="ignore"):
-            both = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)
-        meets: Flags = np.asarray(both.all(axis=1))
-        for e in without:
-            meets[self._starts[e] : self._starts[e + 1]] = False
-        found = np.flatnonzero(meets).tolist()
+            overlaps = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)
+        is_overlapping: Flags = np.asarray(overlaps.all(axis=1))
+        for e in excluded:
+            is_overlapping[self._starts[e] : self._starts[e + 1]] = False
+        shapes = np.flatnonzero(is_overlapping).tolist()
         return [
-            self._place(shape)
-            for shape in found
-            if self._known[shape] and not self._solids[shape].is_empty
+            self._placed_solid(shape)
+            for shape in shapes
+            if self._are_shapes_known[shape] and not self._solids[shape].is_empty
         ]
 
     @cached_property
@@ -540,29 +556,29 @@ class NarrowPhase:
     @cached_property
     def _are_known(self) -> list[bool]:
         """Whether all poses and shapes of each entity are known."""
-        return [all(self._known[a:b]) for a, b in pairwise(self._starts)]
+        return [all(self._are_shapes_known[a:b]) for a, b in pairwise(self._starts)]
 
     @cached_property
-    def _reaches(self) -> list[float]:
+    def _bounding_radii(self) -> list[float]:
         return [solid.bounding_radius for solid in self._solids]
 
     # Computed for all shapes at once, when first needed.
 
     @cached_property
-    def _unit(self) -> Array:
+    def _unit_orientations(self) -> Array:
         return unit_quaternions(self._orientations)
 
     @cached_property
     def _finite(self) -> Flags:
         """Whether the pose of each shape is finite."""
-        poses = np.concatenate((self._positions, self._unit), axis=1)
+        poses = np.concatenate((self._positions, self._unit_orientations), axis=1)
         return np.asarray(np.isfinite(poses).all(axis=1))
 
     @cached_property
-    def _known(self) -> list[bool]:
+    def _are_shapes_known(self) -> list[bool]:
         known = np.array([solid.is_known for solid in self._solids], dtype=bool)
-        found: list[bool] = (self._finite & known).tolist()
-        return found
+        are_known: list[bool] = (self._finite & known).tolist()
+        return are_known
 
     @cached_property
     def _corners(self) -> list[list[float]]:
@@ -571,20 +587,22 @@ class NarrowPhase:
 
     @cached_property
     def _centres(self) -> list[list[float]]:
-        return self._moved([solid.centre for solid in self._solids])
+        return self._to_world([solid.centre for solid in self._solids])
 
     @cached_property
-    def _inner(self) -> list[list[float]]:
-        return self._moved([solid.inscribed_centre for solid in self._solids])
+    def _inscribed_centres(self) -> list[list[float]]:
+        return self._to_world([solid.inscribed_centre for solid in self._solids])
 
-    def _moved(self, points: list[Point]) -> list[list[float]]:
-        """A point of each shape, transformed to the world."""
+    def _to_world(self, points: list[Point]) -> list[list[float]]:
+        """Returns a point of each shape, transformed to the world."""
         local = np.array(points, dtype=np.float64).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            found: list[list[float]] = (self._positions + rotate(self._matrices, local)).tolist()
-        return found
+            transformed: list[list[float]] = (
+                self._positions + rotate(self._matrices, local)
+            ).tolist()
+        return transformed
 
     @cached_property
     def _matrices(self) -> Array:
         with np.errstate(invalid="ignore"):
-            return rotation_matrices(self._unit)
+            return rotation_matrices(self._unit_orientations)

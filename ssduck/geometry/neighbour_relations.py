@@ -63,26 +63,28 @@ class NeighbourRelations:
         self._pairs = pairs
         self._resting: dict[int, frozenset[int]] = {}
 
-    def encloses(self, a: int, b: int, turn: Orientation) -> bool | None:
-        """Whether b is within walls of a; see `encloses`, for the centre of b's box.
+    def encloses(self, a: int, b: int, orientation: Orientation) -> bool | None:
+        """Checks whether b is within walls of a; see `encloses`, for the centre of b's box.
 
         Args:
             a: the entity that may enclose.
             b: the entity that may be enclosed.
-            turn: the orientation of a's link frame, whose axes are tested.
+            orientation: the orientation of a's link frame, whose axes are tested.
         """
         if not self._are_known(a, b):
             return None
         if not self._have_shapes(a, b):
             return False
         narrow = self._narrow
-        centre, axes = narrow.middle(b), rotation_matrices(np.array([turn]))[0].T
+        centre, axes = narrow.box_centre(b), rotation_matrices(np.array([orientation]))[0].T
         if not np.isfinite(centre).all():
             return False
         return encloses(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
 
-    def are_beside(self, a: int, b: int, turn_a: Orientation, turn_b: Orientation) -> bool | None:
-        """Whether neither is on or in the other, and one can see the other; see `is_in_sight`.
+    def are_beside(
+        self, a: int, b: int, orientation_a: Orientation, orientation_b: Orientation
+    ) -> bool | None:
+        """Checks whether neither is on or in the other, and one sees the other; see `is_in_sight`.
 
         The caller has tested that their heights overlap and that they are near enough.
         """
@@ -90,11 +92,11 @@ class NeighbourRelations:
             return None
         if not self._have_shapes(a, b):
             return False
-        for first, second, turn in ((a, b, turn_a), (b, a, turn_b)):
+        for first, second, orientation in ((a, b, orientation_a), (b, a, orientation_b)):
             narrow = self._narrow
             if self.supports(first, second) or narrow.contains(first, second):
                 return False
-            if self.encloses(first, second, turn) or second in self._resting_on(first):
+            if self.encloses(first, second, orientation) or second in self._resting_on(first):
                 return False
         return self._are_in_sight(min(a, b), max(a, b))
 
@@ -111,31 +113,33 @@ class NeighbourRelations:
     # -- what carries what, and rests on what -------------------------------------------------
 
     def supports(self, a: int, b: int) -> bool | None:
-        """Whether a carries b, alone or together with others; see `is_carried_by`."""
+        """Checks whether a carries b, alone or together with others; see `is_carried_by`."""
         if not self._are_known(a, b):
             return None
-        own = self._pushes(a, b) if self._have_shapes(a, b) else []
-        if not own:
+        normals = self._contact_normals(a, b) if self._have_shapes(a, b) else []
+        if not normals:
             return False
-        beside = (other for other in self._neighbours.get(b, ()) if other != a)
-        return is_carried_by(own, chain.from_iterable(self._pushes(other, b) for other in beside))
+        others = (other for other in self._neighbours.get(b, ()) if other != a)
+        return is_carried_by(
+            normals, chain.from_iterable(self._contact_normals(other, b) for other in others)
+        )
 
-    def _pushes(self, a: int, b: int) -> list[Point]:
-        self._narrow.note((pair_number(a, b),))
-        return self._narrow.pushes(a, b)
+    def _contact_normals(self, a: int, b: int) -> list[Point]:
+        self._narrow.count_compared((pair_number(a, b),))
+        return self._narrow.contact_normals(a, b)
 
     @cached_property
     def _neighbours(self) -> dict[int, list[int]]:
         """The known entities that may touch each entity."""
-        found: dict[int, list[int]] = {}
+        neighbours: dict[int, list[int]] = {}
         for a, b in self._pairs(RESTING_DISTANCE):
             if self._are_known(a, b):
-                found.setdefault(a, []).append(b)
-                found.setdefault(b, []).append(a)
-        return found
+                neighbours.setdefault(a, []).append(b)
+                neighbours.setdefault(b, []).append(a)
+        return neighbours
 
     def rests_on(self, a: int, b: int) -> bool | None:
-        """Whether b is on a, or on something that rests on a."""
+        """Checks whether b is on a, or on something that rests on a."""
         if a == b:
             return False
         if not self._are_known(a, b):
@@ -143,31 +147,31 @@ class NeighbourRelations:
         return b in self._resting_on(a)
 
     def all_resting(self) -> list[tuple[int, int]]:
-        """All pairs of which the second rests on the first."""
+        """Returns all pairs of which the second rests on the first."""
         return [(a, b) for a in self._on for b in self._resting_on(a) if a != b]
 
     def _resting_on(self, a: int) -> frozenset[int]:
-        """The entities that rest on an entity, directly or through others."""
+        """Returns the entities that rest on an entity, directly or through others."""
         if a not in self._resting:
-            found: set[int] = set()
-            todo = [a]
-            while todo:
-                new = self._on.get(todo.pop(), frozenset()) - found
-                found |= new
-                todo += new
-            self._resting[a] = frozenset(found)
+            resting: set[int] = set()
+            pending = [a]
+            while pending:
+                new = self._on.get(pending.pop(), frozenset()) - resting
+                resting |= new
+                pending += new
+            self._resting[a] = frozenset(resting)
         return self._resting[a]
 
     @cached_property
     def _on(self) -> dict[int, frozenset[int]]:
         """The entities that are directly on each entity."""
-        found: dict[int, set[int]] = {}
+        on: dict[int, set[int]] = {}
         for b, others in self._neighbours.items():
-            self._narrow.note(pair_number(a, b) for a in others)
+            self._narrow.count_compared(pair_number(a, b) for a in others)
             for a in others:
                 if self._narrow.on(a, b):
-                    found.setdefault(a, set()).add(b)
-        return {a: frozenset(b) for a, b in found.items()}
+                    on.setdefault(a, set()).add(b)
+        return {a: frozenset(b) for a, b in on.items()}
 
     # -- of two -------------------------------------------------------------------------------
 
@@ -185,7 +189,7 @@ class NeighbourRelations:
 def encloses(
     a: Sequence[PlacedSolid], axes: Array, b: Sequence[PlacedSolid], centre: Array
 ) -> bool:
-    """Whether rays from a point hit some shapes on both sides along at least two axes.
+    """Checks whether rays from a point hit some shapes on both sides along at least two axes.
 
     A convex shape that contains the point is not hit. An axis along which b extends beyond a at
     both ends does not count.
@@ -197,40 +201,40 @@ def encloses(
         centre: (3,), the point, the centre of b.
     """
     directions = np.concatenate((axes, -axes))
-    met = np.zeros(len(directions), dtype=bool)
-    for one in a:
-        if not _may_be_hit(one, axes, centre):
+    is_hit = np.zeros(len(directions), dtype=bool)
+    for shape in a:
+        if not _may_be_hit(shape, axes, centre):
             continue
-        start = (centre - one.position) @ one.matrix
-        shares = first_hits(one.solid, start, directions @ one.matrix)
-        met |= np.isfinite(shares) & (shares > HIT_TOLERANCE)
-    walled = met[:3] & met[3:]
-    if walled.sum() < MIN_WALLED_AXES:
+        start = (centre - shape.position) @ shape.matrix
+        fractions = first_hits(shape.solid, start, directions @ shape.matrix)
+        is_hit |= np.isfinite(fractions) & (fractions > HIT_TOLERANCE)
+    has_walls = is_hit[:3] & is_hit[3:]
+    if has_walls.sum() < MIN_WALLED_AXES:
         return False
-    walled &= ~(
+    has_walls &= ~(
         (_support_heights(b, directions) - _support_heights(a, directions)).reshape(2, 3)
         > MAX_PROTRUSION
     ).all(axis=0)
-    return bool(walled.sum() >= MIN_WALLED_AXES)
+    return bool(has_walls.sum() >= MIN_WALLED_AXES)
 
 
-def _may_be_hit(one: PlacedSolid, axes: Array, centre: Array) -> bool:
-    """Whether a line along an axis through a point hits the bounding sphere of a shape."""
-    off = axes @ (np.array(one.to_world(*one.solid.centre)) - centre)
-    beside = off @ off - off * off
-    return bool((beside <= (one.solid.bounding_radius + HIT_TOLERANCE) ** 2).any())
+def _may_be_hit(shape: PlacedSolid, axes: Array, centre: Array) -> bool:
+    """Checks whether a line along an axis through a point hits the bounding sphere of a shape."""
+    offsets = axes @ (np.array(shape.to_world(*shape.solid.centre)) - centre)
+    squared_distances = offsets @ offsets - offsets * offsets
+    return bool((squared_distances <= (shape.solid.bounding_radius + HIT_TOLERANCE) ** 2).any())
 
 
 def _support_heights(shapes: Sequence[PlacedSolid], directions: Array) -> Array:
-    """The support heights of shapes in unit directions (n, 3), m from the origin, (n,)."""
-    reaches = [
+    """Returns the support heights of shapes in unit directions (n, 3), m from the origin, (n,)."""
+    heights = [
         np.full(len(directions), math.inf)
-        if one.solid.type == "plane"
-        else one.support_heights(directions) + one.solid.radius
-        for one in shapes
+        if shape.solid.type == "plane"
+        else shape.support_heights(directions) + shape.solid.radius
+        for shape in shapes
     ]
-    farthest: Array = np.max(reaches, axis=0)
-    return farthest
+    highest: Array = np.max(heights, axis=0)
+    return highest
 
 
 # -- beside -------------------------------------------------------------------------------------
@@ -241,11 +245,11 @@ class _Lines:
     """Parallel horizontal lines: their starts (n, 3) and their unit direction (3,)."""
 
     starts: Array
-    way: Array
+    direction: Array
 
     @property
     def directions(self) -> Array:
-        return np.repeat(self.way[None], len(self.starts), axis=0)
+        return np.repeat(self.direction[None], len(self.starts), axis=0)
 
 
 def is_in_sight(
@@ -254,7 +258,7 @@ def is_in_sight(
     others: Sequence[PlacedSolid],
     nearest: SignedDistance,
 ) -> bool:
-    """Whether a horizontal ray from a or b hits the other before anything else.
+    """Checks whether a horizontal ray from a or b hits the other before anything else.
 
     The rays run along the horizontal parts of the lines through the nearest points and through the
     centres. They start at the nearest points and at a grid over the common breadth and height of a
@@ -268,88 +272,93 @@ def is_in_sight(
     """
     return any(
         _is_clear(lines, a, b, others)
-        for way in _horizontal_directions(a, b, nearest)
-        for lines in (_lines_between(a, b, way, nearest),)
+        for direction in _horizontal_directions(a, b, nearest)
+        for lines in (_lines_between(a, b, direction, nearest),)
     )
 
 
 def _horizontal_directions(
     a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], nearest: SignedDistance
 ) -> list[Array]:
-    """Horizontal unit directions from a to b."""
-    up = np.concatenate((np.eye(3), -np.eye(3)))
-    of_a, of_b = _support_heights(a, up), _support_heights(b, up)
-    middles = (of_b[:3] - of_b[3:] - of_a[:3] + of_a[3:]) / 2
-    apart = np.subtract(nearest.point_b, nearest.point_a)
+    """Returns horizontal unit directions from a to b."""
+    axes = np.concatenate((np.eye(3), -np.eye(3)))
+    heights_a, heights_b = _support_heights(a, axes), _support_heights(b, axes)
+    between_centres = (heights_b[:3] - heights_b[3:] - heights_a[:3] + heights_a[3:]) / 2
+    between_points = np.subtract(nearest.point_b, nearest.point_a)
     if nearest.normal is not None and nearest.distance <= HIT_TOLERANCE:
-        apart = -np.array(nearest.normal)
-    found = []
-    for direction in (apart, middles):
+        between_points = -np.array(nearest.normal)
+    directions = []
+    for direction in (between_points, between_centres):
         length = math.hypot(direction[0], direction[1])
         if length > MIN_HORIZONTAL * float(np.linalg.norm(direction)):
-            found.append(np.array([direction[0] / length, direction[1] / length, 0.0]))
-    return found
+            directions.append(np.array([direction[0] / length, direction[1] / length, 0.0]))
+    return directions
 
 
 def _lines_between(
-    a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], way: Array, nearest: SignedDistance
+    a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], direction: Array, nearest: SignedDistance
 ) -> _Lines:
-    """Lines in a direction, over the common breadth and height of a and b."""
-    across = np.array([-way[1], way[0], 0.0])
-    axes = np.stack((way, across, [0.0, 0.0, 1.0]))
-    reach = np.stack([_support_heights(one, np.concatenate((axes, -axes))) for one in (a, b)])
-    high, low = reach[:, :3].min(axis=0), (-reach[:, 3:]).max(axis=0)
-    begin = float((-reach[:, 3]).min()) - 1.0
+    """Returns lines in a direction, over the common breadth and height of a and b."""
+    across = np.array([-direction[1], direction[0], 0.0])
+    axes = np.stack((direction, across, [0.0, 0.0, 1.0]))
+    heights = np.stack(
+        [_support_heights(shapes, np.concatenate((axes, -axes))) for shapes in (a, b)]
+    )
+    high, low = heights[:, :3].min(axis=0), (-heights[:, 3:]).max(axis=0)
+    begin = float((-heights[:, 3]).min()) - 1.0
     places = [
         (low[1] + s * (high[1] - low[1]), low[2] + t * (high[2] - low[2]))
         for s in LINE_FRACTIONS
         for t in LINE_FRACTIONS
         if high[1] >= low[1]
     ]
-    middle = (np.array(nearest.point_a) + nearest.point_b) / 2
-    for point in (nearest.point_a, nearest.point_b, middle):
+    midpoint = (np.array(nearest.point_a) + nearest.point_b) / 2
+    for point in (nearest.point_a, nearest.point_b, midpoint):
         height = min(max(point[2], low[2]), high[2])
         places.append((float(across @ point), height))
-    starts = [begin * way + y * across + np.array([0.0, 0.0, z]) for y, z in places]
-    return _Lines(np.array(starts), way)
+    starts = [begin * direction + y * across + np.array([0.0, 0.0, z]) for y, z in places]
+    return _Lines(np.array(starts), direction)
 
 
 def _is_clear(
     lines: _Lines, a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], others: Sequence[PlacedSolid]
 ) -> bool:
-    """Whether nothing is between a and b on one of the lines."""
-    of_a, of_b = _stretches(lines, a), _stretches(lines, b)
-    if not any(p and q for p, q in zip(of_a, of_b, strict=True)):
+    """Checks whether nothing is between a and b on one of the lines."""
+    intervals_a, intervals_b = _line_intervals(lines, a), _line_intervals(lines, b)
+    if not any(p and q for p, q in zip(intervals_a, intervals_b, strict=True)):
         return False
-    between = _stretches(lines, others)
+    between = _line_intervals(lines, others)
     return any(
         _is_free(max(p, q)[0], min(p, q)[1], blocks)
-        for p_all, q_all, blocks in zip(of_a, of_b, between, strict=True)
+        for p_all, q_all, blocks in zip(intervals_a, intervals_b, between, strict=True)
         for p in p_all
         for q in q_all
     )
 
 
 def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> bool:
-    """Whether nothing is between the end of one stretch and the start of the next one."""
+    """Checks whether nothing is between the end of one stretch and the start of the next one."""
     return not any(
         leave > near + HIT_TOLERANCE and enter < far - HIT_TOLERANCE and far > near + HIT_TOLERANCE
         for enter, leave in blocks
     )
 
 
-def _stretches(lines: _Lines, shapes: Sequence[PlacedSolid]) -> list[list[tuple[float, float]]]:
-    """The intervals of each line in shapes, m; a crossing of a triangle is a point."""
-    found: list[list[tuple[float, float]]] = [[] for _ in lines.starts]
+def _line_intervals(
+    lines: _Lines, shapes: Sequence[PlacedSolid]
+) -> list[list[tuple[float, float]]]:
+    """Returns the intervals of each line in shapes, m; a crossing of a triangle is a point."""
+    intervals: list[list[tuple[float, float]]] = [[] for _ in lines.starts]
     directions = lines.directions
-    for one in shapes:
-        starts, own = (lines.starts - one.position) @ one.matrix, directions @ one.matrix
-        if is_triangle_surface(one.solid):
-            shares = crossings(one.solid, starts, own)
-            for line, share in np.argwhere(np.isfinite(shares)).tolist():
-                found[line].append((float(shares[line, share]),) * 2)
+    for shape in shapes:
+        starts = (lines.starts - shape.position) @ shape.matrix
+        local_directions = directions @ shape.matrix
+        if is_triangle_surface(shape.solid):
+            fractions = crossings(shape.solid, starts, local_directions)
+            for line, triangle in np.argwhere(np.isfinite(fractions)).tolist():
+                intervals[line].append((float(fractions[line, triangle]),) * 2)
             continue
-        chords = ray_chords(one.solid, starts, own)
+        chords = ray_chords(shape.solid, starts, local_directions)
         for line in np.flatnonzero(chords.enter <= chords.leave).tolist():
-            found[line].append((float(chords.enter[line]), float(chords.leave[line])))
-    return found
+            intervals[line].append((float(chords.enter[line]), float(chords.leave[line])))
+    return intervals

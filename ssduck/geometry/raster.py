@@ -28,7 +28,7 @@ class Raster:
     shape: tuple[int, int]
 
     def centres(self, axis: int) -> Array:
-        """The coordinates of the cells' centres along x (0) or y (1).
+        """Returns the coordinates of the cells' centres along x (0) or y (1).
 
         >>> Raster((0.0, 0.0), 0.5, (3, 2)).centres(0).tolist()
         [0.25, 0.75, 1.25]
@@ -36,22 +36,24 @@ class Raster:
         steps: Array = np.arange(self.shape[axis], dtype=np.float64) + 0.5
         return self.origin[axis] + steps * self.size
 
-    def reached(self, low: Array, high: Array, within: float, axis: int) -> tuple[Indices, Indices]:
-        """The first and the last cell along an axis that intervals overlap.
+    def overlapped_cells(
+        self, low: Array, high: Array, min_overlap: float, axis: int
+    ) -> tuple[Indices, Indices]:
+        """Returns the first and the last cell along an axis that intervals overlap.
 
         Args:
             low: the starts of the intervals.
             high: their ends.
-            within: by how much an interval has to reach into a cell; negative if it may stay that
-                far away.
+            min_overlap: the length by which an interval has to extend into a cell, m; negative if
+                it may stay that far away.
             axis: x (0) or y (1).
 
         Returns:
             Indices from 0; if an interval overlaps no cell, the last is below the first.
         """
         start, count = self.origin[axis], self.shape[axis]
-        first = np.floor((low + within - start) / self.size)
-        last = np.ceil((high - within - start) / self.size) - 1
+        first = np.floor((low + min_overlap - start) / self.size)
+        last = np.ceil((high - min_overlap - start) / self.size) - 1
         return (
             np.clip(first, 0, count).astype(np.intp),
             np.clip(last, -1, count - 1).astype(np.intp),
@@ -66,18 +68,18 @@ class StripIntervals:
         strips: (n,), the indices of the strips.
         low: (n,), the starts of the intervals.
         high: (n,), their ends.
-        within: the length by which an interval has to reach into a cell.
+        min_overlap: the length by which an interval has to extend into a cell, m.
     """
 
     strips: Indices
     low: Array
     high: Array
-    within: float
+    min_overlap: float
 
     def count(self, raster: Raster, changes: npt.NDArray[np.int32]) -> None:
         """Adds 1 at the first cell of each interval, and -1 behind its last cell."""
-        first, last = raster.reached(self.low, self.high, self.within, 1)
-        some = first <= last
-        strips = self.strips[some]
-        np.add.at(changes, (strips, first[some]), 1)
-        np.add.at(changes, (strips, last[some] + 1), -1)
+        first, last = raster.overlapped_cells(self.low, self.high, self.min_overlap, 1)
+        is_overlapping = first <= last
+        strips = self.strips[is_overlapping]
+        np.add.at(changes, (strips, first[is_overlapping]), 1)
+        np.add.at(changes, (strips, last[is_overlapping] + 1), -1)

@@ -34,7 +34,7 @@ from ssduck.language.overrides import with_overrides
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.replay.past import together as entities_together
+from ssduck.recording.replay.past import pin_to_common_tick
 from ssduck.schema import MASSES
 from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import explained
@@ -252,13 +252,13 @@ class Execution(Namespace, ABC):
             ]
             call = Call(node.span, node.name, tuple(placeholders), node.name_span)
             query = self._relation_queries[node] = Query(node.span, (call,), ())
-        together = entities_together(values, frame.own_elements())
-        if together is None:
+        pinned = pin_to_common_tick(values, frame.own_elements())
+        if pinned is None:
             return None
-        values_by_name = {f"argument_{index}": value for index, value in enumerate(together)}
+        values_by_name = {f"argument_{index}": value for index, value in enumerate(pinned)}
         worlds = [value.world for value in values if isinstance(value, Entity)]
         with self._database.pinned(RELATIONS[node.name].inputs, worlds):
-            for argument, value in zip(node.arguments, together, strict=True):
+            for argument, value in zip(node.arguments, pinned, strict=True):
                 if isinstance(value, Entity) and not value.is_there:
                     error = value.removed()
                     error.span = argument.span

@@ -335,6 +335,12 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         Warns:
             UserWarning: the function replaces a relation, a function or an operator of the
                 language (`on`, `count`, `add` for `+`) in programs of this interpreter.
+
+        >>> import ssduck
+        >>> with ssduck.Interpreter() as ss:
+        ...     ss.add_function("double", lambda number: 2 * number, "Doubles a number.")
+        ...     ss.eval("SELECT double(this) FROM [1, 2] AS list;")
+        [2, 4]
         """
         if not isinstance(name, str) or name not in OPERATOR_NAMES:
             check_name(name, "a function")
@@ -383,6 +389,12 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
 
         Raises:
             UnknownNameError: there is no world.
+
+        >>> import ssduck
+        >>> with ssduck.load("kitchen") as ss:
+        ...     ss.run(0.5)
+        ...     ss.call_variable("kitchen").time
+        0.5
         """
         worlds = [world for world in self.worlds if world.timestep]
         if not worlds:

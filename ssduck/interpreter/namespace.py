@@ -285,11 +285,20 @@ class Namespace:
         return [
             _command("help", self.help, "Lists all functions, or describes one.", "[name]"),
             _command("to", lambda value, name: value, "Names a selected column.", "value, name"),  # noqa: ARG005
-            _command("var", self.variable, "Returns the variable of that name.", "name"),
-            _command("clear", clear, "Forgets a variable, or all but the worlds.", "[name]"),
-            _command("getTime", self._now, "Returns the simulated time in seconds.", ""),
-            _command("print", show, "Prints its arguments and returns the last.", "value, ..."),
-            _command("eval", lambda text: text, "Runs a program that is given as text.", "text"),
+            _command("var", self.variable, "Returns the value of the variable of a name.", "name"),
+            _command(
+                "clear", clear, "Removes a variable, or all variables except worlds.", "[name]"
+            ),
+            _command(
+                "getTime",
+                self._now,
+                "Returns the simulated time of the first world, in seconds.",
+                "",
+            ),
+            _command("print", show, "Prints its arguments and returns the last one.", "value, ..."),
+            _command(
+                "eval", lambda text: text, "Runs a program in a text and returns its value.", "text"
+            ),
         ]
 
     # -- worlds and tables ------------------------------------------------------------------

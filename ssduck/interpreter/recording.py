@@ -52,9 +52,15 @@ class RecordingMethods(ABC):
             ArgumentError: the world is not of this interpreter, or lacks an entity of the
                 recording.
             UnsupportedError: the world is itself a record.
+
+        >>> import ssduck
+        >>> with ssduck.load("kitchen") as ss:
+        ...     ss.record("kitchen", ssduck.Recording(tables=("entities", "joints"), seconds=60.0))
+        ...     ss.run(1.0, every=60)  # steps of 1/240 s
+        ...     ss.past("kitchen").times
+        [0.0, 0.25, 0.5, 0.75, 1.0]
         """
-        if not isinstance(recording, Recording | None):
-            raise ArgumentError(f"record takes a Recording or None, not {short_repr(recording)}")
+        validation.instance(recording, Recording, "record: recording")
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()
@@ -70,6 +76,13 @@ class RecordingMethods(ABC):
         Raises:
             EvaluationError: the world is not recorded, or not at that time.
             ArgumentError: the world is not of this interpreter, or the age is no finite number.
+
+        >>> import ssduck
+        >>> with ssduck.load("kitchen") as ss:
+        ...     ss.run(1.0, every=60)  # steps of 1/240 s
+        ...     _ = ss.add_variable("before", ss.past("kitchen", 0.5))
+        ...     ss.eval("SELECT id, time FROM before WHERE id(this) == 'fridge';")
+        [{'id': 'fridge', 'time': 0.5}]
         """
         with self._lock:
             chosen = self._world(world)
@@ -138,6 +151,14 @@ class RecordingMethods(ABC):
         Raises:
             RecordError: the folder holds other files, or cannot be written.
             EvaluationError: a world is not recorded, or not at that time.
+
+        >>> import ssduck, tempfile
+        >>> with ssduck.load("kitchen") as ss, tempfile.TemporaryDirectory() as folder:
+        ...     ss.run(1.0, every=60)  # steps of 1/240 s
+        ...     episodes = ss.export(folder, entities=["fridge"], start=0.5)
+        ...     with ssduck.open(folder) as record:
+        ...         episodes["kitchen"].name, record.past("kitchen").times
+        ('episode=0', [0.5, 0.75, 1.0])
         """
         chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)

@@ -90,7 +90,7 @@ class TickSeries:
 
     def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
-        numbers, _ = self.record.until_now()
+        numbers, _ = self.record.ticks_until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
             start = max(end - size, 0)
@@ -113,7 +113,7 @@ def _since(series: TickSeries, age: Any) -> float | None:
 
 def _held_for(series: TickSeries, age: Any) -> float:
     start = _since(series, age)
-    return 0.0 if start is None else float(series.record.until_now()[1][-1]) - start
+    return 0.0 if start is None else float(series.record.ticks_until_now()[1][-1]) - start
 
 
 def _holds(series: TickSeries, age: Any) -> list[list[float]]:
@@ -148,36 +148,38 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
         TemporalFunction(
             "since",
             _since,
-            "Returns since when a condition has held at every recorded tick until now, in seconds "
-            "of simulated time; nothing if it does not hold now.",
+            "Returns the simulated time, in seconds, since which a condition has held at every "
+            "recorded tick; nothing if it does not hold now.",
             "since(condition) -> float",
         ),
         TemporalFunction(
             "heldFor",
             _held_for,
-            "Returns for how many seconds a condition has held until now; 0 if it does not.",
+            "Returns the simulated time, in seconds, for which a condition has held until now; "
+            "0 if it does not hold now.",
             "heldFor(condition) -> float",
         ),
         TemporalFunction(
             "holds",
             _holds,
-            "Returns the maximal intervals [start, end] of simulated time during which a condition "
-            "held: from the first tick at which it did to the first at which it did not, or to "
-            "the last one.",
+            "Returns the maximal intervals [start, end] of simulated time, in seconds, during "
+            "which a condition held. An interval ends at the first tick at which the condition "
+            "does not hold, or at the last tick.",
             "holds(condition[, age]) -> list",
         ),
         TemporalFunction(
             "changes",
             _changes,
-            "Returns [time, value] of an expression at the first recorded tick, and wherever its "
-            "value is another one than at the tick before.",
+            "Returns [time, value] of an expression at the first recorded tick and at each tick "
+            "where the value changes; times in seconds.",
             "changes(expression[, age]) -> list",
         ),
         TemporalFunction(
             "least",
             _least,
             "Returns [time, value] of the least value of an expression over the recorded ticks, "
-            "the first such: least(clearance(a, b)) is the closest approach.",
+            "at its first tick, the time in seconds: least(clearance(a, b)) is the closest "
+            "approach.",
             "least(expression[, age]) -> list",
         ),
     )

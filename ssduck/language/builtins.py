@@ -165,17 +165,22 @@ _LIST_FUNCTIONS = (
     _builtin(
         "count",
         len,
-        "Returns how many elements a list has, or letters a text.",
+        "Returns the number of elements of a list, or of characters of a text.",
         "count(list) -> int",
     ),
     *(
         _builtin(name, _list_function(call), about, f"{name}(list) -> {result}")
         for name, call, about, result in (
-            ("sum", sum, "Returns the sum of a list.", "number"),
+            ("sum", sum, "Returns the sum of the numbers in a list.", "number"),
             ("min", min, "Returns the least element of a list.", "value"),
             ("max", max, "Returns the greatest element of a list.", "value"),
-            ("avg", _avg, "Returns the mean of a list.", "float"),
-            ("uniq", _uniq, "Returns a list without its repetitions.", "list"),
+            ("avg", _avg, "Returns the mean of the numbers in a list.", "float"),
+            (
+                "uniq",
+                _uniq,
+                "Returns the distinct elements of a list, in order of first appearance.",
+                "list",
+            ),
         )
     ),
 )
@@ -183,30 +188,51 @@ _LIST_FUNCTIONS = (
 _NUMBER_FUNCTIONS = tuple(
     _builtin(name, call, f"Returns {result}.", f"{name}(number) -> number")
     for name, call, result in (
-        ("abs", abs, "the absolute value"),
-        ("sqrt", math.sqrt, "the square root"),
+        ("abs", abs, "the absolute value of a number"),
+        ("sqrt", math.sqrt, "the square root of a number"),
         ("exp", math.exp, "e to the power of a number"),
-        ("log", math.log, "the natural logarithm"),
-        ("floor", math.floor, "the next integer below"),
-        ("ceil", math.ceil, "the next integer above"),
+        ("log", math.log, "the natural logarithm of a number"),
+        ("floor", math.floor, "the largest integer that is not above a number"),
+        ("ceil", math.ceil, "the smallest integer that is not below a number"),
         ("sin", math.sin, "the sine of an angle in radians"),
         ("cos", math.cos, "the cosine of an angle in radians"),
         ("tan", math.tan, "the tangent of an angle in radians"),
-        ("asin", math.asin, "the arc sine in radians"),
-        ("acos", math.acos, "the arc cosine in radians"),
-        ("atan", math.atan, "the arc tangent in radians"),
+        ("asin", math.asin, "the arc sine of a number, in radians"),
+        ("acos", math.acos, "the arc cosine of a number, in radians"),
+        ("atan", math.atan, "the arc tangent of a number, in radians"),
     )
 )
 
 _OTHER_FUNCTIONS = (
-    _builtin("round", _round, "Returns a rounded number.", "round(number[, digits]) -> number", 2),
-    _builtin("pow", partial(apply, "^"), "Returns a power.", "pow(base, exponent) -> number", 2),
     _builtin(
-        "atan2", math.atan2, "Returns the angle of (x, y) in radians.", "atan2(y, x) -> float", 2
+        "round",
+        _round,
+        "Returns a number rounded to a number of decimal digits, 0 by default.",
+        "round(number[, digits]) -> number",
+        2,
     ),
-    _builtin("str", str, "Returns a value as text.", "str(value) -> str"),
-    _builtin("int", int, "Returns a value as an integer.", "int(value) -> int"),
-    _builtin("float", float, "Returns a value as a float.", "float(value) -> float"),
+    _builtin(
+        "pow",
+        partial(apply, "^"),
+        "Returns the base to the power of the exponent.",
+        "pow(base, exponent) -> number",
+        2,
+    ),
+    _builtin(
+        "atan2",
+        math.atan2,
+        "Returns the angle of the vector (x, y) from the x axis, in radians, from -pi to pi.",
+        "atan2(y, x) -> float",
+        2,
+    ),
+    _builtin("str", str, "Returns a value as a text.", "str(value) -> str"),
+    _builtin(
+        "int",
+        int,
+        "Returns a number or a text as an integer; digits after the decimal point are cut off.",
+        "int(value) -> int",
+    ),
+    _builtin("float", float, "Returns a number or a text as a float.", "float(value) -> float"),
 )
 
 # Without the operators whose names are words of the language; `pow` is above.

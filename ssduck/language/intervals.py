@@ -97,25 +97,26 @@ _LISTED = (
         "before",
         lambda _a, b, c, _d: b < c,
         "a[2] < b[1]",
-        "Checks if an interval a = [start, end] ends before b begins.",
+        "Checks if an interval a = [start, end], in seconds, ends before b begins.",
     ),
     Allen(
         "meets",
         lambda _a, b, c, _d: b == c,
         "a[2] = b[1]",
-        "Checks if an interval a = [start, end] ends where b begins.",
+        "Checks if an interval a = [start, end], in seconds, ends when b begins.",
     ),
     Allen(
         "overlaps",
         lambda a, b, c, d: a < c < b < d,
         "a[1] < b[1] AND b[1] < a[2] AND a[2] < b[2]",
-        "Checks if an interval a = [start, end] begins before b, and ends inside b.",
+        "Checks if an interval a = [start, end], in seconds, begins before b and ends inside b.",
     ),
     Allen(
         "during",
         lambda a, b, c, d: c < a and b < d,
         "b[1] < a[1] AND a[2] < b[2]",
-        "Checks if an interval a = [start, end] begins after b begins, and ends before b ends.",
+        "Checks if an interval a = [start, end], in seconds, begins after b begins and ends "
+        "before b ends.",
     ),
 )
 

@@ -10,7 +10,13 @@ from itertools import islice
 from typing import Any
 
 from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError, SourceSpan, nearest
-from ssduck.formatting import MAX_KEYS, as_evaluation_error, error_text, short_repr, type_in_words
+from ssduck.formatting import (
+    MAX_SHOWN_ELEMENTS,
+    as_evaluation_error,
+    error_text,
+    short_repr,
+    type_in_words,
+)
 from ssduck.language.tree import Node
 
 # The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
@@ -197,8 +203,8 @@ def _missing_element_error(
     """Returns the error for a missing element, with the elements that there are."""
     missing = f"no element {short_repr(index)}"
     if isinstance(value, dict):
-        keys = list(islice(value, MAX_KEYS))
-        more = ", …" if len(value) > MAX_KEYS else ""
+        keys = list(islice(value, MAX_SHOWN_ELEMENTS))
+        more = ", …" if len(value) > MAX_SHOWN_ELEMENTS else ""
         message = ", ".join(map(short_repr, keys))
         near = nearest(index, map(str, keys))
         return EvaluationError(

@@ -2,8 +2,8 @@
 
 A sensor looks along its own +x axis, with +y to its left and +z up. Its rays begin at its origin.
 The pixels of a camera are rays through the pixels' centres. A ray ends on the nearest collision
-shape. It passes through the body that the sensor sits on, and through a convex shape that it begins
-in. Sensors have no shape, so that no sensor senses another.
+shape. It passes through the body that the sensor is mounted on, and through a convex shape in which
+it begins. Sensors have no shape, so that no sensor senses another.
 
 To add a type, add an entry to `SENSOR_TYPES`. `ssduck.world.sensor_readings` takes the readings.
 """
@@ -251,8 +251,8 @@ _TYPES = (
     SensorType("range_finder", "One ray along the sensor's +x.", rays=_single_ray, view=_on_ray),
     SensorType(
         "contact_sensor",
-        "What presses on the link that the sensor sits on, or on the whole body if no link is "
-        "given: the solver's contacts whose normal force is above 0. Where it sits does not "
+        "Contacts of the link that the sensor is mounted on, or of the whole body if no link is "
+        "given: those of the solver whose normal force is above 0. The sensor's pose does not "
         "matter.",
     ),
 )

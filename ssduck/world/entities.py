@@ -342,7 +342,7 @@ class Entity(OpenRaveEntity):
             ArgumentError: the entity is a sensor.
         """
         if info.body is None:
-            raise ArgumentError(f"{self.name} is a sensor; {verb} what it sits on")
+            raise ArgumentError(f"{self.name} is a sensor; {verb} the body that it is mounted on")
         return info.body
 
     def column(self, name: str) -> Any:

@@ -9,6 +9,7 @@ import pytest
 
 import ssduck
 import ssduck.adapters.registry
+from ssduck.adapters.registry import all_adapters, find
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -16,6 +17,7 @@ from ssduck.errors import (
     LimitError,
     UnknownNameError,
 )
+from ssduck.schema import TABLES
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +33,17 @@ def registry(monkeypatch):
     monkeypatch.setattr(
         ssduck.adapters.registry, "_ADAPTERS", dict(ssduck.adapters.registry._ADAPTERS)
     )
+
+
+@pytest.mark.parametrize("form", all_adapters(), ids=lambda form: form.names[0])
+def test_every_form_is_complete(form):
+    assert form.help.endswith(".")
+    assert form.tables <= TABLES.keys() - {"entities"}
+    for name in form.names:
+        assert find(name) is form, "two forms have this name"
+        assert find(name.upper()) is form
+    with ssduck.Interpreter() as ss:
+        assert f"{form.usage}\n    {form.help}" in ss.help("AS")
 
 
 def test_a_form_of_ones_own(kitchen, registry):
@@ -144,7 +157,7 @@ def test_a_lazy_form_reads_before_it_returns(kitchen, registry):
     ssduck.adapter("keep", needs="query")(kept.append)
     kitchen.eval("SELECT z FROM kitchen AS keep;")
     for late in (lambda: kept[0].rows, lambda: kept[0].head(1)):
-        with pytest.raises(ArgumentError, match="the query is over"):
+        with pytest.raises(ArgumentError, match="the query has ended"):
             late()
 
 
@@ -164,7 +177,7 @@ def test_a_form_that_needs_entities(kitchen, registry):
 
 def test_a_form_that_needs_columns(kitchen, registry):
     ssduck.adapter("table_of", needs="columns")(lambda s: s.columns)
-    with pytest.raises(ArgumentError, match="two columns are called 'id'"):
+    with pytest.raises(ArgumentError, match="two columns have the name 'id'"):
         kitchen.eval("SELECT id(a.this), id(b.this) FROM a=kitchen, b=kitchen AS table_of;")
 
 

@@ -179,7 +179,7 @@ REFUSED = [
     ("SELECT * FROM [1] AS prolog;", ArgumentError, "SELECT \\* selects no relations", None),
     ("SELECT given FROM a=[1], b=[2] AS prolog;", ArgumentError, "given\\(a.this\\)", "given"),
     ("SELECT givn(this) FROM [1] AS prolog;", UnknownNameError, "'given'", "givn"),
-    ("SELECT to(given(this), 3) FROM [1] AS prolog;", ArgumentError, "called by a text", None),
+    ("SELECT to(given(this), 3) FROM [1] AS prolog;", ArgumentError, "must be a text", None),
     ("SELECT given(this) FROM rows AS prolog;", ArgumentError, "is no term", "prolog"),
     (
         "SELECT to(given(this), 'Up') FROM [1] AS asp;",

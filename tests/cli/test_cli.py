@@ -26,6 +26,7 @@ import ssduck
 from ssduck.cli.app import app
 from ssduck.demos.kitchen import KITCHEN
 from ssduck.interpreter import opening
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -225,7 +226,7 @@ def test_a_row_of_json_is_a_line(here):
     )
 
 
-@pytest.mark.parametrize("format", ["table", "json", "csv"])
+@sampled("format", ["table", "json", "csv"], every=3)
 def test_many_rows(here, format):
     sql = "SELECT i, i / 2 AS half, [i, i] AS pair FROM range(20000) r(i)"
     written = answer("query", "two.toml", "--sql", sql, "-F", format)
@@ -250,7 +251,7 @@ def test_a_table_is_folded_on_a_terminal_and_whole_elsewhere(here):
     assert "small" in folded
 
 
-@pytest.mark.parametrize("width", [20, 80, 120])
+@sampled("width", [20, 80, 120], every=3)
 @pytest.mark.parametrize("question", [["--sql", "SELECT * FROM entities"], [WIDE]])
 def test_columns_that_do_not_fit_are_marked_and_counted(here, width, question):
     """Whatever is left out is told of on the terminal; elsewhere nothing is."""
@@ -440,7 +441,7 @@ def test_version():
 # -- records ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("output", ["run", "run.duckdb"])
+@sampled("output", ["run", "run.duckdb"], every=2)
 def test_a_scene_is_recorded_and_asked(here, output):
     written = answer("record", "two.toml", "--seconds", "0.5", "-o", output)
     assert written == f"51 ticks of 'two', from 0 s to 0.5 s: episode 0 in {output}\n"
@@ -496,9 +497,10 @@ RECORD_ERRORS = [
 ]
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("arguments", "code", "told"),
     RECORD_ERRORS,
+    every=5,
     ids=[" ".join(a)[:60] for a, _, _ in RECORD_ERRORS],
 )
 def test_errors_of_records(here, arguments, code, told):
@@ -527,7 +529,7 @@ def written(folder, output):
 
 
 @LINUX
-@pytest.mark.parametrize("output", ["run", "run.duckdb"])
+@sampled("output", ["run", "run.duckdb"], every=2)
 def test_an_interrupted_recording_is_whole(here, output):
     with start("record", "two.toml", "--seconds", "100000", "-o", output) as process:
         began = time.monotonic()
@@ -620,6 +622,7 @@ def test_colours(here, env, coloured):
 # -- as a process -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_kitchen_as_json(tmp_path):
     program = "SELECT id, position FROM kitchen WHERE isRobot(this);"
     code, out, err = run("query", "kitchen", program, "--format", "json", cwd=tmp_path)
@@ -633,6 +636,7 @@ def test_the_kitchen_as_json(tmp_path):
     assert json.loads(out)[2]["position"] == pytest.approx([0.42, 1.3, 0.892])
 
 
+@pytest.mark.slow
 def test_an_error_is_no_traceback(here):
     code, out, err = run("query", "two.toml", "SELECT abov FROM two;")
     assert (code, out) == (1, "")
@@ -640,6 +644,7 @@ def test_an_error_is_no_traceback(here):
     assert "Traceback" not in err
 
 
+@pytest.mark.slow
 def test_integers_of_any_length_and_a_locale_that_has_no_umlauts(here):
     env = {"PYTHONIOENCODING": "ascii"}
     program = "[2 ^ 20000, 'ü😀'];"
@@ -658,6 +663,7 @@ def _digits():
         sys.set_int_max_str_digits(limit)
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away(here):
     sql = "SELECT i FROM range(100000) r(i)"
     with start("query", "two.toml", "--sql", sql, "-F", "csv") as process:
@@ -668,7 +674,7 @@ def test_a_reader_that_goes_away(here):
 
 
 @LINUX
-@pytest.mark.parametrize("arguments", [["query", "two.toml", "1;"], ["--help"]])
+@sampled("arguments", [["query", "two.toml", "1;"], ["--help"]], every=2)
 def test_a_full_disk(here, arguments):
     with Path("/dev/full").open("w") as full:
         code, _, err = run(*arguments, stdout=full)
@@ -682,7 +688,7 @@ SLOW = [
 
 
 @LINUX
-@pytest.mark.parametrize("arguments", SLOW)
+@sampled("arguments", SLOW, every=2)
 def test_interrupted(here, arguments):
     main = "import ssduck.cli.app; print('begun', flush=True); ssduck.cli.app.main()"
     with start(*arguments, module=("-c", main)) as process:

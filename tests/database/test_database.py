@@ -21,6 +21,7 @@ from ssduck.database.database import Database
 from ssduck.database.macros import TABLE_MACROS
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 NINE_PAIRS = (
@@ -95,6 +96,7 @@ def test_links_joints_and_shapes_join_entities(ss):
     assert types == [("sphere",)]
 
 
+@pytest.mark.slow
 def test_two_worlds_are_two_schemas(ss, sim):
     interpreter, _, _ = sim
     world = ssduck.load("kitchen").call_variable("kitchen")
@@ -141,6 +143,7 @@ def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
     assert len(interpreter.eval("SELECT id FROM sim;")) == 3
 
 
+@pytest.mark.slow
 def test_a_world_in_two_interpreters(sim):
     first, _, _ = sim
     world = first.call_variable("sim")
@@ -230,7 +233,7 @@ def test_statements_a_run():
     interpreter.close()
 
 
-@pytest.mark.parametrize(
+@sampled(
     "columns",
     [
         "i, i::INT, i * 0.5::DOUBLE, i % 2 = 0, 'ä' || i, i",
@@ -238,6 +241,7 @@ def test_statements_a_run():
         "'nan'::DOUBLE, '-inf'::DOUBLE, -0.0::DOUBLE, chr(0) || i, CASE WHEN i = 400 THEN TRUE END",
         "i, i::HUGEINT << 64, 0.1::DECIMAL(5, 2), [i, NULL], struct_pack(a := i), DATE '2000-02-29' + i::INT",
     ],
+    every=4,
 )
 def test_many_rows_have_the_values_that_few_have(columns):
     database = Database(":memory:", None).connection
@@ -380,6 +384,7 @@ def test_threads_may_step_and_ask(sim):
     assert len({answer[0] for answer in answers}) > 1
 
 
+@pytest.mark.slow
 def test_one_folder_calls_duckdb():
     """And one imports pybullet."""
     package = Path(ssduck.__file__).parent
@@ -395,6 +400,7 @@ def test_one_folder_calls_duckdb():
         assert all(path.startswith(folder) for path in importers[name])
 
 
+@pytest.mark.slow
 def test_nothing_is_printed_when_python_ends(tmp_path):
     """Not even if nothing is closed, and an interpreter is still held by the module."""
     program = (
@@ -494,6 +500,7 @@ def test_a_database_file_can_be_used_again(tmp_path):
             assert len(ss.sql(NINE_PAIRS)) == 9
 
 
+@pytest.mark.slow
 def test_a_file_keeps_nothing_of_worlds_that_are_gone(tmp_path, sim):
     path = tmp_path / "own.duckdb"
     world = sim[0].call_variable("sim")
@@ -517,7 +524,7 @@ def test_tables_columns_and_functions_are_commented(sim):
     columns = (
         "SELECT comment FROM duckdb_columns() WHERE schema_name = 'sim' AND column_name = 'mass'"
     )
-    assert ("kg; 0 for what cannot move",) in sim.sql(columns).fetchall()
+    assert ("kg; 0 for a sensor and for a body that cannot move",) in sim.sql(columns).fetchall()
     views = dict(
         sim.sql(
             "SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'"

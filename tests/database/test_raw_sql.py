@@ -7,6 +7,8 @@ import ssduck
 from ssduck.recording.spec import Recording
 from ssduck.schema import MODELS, RECORDABLE, TABLES
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 
 # A literal for each type of parameter; entities are the rows a and b.
 LITERALS = {
@@ -49,21 +51,14 @@ def jointed(client):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
     )
-    pybullet.createMultiBody(
+    create_linked_body(
+        client,
         1.0,
         shape,
+        link_shape=-1,
         basePosition=[0.15, 0, 0.1],
-        linkMasses=[1.0],
-        linkCollisionShapeIndices=[-1],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0, 0, 0.1]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_REVOLUTE],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=client,
     )
     return client
 
@@ -85,7 +80,7 @@ def quoted(relation):
     return f'"{relation.name}"({called(relation).partition("(")[2]}'
 
 
-@pytest.mark.parametrize("name", NAMES)
+@sampled("name", NAMES, every=3)
 def test_every_relation_may_have_its_world_before_it(worlds, name):
     several, alone = worlds
     for relation in RELATIONS.values():
@@ -112,6 +107,7 @@ def test_however_it_is_written(worlds, call):
     assert len(worlds[0].sql(f"SELECT {call} FROM sim.entities a, sim.entities b")) == 4
 
 
+@pytest.mark.slow
 def test_it_stays_with_worlds_that_change(client):
     boxes(client)
     asked = "SELECT count(*) FROM sim.entities a, sim.entities b WHERE sim.overlaps(a, b)"
@@ -133,6 +129,7 @@ def test_it_stays_with_worlds_that_change(client):
         assert ss.sql(asked.replace("sim", "later")).fetchall() == [(2,)]
 
 
+@pytest.mark.slow
 def test_opened_records_and_files(client, tmp_path):
     asked = "SELECT sim.overlaps(a, b) FROM sim.entities a, sim.entities b WHERE a.id < b.id"
     path = tmp_path / "own.duckdb"
@@ -152,6 +149,7 @@ def test_opened_records_and_files(client, tmp_path):
         assert ss.sql(past + " AND a.tick = b.tick").fetchall()[0] == (True,)
 
 
+@pytest.mark.slow
 def test_what_a_file_keeps_may_call_them(client, tmp_path):
     boxes(client)
     path = tmp_path / "own.duckdb"
@@ -255,6 +253,7 @@ def test_second_names_mean_the_same(first, second, one):
     assert one.sql(f"SELECT * FROM entities a, entities b WHERE {differing}").fetchall() == []
 
 
+@pytest.mark.slow
 def test_resting_is_found_by_the_second_name():
     with ssduck.load("kitchen") as ss:
         ss.call_variable("kitchen").step(480)

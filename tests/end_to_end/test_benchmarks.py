@@ -21,9 +21,9 @@ CYLINDER = Piece("cylinder", (0.5, 1.0), np.array([[0, 0, -0.5], [0, 0, 0.5]]), 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_all_ways_find_the_same_pairs(form, kind):
-    found = pairs.measure(form, kind, 40, rounds=1, most=0.0)
+    found = pairs.measure(form, kind, 40, rounds=1, max_seconds=0.0)
     assert pairs.failures([found]) == []
-    assert found.found > 20
+    assert found.collisions > 20
     assert found.statistics["ours"].calls <= len(found.scene.met)
     # A box on another meets it or not, by rounding; SQL asks about those that nearly do.
     assert found.statistics["sql"].pairs <= 1.1 * len(found.scene.met)
@@ -50,8 +50,8 @@ def test_without_coal(monkeypatch, capsys):
 
 
 def test_a_wrong_answer_is_a_failure(monkeypatch, capsys):
-    right = pairs.Ours.pairs
-    monkeypatch.setattr(pairs.Ours, "pairs", lambda self, names: right(self, names)[1:])
+    right = pairs.SsduckScene.pairs
+    monkeypatch.setattr(pairs.SsduckScene, "pairs", lambda self, names: right(self, names)[1:])
     status = pairs.main(["--sizes", "40", "--forms", "cube", "--kinds", "boxes", "--rounds", "1"])
     assert status == 1
     assert "DISAGREEMENT: cube, boxes, 40: FCL, tree" in capsys.readouterr().out

@@ -242,7 +242,7 @@ def test_robots_that_collide_and_sights_that_differ_are_noticed():
         ss.record("kitchen", ssduck.Recording(tables=("entities", "sensings")))
         kitchen = ss.call_variable("kitchen")
         watch = robots.Watch(kitchen)
-        ss.add_trigger("seen", robots.SEEN, 0.0, watch)
+        ss.add_trigger("seen", robots.SENSED, 0.0, watch)
         kitchen.step()
         assert robots.history_agrees(ss, watch)
         assert robots.collisions(ss, said.append) == []

@@ -14,6 +14,7 @@ import pytest
 
 import ssduck
 from ssduck.language.parser import parse
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -87,7 +88,7 @@ def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
         run_bare(text, tmp_path)
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("call", "extra"),
     [
         ("ss.sql('SELECT 1').df()", "pandas"),
@@ -96,6 +97,7 @@ def test_readme_runs_as_its_first_command_leaves_it(tmp_path):
         ("ss.eval('SELECT this FROM [1] AS polars;')", "polars"),
         ("ss.eval('SELECT this FROM [1] AS table;').df()", "pandas"),
     ],
+    every=5,
 )
 def test_a_library_that_is_missing_is_named(tmp_path, call, extra):
     told = run_bare(

@@ -153,6 +153,7 @@ def test_the_check_of_penetration_can_fail(loaded):
     assert max(depth(a, b) for a in table for b in cup) > 1e-3
 
 
+@pytest.mark.slow
 def test_everything_stands_still(settled):
     """Plates and cups within 1 cm of where they were after two seconds, nothing moved by 2 cm."""
     ss, before = settled

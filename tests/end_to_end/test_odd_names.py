@@ -16,6 +16,7 @@ import ssduck
 from ssduck.adapters.grid_values import OccupancyGrid
 from ssduck.cli.app import app
 from ssduck.errors import ArgumentError, RecordError, SceneError, SqlError, UnknownNameError
+from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
@@ -51,6 +52,7 @@ def place(request, tmp_path):
     return inside, name
 
 
+@pytest.mark.slow
 def test_scenes_models_and_what_is_written(place):
     folder, name = place
     with ssduck.load(folder / f"{name}.toml") as ss:
@@ -77,6 +79,7 @@ def _exactly(path):
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in path)
 
 
+@pytest.mark.slow
 def test_maps_and_pictures(place):
     folder, name = place
     grid = OccupancyGrid(np.eye(5, dtype=bool), (0.0, 1.0), 0.1, 0.5)
@@ -89,6 +92,7 @@ def test_maps_and_pictures(place):
         assert image.size > (100, 100)
 
 
+@pytest.mark.slow
 def test_the_command_line(place):
     folder, name = place
     scene = folder / f"{name}.toml"
@@ -157,7 +161,7 @@ def test_a_duckdb_file_in_a_folder_with_a_question_mark(client, tmp_path):
 # -- names of worlds -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("letter", ["a", "ü"])
+@sampled("letter", ["a", "ü"], every=2)
 def test_a_world_of_a_name_that_no_file_can_have(client, tmp_path, letter):
     """Just as long as there is room for, a byte more, and far too long."""
     world = ssduck.World.attach(client)

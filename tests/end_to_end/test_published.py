@@ -110,6 +110,7 @@ def test_neighbours_of_another_map_with_the_same_interpreter(told, write):
     ]
 
 
+@pytest.mark.slow
 def test_large_map(told):
     ss, statements = told
     found = ss.eval(problems.flat(LARGE))

@@ -493,6 +493,7 @@ def test_four_discs(towers):
     assert path[::2] == solution(4)
 
 
+@pytest.mark.slow
 def test_eight_discs():
     with ssduck.Interpreter() as ss:
         ss.addFunction("move", move)
@@ -710,6 +711,7 @@ def test_ode_simple_queries(ode):
     assert set(every) - set(lighter) == {e for e in every if e.mass == result}
 
 
+@pytest.mark.slow
 def test_ode_logging(ode):
     expr = """ white = [1,1,1];
                

@@ -267,6 +267,7 @@ def in_each_formulation(ss):
     return [ss.eval(ss.compile(program)) for _, program in SENSING_CELLS]
 
 
+@pytest.mark.slow
 def test_which_sensors_perceive_a_robot(sensing):
     """Cells 23 to 27: one result in three formulations, then in raw SQL."""
     assert in_each_formulation(sensing) == [AS_LOADED] * 3
@@ -277,6 +278,7 @@ def test_which_sensors_perceive_a_robot(sensing):
     assert rows == [("barrett_4918_laser_scaner", "roomba_625x")]
 
 
+@pytest.mark.slow
 def test_which_sensors_perceive_a_robot_at_the_fridge(sensing):
     """Cell 38: the barrett in front of the fridge, turned to the roomba."""
     env = sensing.callVariable("kitchen")
@@ -301,6 +303,7 @@ SENSING_SENSORS = "env  = kitchen;                                              
         AS dict;                                                                     "
 
 
+@pytest.mark.slow
 def test_callbacks(sensing):
     """Cells 34 to 38; the simulation goes on in between, and somebody drives the barrett."""
     ssPar = ssInt = sensing  # noqa: N806  # what parses and what runs are one here

@@ -249,7 +249,7 @@ def test_the_module_of_grids(session):
     assert openrave.RaveLoadPlugin("bullet") is False
     for command, message in [
         ("Scam", "no command 'Scam'; did you mean 'Scan'"),
-        ("Scan", "SetSize comes first"),
+        ("Scan", "SetSize must be sent before"),
         ("SetSize 3 4", "SetSize 3 4"),
         ("SetSize 3 4 0", "wider than 0 m"),
         ("SetSize 3 4 wide", "could not convert"),
@@ -272,6 +272,7 @@ def as_numbers(clause):
     return re.sub(r"(?<=[\[ ,])-?\d+\.?\d*(?:e-?\d+)?(?=[\],)])", "#", clause), [*map(float, found)]
 
 
+@pytest.mark.slow
 def test_prolog(session):
     """Cells 49 and 50: as `AS prolog`, but for volumes of 0.0, which are False there."""
     run(session, CELL_49, CELL_50)
@@ -297,6 +298,7 @@ ASKED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("swipl"), reason="SWI-Prolog is not installed")
 def test_swi_prolog_answers(session, tmp_path):
     run(session, CELL_49, CELL_50)

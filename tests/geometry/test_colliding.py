@@ -7,6 +7,8 @@ import pybullet
 import pytest
 
 import ssduck
+from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 
 BOTH = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE collides(a.this, b.this) AS list;"
 # A condition on one of the two alone: then pairs are asked about one by one.
@@ -82,7 +84,7 @@ def test_at_once_is_one_by_one(client, ask, kinds, seed):
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-8, 0.3, np.pi / 2])
-@pytest.mark.parametrize(("depth", "collides"), [(-1e-6, 0), (0, 0), (0.9e-6, 0), (1.1e-6, 1)])
+@sampled(("depth", "collides"), [(-1e-6, 0), (0, 0), (0.9e-6, 0), (1.1e-6, 1)], every=2)
 def test_the_boundary_of_boxes(client, ask, angle, depth, collides):
     box = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
@@ -97,21 +99,7 @@ def test_the_boundary_of_boxes(client, ask, angle, depth, collides):
 
 def test_links_of_one_robot_do_not_count(client, ask):
     sphere = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.2, physicsClientId=client)
-    pybullet.createMultiBody(
-        1,
-        sphere,
-        linkMasses=[1],
-        linkCollisionShapeIndices=[sphere],
-        linkVisualShapeIndices=[-1],
-        linkPositions=[[0.1, 0, 0]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
-        linkJointTypes=[pybullet.JOINT_FIXED],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=client,
-    )
+    create_linked_body(client, 1, sphere, linkPositions=[[0.1, 0, 0]])
     pybullet.createMultiBody(1, sphere, basePosition=[0.4, 0, 0], physicsClientId=client)
     found, _ = ask(BOTH)
     assert found == ask(ONE_BY_ONE)[0]
@@ -136,8 +124,10 @@ IN_ORDER = {
 }
 
 
-@pytest.mark.parametrize(
-    ("sources", "condition"), [(key, one) for key, some in IN_ORDER.items() for one in some]
+@sampled(
+    ("sources", "condition"),
+    [(key, one) for key, some in IN_ORDER.items() for one in some],
+    every=4,
 )
 def test_pairs_are_in_the_order_of_the_sources(client, sources, condition):
     """Whichever of them a pair is of, and in whatever order a relation has them."""

@@ -19,6 +19,7 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
 from tests.support import pairs
+from tests.support.cases import sampled
 from tests.support.pairs import Shape
 from tests.support.solids import (
     STRAIGHT,
@@ -92,7 +93,7 @@ def at(geometry, position, turn=STRAIGHT):
     return Shape(geometry.type, geometry, np.array(position, float), turn / np.linalg.norm(turn))
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
+@sampled("depth", DEPTHS, every=6)
 def test_stacked(depth):
     """Parallel faces that touch, or are hardly in each other, also 10 km away."""
     two = [
@@ -206,19 +207,19 @@ def boxes_apart(tick, i, j):
 
 
 @pytest.mark.parametrize("is_round", [False, True])
-@pytest.mark.parametrize("seed", range(4))
+@sampled("seed", range(4), every=4)
 def test_all_pairs_of_a_tick(seed, is_round):
     entities = crowd(seed, is_round=is_round)
     together, alone = narrow(*entities), narrow(*entities)
     sorts = sorts_of(together)
     every = list(itertools.combinations(range(len(entities)), 2))
     collide = [pair for pair in every if alone.collides(*pair)]
-    assert together.all_of(COLLIDE, sorts).pairs == collide
+    assert together.all_pairs(COLLIDE, sorts).pairs == collide
     assert collide
     gaps = {pair: alone.clearance(*pair) for pair in every}
     for apart in APART:
         near = [pair for pair in every if gaps[pair] is not None and gaps[pair] <= apart]
-        assert together.all_of(PairPredicate("within", apart), sorts).pairs == near
+        assert together.all_pairs(PairPredicate("within", apart), sorts).pairs == near
         asked = narrow(*entities)  # anew: what is farther need not be known
         found = {pair: asked.clearance(*pair, apart) for pair in every}
         assert [
@@ -229,7 +230,7 @@ def test_all_pairs_of_a_tick(seed, is_round):
 @pytest.mark.parametrize("apart", [-1e-9, -1.0, -math.inf, math.nan])
 def test_nothing_is_nearer_than_nothing(apart):
     tick = narrow([(box(), (0, 0, 0))], [(box(), (0.5, 0, 0))])
-    assert tick.all_of(PairPredicate("within", apart), sorts_of(tick)).pairs == []
+    assert tick.all_pairs(PairPredicate("within", apart), sorts_of(tick)).pairs == []
     assert tick.calls.pairs == 0
 
 
@@ -252,7 +253,7 @@ def test_at_the_bound(name, apart):
     a, b, touching = BESIDE[name]
     for more, expected in ((-1e-7, True), (0.0, None), (1e-7, False)):
         tick = narrow([(a, (0, 0, 0))], [(b, (touching + apart + more, 0, 0))])
-        found = tick.all_of(PairPredicate("within", apart), sorts_of(tick)).pairs == [(0, 1)]
+        found = tick.all_pairs(PairPredicate("within", apart), sorts_of(tick)).pairs == [(0, 1)]
         assert found is (tick.clearance(0, 1) <= apart)
         assert expected is None or found is expected
 
@@ -262,7 +263,7 @@ def test_at_the_bound(name, apart):
 def test_at_the_depth_that_collides(name, depth, expected):
     a, b, touching = BESIDE[name]
     tick = narrow([(a, (0, 0, 0))], [(b, (touching - depth, 0, 0))])
-    assert (tick.all_of(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]) is expected
+    assert (tick.all_pairs(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]) is expected
     assert tick.collides(0, 1) is expected
 
 
@@ -274,8 +275,8 @@ def test_sizes_beyond_any_scene(solid, size):
     tick = narrow([(large, (0, 0, 0))], [(large, (size / 4, 0, 0))], [(sphere(1.0), (0, 0, 0))])
     sorts = sorts_of(tick)
     expected = [(0, 1), (0, 2), (1, 2)] if size > 1 else [(0, 2), (1, 2)]
-    assert tick.all_of(COLLIDE, sorts).pairs == expected
-    assert tick.all_of(PairPredicate("within", 0.1), sorts).pairs == [(0, 1), (0, 2), (1, 2)]
+    assert tick.all_pairs(COLLIDE, sorts).pairs == expected
+    assert tick.all_pairs(PairPredicate("within", 0.1), sorts).pairs == [(0, 1), (0, 2), (1, 2)]
 
 
 # Of a body of a metre.
@@ -303,10 +304,10 @@ def convex_crowd(count, seed=0):
 def test_of_convex_shapes_fcl_is_not_asked():
     tick = narrow(*convex_crowd(300))
     sorts = sorts_of(tick)
-    assert len(tick.all_of(COLLIDE, sorts).numbers) > 100
-    assert len(tick.all_of(PairPredicate("within", 0.01), sorts).numbers) > 100
+    assert len(tick.all_pairs(COLLIDE, sorts).numbers) > 100
+    assert len(tick.all_pairs(PairPredicate("within", 0.01), sorts).numbers) > 100
     assert tick.calls.calls == 0
-    assert not tick._placed
+    assert not tick._placed_solids
 
 
 def test_pairs_count_once_a_tick():
@@ -316,12 +317,12 @@ def test_pairs_count_once_a_tick():
     every = list(itertools.combinations(range(60), 2))
     meeting = {pair for pair in every if boxes_apart(tick, *pair) <= 0.0}
     near = {pair for pair in every if boxes_apart(tick, *pair) <= 0.1}
-    tick.all_of(COLLIDE, sorts)
+    tick.all_pairs(COLLIDE, sorts)
     assert tick.calls.pairs == len(meeting)
     for _ in range(2):
-        tick.all_of(PairPredicate("within", 0.1), sorts)
-        tick.all_of(PairPredicate("within", 0.05), sorts)
-        tick.all_of(COLLIDE, sorts)
+        tick.all_pairs(PairPredicate("within", 0.1), sorts)
+        tick.all_pairs(PairPredicate("within", 0.05), sorts)
+        tick.all_pairs(COLLIDE, sorts)
         assert tick.calls.pairs == len(near) > len(meeting)
     shapes = ShapeQueries(tick, {10 * n: n for n in range(60)}, sorts, BOXES, np.zeros(0, np.int64))
     for i, j in sorted(near)[:5]:
@@ -346,7 +347,7 @@ def test_many_questions_are_answered_together():
         assert shapes.collides(j, i, MIN_DEPTH) is alone.collides(i, j)
         near = alone.clearance(i, j)
         assert shapes.near(j, i, 0.05) is (None if near is None else near <= 0.05)
-    assert len(tick._placed) < len(alone._placed)
+    assert len(tick._placed_solids) < len(alone._placed_solids)
 
 
 def test_ids_of_all_that_are_near():
@@ -364,14 +365,14 @@ def test_shapes_of_two_entities_that_collide_are_left_out():
     """The rest of what two tables are made of is not compared."""
     table = [(ELL, (0, 0, 0)), (box(), (0, 0, 0)), (ELL, (0.1, 0, 0))]
     tick = narrow(table, [(box(), (0.2, 0, 0)), (ELL, (0.1, 0.1, 0))])
-    assert tick.all_of(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
+    assert tick.all_pairs(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
     assert tick.calls.calls == 0
     assert tick.calls.pairs == 1
 
 
 def test_meshes_that_collide_cost_one_call():
     tick = narrow([(ELL, (0, 0, 0))], [(ELL, (0.4, 0.3, 0.1))], [(ELL, (0.3, 0, 5))])
-    assert tick.all_of(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
+    assert tick.all_pairs(COLLIDE, sorts_of(tick)).pairs == [(0, 1)]
     assert tick.calls.calls == 1
     assert tick.penetration(0, 1) > 0.01
 
@@ -379,4 +380,4 @@ def test_meshes_that_collide_cost_one_call():
 def test_box_depths_of_no_boxes():
     tick = narrow([(sphere(), (0, 0, 0))])
     none = np.zeros(0, np.intp)
-    assert not len(box_depths(tick._scene(sorts_of(tick)), none, none))
+    assert not len(box_depths(tick._tick_shapes(sorts_of(tick)), none, none))

@@ -27,6 +27,7 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.surfaces import Surface
 from tests.support import pairs
+from tests.support.cases import sampled
 from tests.support.pairs import Shape, ell
 from tests.support.solids import STRAIGHT, box, capsule, cylinder, mesh_of, narrow, plane, sphere
 
@@ -104,7 +105,7 @@ def test_what_is_near_is_near_for_more(kinds, seed, bounds):
     exact = narrow(*places).clearance(0, 1)
     tick = narrow(*places)
     for bound in bounds:
-        found = tick.clearance(0, 1, upto=bound)
+        found = tick.clearance(0, 1, limit=bound)
         assert found == (exact if exact <= bound else math.inf)
 
 
@@ -211,7 +212,7 @@ def test_at_the_surface(over, under, height):
     for within in (0.0, abs(height) - 1e-8, abs(height) + 1e-8):
         expected = max(0.0, height) <= within
         if abs(max(0.0, height) - within) > 5e-9:
-            assert (tick.clearance(0, 1, upto=within) <= within) is expected
+            assert (tick.clearance(0, 1, limit=within) <= within) is expected
     normal = tick.signed_distance(1, 0).normal
     assert normal == pytest.approx((0, 0, 1), abs=1e-4)
 
@@ -561,7 +562,7 @@ def test_spheres_tell_without_fcl():
     assert tick.collides(0, 1)
     assert tick.clearance(0, 1) == 0.0
     assert not tick.collides(0, 2)
-    assert tick.clearance(0, 2, upto=5.0) == math.inf
+    assert tick.clearance(0, 2, limit=5.0) == math.inf
     assert tick.calls.calls == 0
 
 
@@ -581,8 +582,8 @@ def test_only_the_closest_shapes_are_asked():
     tick = narrow(arm, [(box(0.1, 0.1, 0.1), (0.5, 0.02, 0))])
     assert tick.clearance(0, 1) == pytest.approx(0.4)
     assert tick.calls.calls <= 2
-    assert tick.clearance(0, 1, upto=0.1) == math.inf
-    assert tick.clearance(1, 0, upto=0.4 + 1e-9) == pytest.approx(0.4)
+    assert tick.clearance(0, 1, limit=0.1) == math.inf
+    assert tick.clearance(1, 0, limit=0.4 + 1e-9) == pytest.approx(0.4)
 
 
 def test_an_entity_is_all_its_shapes():
@@ -900,7 +901,7 @@ def held(one, points, *, whole=False):
     return (local @ equations[:, :3].T <= -equations[:, 3]).all(1)
 
 
-@pytest.mark.parametrize("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), ids=" ".join)
+@sampled("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), every=5, ids=" ".join)
 def test_shares_as_by_counting_points(kinds):
     """Of points at random 0.07 is about four deviations of a share, 0.02 of the mean of ten."""
     random = np.random.default_rng(7)
@@ -1012,7 +1013,7 @@ def larger(one, factor):
     return Shape(one.kind, grown, one.position, one.quaternion)
 
 
-@pytest.mark.parametrize("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), ids=" ".join)
+@sampled("kinds", list(itertools.product(pairs.KINDS, pairs.KINDS)), every=5, ids=" ".join)
 def test_what_is_contained_has_as_large_a_share(kinds):
     for seed, factor in itertools.product(range(3), (1.0, 2.0, 4.0)):
         a, b = pairs.pair(kinds, seed)
@@ -1024,7 +1025,7 @@ def test_what_is_contained_has_as_large_a_share(kinds):
 STICKS_OUT = [0.05 - 1e-9, 0.05 + 1e-9, 0.05 - 1e-4, 0.05 + 1e-4, 0.03, 0.06, 0.13, 0.14, 0.3]
 
 
-@pytest.mark.parametrize("out", STICKS_OUT)
+@sampled("out", STICKS_OUT, every=4)
 def test_what_is_contained_at_the_edges(out):
     around = (box(2, 2, 2), cylinder(1.0, 2.0), plane((1, 0, 0)))
     for b in (box(), sphere(), capsule(0.5, 1e-3), cylinder(), ell(1, 1, 1)):
@@ -1052,6 +1053,7 @@ def test_small_and_many_shapes_that_are_contained():
     assert contained([*ground, (plane((1, 0, 0)), ORIGIN)], [(plane(), ORIGIN)])
 
 
+@pytest.mark.slow
 def test_few_shares_tell_what_is_contained(monkeypatch):
     cut, volume = [], overlap._volume_inside
     monkeypatch.setattr(
@@ -1070,6 +1072,7 @@ def test_few_shares_tell_what_is_contained(monkeypatch):
     assert 0 < 10 * fast < len(cut) - fast
 
 
+@pytest.mark.slow
 def test_large_meshes_are_compared_where_they_meet(monkeypatch):
     """Neither all pairs of their triangles, nor many at a time; the shares are of round ones."""
     torus = of_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=100, minor_sections=50))

@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError, StateError
+from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
 
 CUBE = [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
@@ -215,6 +216,7 @@ CHANGED = [
 ]
 
 
+@pytest.mark.slow
 def test_margins_that_are_set(yard):
     for n, (kind, given, _) in enumerate(CHANGED):
         yard.stack(kind, "box", (10.0 * n, 0), margin=given)
@@ -295,7 +297,7 @@ def test_at_the_bounds_of_margins_and_depths(hulls, slow):
                     assert found == [expected] * len(found), (condition, gap)
 
 
-@pytest.mark.parametrize("slow", [False, True])
+@sampled("slow", [False, True], every=2)
 def test_a_depth_below_0_is_an_error(hulls, slow):
     """Also where no boxes meet, so that no shapes are compared."""
     with ssduck.Interpreter(row_by_row=slow) as ss:
@@ -354,7 +356,7 @@ RECORDED = [
 ]
 
 
-@pytest.mark.parametrize("place", ["run", "run.duckdb"])
+@sampled("place", ["run", "run.duckdb"], every=2)
 @pytest.mark.parametrize("forgotten", [False, True])
 def test_margins_are_recorded(yard, tmp_path, place, forgotten):
     """Records of before margins were told have those that PyBullet gave."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import contextmanager
 
 import numpy as np
 import pybullet
@@ -15,10 +16,9 @@ from ssduck.interpreter import query_runner as queries
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
 
-@pytest.fixture(params=EVALUATORS)
-def ss(request, client, monkeypatch):
-    """A ground plane, whose box is infinite, and two boxes; short lists become SQL, too."""
-    monkeypatch.setattr(queries, "FEW_ROWS", 0)
+@contextmanager
+def opened(client, evaluator):
+    """A ground plane, whose box is infinite, and two boxes."""
     plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
     box = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.5] * 3, physicsClientId=client
@@ -32,10 +32,28 @@ def ss(request, client, monkeypatch):
         number = pybullet.createMultiBody(0, shape, basePosition=position, physicsClientId=client)
         names[number] = name
     world = ssduck.World.attach(client, names=names)
-    with ssduck.Interpreter(**EVALUATORS[request.param]) as interpreter:
+    with ssduck.Interpreter(**EVALUATORS[evaluator]) as interpreter:
         interpreter.add_variable("w", world)
         yield interpreter
     world.close()
+
+
+@pytest.fixture(params=EVALUATORS)
+def ss(request, client, monkeypatch):
+    """Short lists become SQL, too."""
+    monkeypatch.setattr(queries, "FEW_ROWS", 0)
+    with opened(client, request.param) as interpreter:
+        yield interpreter
+
+
+@pytest.fixture(scope="module", params=EVALUATORS)
+def steady(request):
+    """The same for programs that change nothing."""
+    client = pybullet.connect(pybullet.DIRECT)
+    with pytest.MonkeyPatch.context() as patch, opened(client, request.param) as interpreter:
+        patch.setattr(queries, "FEW_ROWS", 0)
+        yield interpreter
+    pybullet.disconnect(client)
 
 
 NAN = math.nan
@@ -74,25 +92,27 @@ NO_NUMBERS = [
 
 
 @pytest.mark.parametrize(("program", "value"), NO_NUMBERS)
-def test_no_numbers_compare_as_in_python(ss, program, value):
-    assert repr(ss.eval(program)) == repr(value)
+def test_no_numbers_compare_as_in_python(steady, program, value):
+    assert repr(steady.eval(program)) == repr(value)
 
 
 @pytest.mark.parametrize("function", ["sin", "cos", "tan"])
-def test_no_angle_is_infinite(ss, function):
+def test_no_angle_is_infinite(steady, function):
     with pytest.raises(ssduck.SelectScriptError, match="does not take inf"):
-        ss.eval(f"SELECT {function}(aabbVolume(this)) FROM w AS list;")
-    finite = ss.eval(f"SELECT {function}(aabbVolume(this)) FROM w WHERE id(this) == 'low' AS list;")
+        steady.eval(f"SELECT {function}(aabbVolume(this)) FROM w AS list;")
+    finite = steady.eval(
+        f"SELECT {function}(aabbVolume(this)) FROM w WHERE id(this) == 'low' AS list;"
+    )
     assert finite == [getattr(math, function)(1.0)]
 
 
 @pytest.mark.parametrize("name", ["counted", "place", "found", "paths", "steps", "item", "PLACE"])
-def test_a_state_may_have_any_name(ss, name):
+def test_a_state_may_have_any_name(steady, name):
     program = (
         f"SELECT this FROM [1, 2] START WITH {name} = 0 CONNECT BY {name} = {name} + this "
         f"STOP WITH {name} + this >= 3 AS list;"
     )
-    assert ss.eval(program) == [[1, 1, 1], [1, 1, 2], [1, 2], [2, 1], [2, 2]]
+    assert steady.eval(program) == [[1, 1, 1], [1, 1, 2], [1, 2], [2, 1], [2, 2]]
 
 
 def test_states_may_differ_by_case(ss):
@@ -216,10 +236,10 @@ def test_a_key_that_orders_nothing_may_be_an_error(ss):
 
 
 @pytest.mark.parametrize("program", LEFT_OUT)
-def test_what_sql_would_leave_out_is_an_error_too(ss, program):
-    ss.add_variable("l", [float(number) for number in range(1, 100)])
+def test_what_sql_would_leave_out_is_an_error_too(steady, program):
+    steady.add_variable("l", [float(number) for number in range(1, 100)])
     with pytest.raises(ssduck.SelectScriptError, match="division by zero"):
-        ss.eval(program)
+        steady.eval(program)
 
 
 @pytest.mark.parametrize(
@@ -237,8 +257,8 @@ def test_what_sql_would_leave_out_is_an_error_too(ss, program):
         ),
     ],
 )
-def test_nested_queries_see_the_states_by_their_names(ss, program, value):
-    assert ss.eval(program) == value
+def test_nested_queries_see_the_states_by_their_names(steady, program, value):
+    assert steady.eval(program) == value
 
 
 @pytest.mark.parametrize(
@@ -249,9 +269,9 @@ def test_nested_queries_see_the_states_by_their_names(ss, program, value):
         ("SELECT count(uniq([{n}, {n}])) FROM a=l LIMIT 1 AS list;", [2]),
     ],
 )
-def test_one_that_is_no_number_is_not_another(ss, program, value):
-    ss.add_variable("l", [1e308] * 80)
-    assert ss.eval(program.format(n="(a.this*10-a.this*10)")) == value
+def test_one_that_is_no_number_is_not_another(steady, program, value):
+    steady.add_variable("l", [1e308] * 80)
+    assert steady.eval(program.format(n="(a.this*10-a.this*10)")) == value
 
 
 def test_a_name_in_a_nested_query_that_becomes_a_variable(ss):

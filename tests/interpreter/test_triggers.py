@@ -28,6 +28,7 @@ from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, Unsup
 from ssduck.interpreter.triggers.diff import canonical_key, copy_of, difference, is_true, rows_of
 from ssduck.interpreter.triggers.registry import TriggerWarning
 from ssduck.world import running
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 
@@ -854,6 +855,7 @@ def test_closing_does_not_wait_for_ever(ss, sim, monkeypatch):
 # -- threads and locks -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_queries_and_steps_in_two_threads(ss, sim):
     """The interpreter's lock comes before the worlds': triggers are told under none."""
     ended, results, errors = threading.Event(), [], []
@@ -948,7 +950,7 @@ def test_a_world_does_not_keep_its_followers(sim):
     assert sim.snapshot.number == before + 1
 
 
-@pytest.mark.parametrize("queue", [None, 1])
+@sampled("queue", [None, 1], every=2)
 def test_triggers_keep_nothing_alive(queue):
     ss = ssduck.load("kitchen")
     world = ss.call_variable("kitchen")
@@ -1085,7 +1087,7 @@ def test_a_run_stops_where_triggers_are_due(ss, sim):
         ({"seconds": 1, "every": 1.5}, "every: 1.5 is no number of steps"),
         ({"seconds": 1, "realtime": 0}, "realtime: 0 is no speed"),
         ({"seconds": 1, "realtime": NAN}, "realtime: nan is no speed"),
-        ({"seconds": 1, "progress": "yes"}, "progress: 'yes' is none of"),
+        ({"seconds": 1, "progress": "yes"}, "progress: 'yes' is not"),
     ],
 )
 def test_wrong_arguments_of_a_run(sim, arguments, said):

@@ -204,7 +204,7 @@ MISTAKES = [
     ("2 ^ 99999999999;", EvaluationError, "2 ^ 99999999999", "too large", []),
     ("'a' * 1000000000000;", EvaluationError, "'a' * 1000000000000", "too large", []),
     ("(-8) ^ 0.5;", EvaluationError, "(-8) ^ 0.5", "no real value", []),
-    ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, None, "cannot be called by that", []),
+    ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, None, "cannot be the name of a column", []),
     ("print();", ArgumentError, "print()", "print takes", []),
     ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
     ("help(3);", UnknownNameError, "help(3)", "no function 3", []),

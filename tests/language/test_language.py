@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ssduck.interpreter import query_runner as queries
+from tests.support.cases import sampled
 from tools.write_cases import cases, prepared, sql_of
 
 CASES = cases()
@@ -35,6 +36,6 @@ def test_constructs(ss, as_sql, case):
     assert repr(ss.eval(case["program"])) == case["value"]
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case["of"])
+@sampled("case", CASES, every=3, ids=lambda case: case["of"])
 def test_row_by_row_gives_the_same(row_by_row, case):
     assert repr(row_by_row.eval(case["program"])) == case["value"]

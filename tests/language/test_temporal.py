@@ -22,6 +22,7 @@ from ssduck.interpreter import query_runner as queries
 from ssduck.language import value_history as temporal
 from ssduck.language.parser import parse
 from ssduck.language.value_history import SAME_TIME, ValueHistory, past_value, with_assignment
+from tests.support.cases import sampled
 
 STEP = 0.25
 
@@ -148,7 +149,7 @@ GIVEN = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("horizon", "program", "value"), GIVEN)
+@sampled(("horizon", "program", "value"), GIVEN, every=5)
 def test_what_is_given(ss, horizon, program, value):
     abc(ss, horizon)
     assert ss.eval(program) == value
@@ -190,7 +191,7 @@ KEPT = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("script", "program", "value"), KEPT)
+@sampled(("script", "program", "value"), KEPT, every=4)
 def test_what_is_kept(ss, script, program, value):
     run(ss, *script)
     assert ss.eval(program) == value
@@ -262,7 +263,7 @@ MISTAKES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("script", "program", "kind", "offending", "words"), MISTAKES)
+@sampled(("script", "program", "kind", "offending", "words"), MISTAKES, every=4)
 def test_mistakes(ss, script, program, kind, offending, words):
     ss.add_function("none", lambda: None)
     run(ss, *script)
@@ -469,6 +470,7 @@ OPERATIONS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=500)
 @given(operations=OPERATIONS)
 def test_histories_are_like_the_model(operations):
@@ -604,6 +606,7 @@ def test_what_is_out_of_the_horizon_is_let_go_without_assignments(ss):
     assert Large.alive == 1  # v is one
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_assignments(client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("w", box_world(client))

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, EvaluationError, SqlError, UnsupportedError
+from tests.support.cases import sampled
 
 ALL = ("entities", "links", "joints", "shapes", "contacts", "sensings")
 
@@ -88,7 +89,7 @@ def _stepped(world: ssduck.World) -> Iterator[None]:
 # -- the tables -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("steps", [1, 239, 240, 241, 500], ids=str)
+@sampled("steps", [1, 239, 240, 241, 500], every=3, ids=str)
 def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps: int) -> None:
     _step(falling, steps)
     rows = falling.sql(
@@ -100,7 +101,7 @@ def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps:
     assert falling.sql("SELECT count(*) FROM ticks_history").fetchall() == [(steps + 1,)]
 
 
-@pytest.mark.parametrize("changed", [False, True], ids=["all", "changed"])
+@sampled("changed", [False, True], every=2, ids=["all", "changed"])
 def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
     with ssduck.load("kitchen") as ss:
         ss.record("kitchen", Recording(tables=ALL, changed=changed))
@@ -180,7 +181,7 @@ def test_a_sensor_brings_what_it_sits_on() -> None:
         assert names == [("fridge",), ("fridge_webcam",)]
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("recording", "least", "most"),
     [
         (Recording(ticks=100), 100, 151),
@@ -189,6 +190,7 @@ def test_a_sensor_brings_what_it_sits_on() -> None:
         (Recording(ticks=1), 1, 3),
         (Recording(ticks=2000), 2000, 3001),
     ],
+    every=3,
     ids=["ticks", "seconds", "both", "one", "many"],
 )
 def test_old_ticks_are_dropped(
@@ -231,7 +233,7 @@ def test_entities_that_are_recorded_are_there(falling: ssduck.Interpreter) -> No
         falling.record("lab", Recording(entities=("bal_1",)))
 
 
-@pytest.mark.parametrize("table", ["links", "joints", "shapes", "contacts", "sensings"])
+@sampled("table", ["links", "joints", "shapes", "contacts", "sensings"], every=3)
 def test_what_is_not_recorded_is_said_to_be_so(falling: ssduck.Interpreter, table: str) -> None:
     with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded"):
         falling.sql(f"SELECT * FROM {table}_history")
@@ -270,6 +272,7 @@ def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
     client, _ = _falling()
     world = ssduck.World.attach(client)
@@ -323,7 +326,7 @@ PAST = [
 ]
 
 
-@pytest.mark.parametrize("program", PAST)
+@sampled("program", PAST, every=6)
 def test_both_evaluators_see_one_past(falling: ssduck.Interpreter, program: str) -> None:
     _step(falling, 300)
     falling.eval("board = SELECT obj FROM lab WHERE id(this) == 'board' AS value;")
@@ -333,6 +336,7 @@ def test_both_evaluators_see_one_past(falling: ssduck.Interpreter, program: str)
     assert as_sql not in ([], None)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(
     heights=st.lists(st.floats(0.2, 3.0), min_size=2, max_size=12),
@@ -471,7 +475,7 @@ def looked_at() -> Any:
         yield ss
 
 
-@pytest.mark.parametrize(("sql", "program"), LOOKED_UP, ids=[sql for sql, _ in LOOKED_UP])
+@sampled(("sql", "program"), LOOKED_UP, every=5, ids=[sql for sql, _ in LOOKED_UP])
 def test_raw_sql_looks_up_what_was_told_then(
     looked_at: ssduck.Interpreter, sql: str, program: str
 ) -> None:
@@ -648,7 +652,7 @@ NESTED = [
 ]
 
 
-@pytest.mark.parametrize("program", NESTED)
+@sampled("program", NESTED, every=3)
 def test_nested_queries_of_the_past(falling: ssduck.Interpreter, program: str) -> None:
     _step(falling, 40)
     falling.eval("ball = SELECT obj FROM lab WHERE id(this) == 'ball_0' AS value;")
@@ -724,7 +728,7 @@ def test_the_past_is_read_while_another_thread_steps(falling: ssduck.Interpreter
     [
         (lambda ss: ss.export("none", entities=[]), "no entities to write"),
         (lambda ss: ss.export("none", start="a"), "number of seconds"),
-        (lambda ss: ss.record("lab", "x"), "takes a Recording or None, not 'x'"),
+        (lambda ss: ss.record("lab", "x"), "record: recording: 'x' is no Recording"),
         (lambda _: Recording(seconds="1"), "seconds is to be a number above 0"),
         (lambda _: Recording(tables=3), "tables is to be a list of names"),
         (lambda ss: ss.eval("least(IF(z(ball) > 0.99; 'a'; 1));"), "expression of numbers"),

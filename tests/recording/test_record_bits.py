@@ -13,6 +13,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.geometry.poses import compose, cross, multiply, rotate, rotation_matrices
 from ssduck.schema import RECORDABLE
+from tests.support.cases import sampled
 
 ALL = Recording(tables=RECORDABLE)
 POSES = Recording()
@@ -110,7 +111,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory):
     return place, live
 
 
-@pytest.mark.parametrize("name", PLACES)
+@sampled("name", PLACES, every=4)
 def test_the_present_of_an_opened_record_is_as_it_was(recorded, name: str) -> None:
     place, live = recorded
     with ssduck.open(place / name) as ss:
@@ -147,6 +148,7 @@ PROGRAMS = [
 ]
 
 
+@pytest.mark.slow
 def test_parts_make_no_difference(recorded) -> None:
     place, _ = recorded
     found = {}

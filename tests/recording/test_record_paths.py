@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError, SqlError
+from tests.support.cases import sampled
 
 POSIX = pytest.mark.skipif(os.name != "posix", reason="such names are for POSIX")
 # `run1` is what `run[1]`, `run?` and `run*` would find as patterns.
@@ -51,6 +52,7 @@ def test_a_folder_is_the_one_of_that_name(client, tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
@@ -122,7 +124,7 @@ def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> 
 
 
 @POSIX
-@pytest.mark.parametrize("name", ["a\\b", "a\\", "a\0b", "a\\*"])
+@sampled("name", ["a\\b", "a\\", "a\0b", "a\\*"], every=4)
 def test_a_name_that_duckdb_does_not_take_is_an_error(client, tmp_path: Path, name: str) -> None:
     with pytest.raises(SqlError, match="cannot be the path"):
         ssduck.Interpreter(tmp_path / name)

@@ -13,6 +13,7 @@ from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.base import TickStore
 from ssduck.schema import recorded_tables
+from tests.support.cases import sampled
 
 
 class Store(TickStore):
@@ -99,7 +100,7 @@ def test_entities_that_come_and_go_are_told_apart_in_a_ring(
     assert store.stored == before + after
 
 
-@pytest.mark.parametrize("flushed", [1, 7, 5000])
+@sampled("flushed", [1, 7, 5000], every=3)
 def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int) -> None:
     with ssduck.Interpreter(recording=Recording()) as ss:
         ss.add_variable("lab", world)
@@ -113,6 +114,7 @@ def test_what_is_flushed_often_is_put_together(world: ssduck.World, flushed: int
         assert len(ss._database._recorders.running[0]._store._parts) < 5
 
 
+@pytest.mark.slow
 def test_buffers_are_used_again_when_nobody_looks_into_them(world: ssduck.World) -> None:
     with ssduck.Interpreter(recording=Recording(ticks=1600)) as ss:
         ss.add_variable("lab", world)

@@ -26,6 +26,8 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.schema import RECORDABLE
+from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 from tools import kill
 
@@ -63,21 +65,15 @@ def lively(client, names=()):
         "board": pybullet.createMultiBody(0, board, basePosition=[0, 0, -0.05], **box),
         "ball": sphere(client, [0.5, 0, 0.3]),
         "other": sphere(client, [-0.5, 0, 0.2]),
-        "arm": pybullet.createMultiBody(
+        "arm": create_linked_body(
+            client,
             0,
             arm,
             basePosition=[0, 1, 0.3],
-            linkMasses=[1],
-            linkCollisionShapeIndices=[arm],
-            linkVisualShapeIndices=[-1],
             linkPositions=[[0, 0, 0.3]],
-            linkOrientations=[[0, 0, 0, 1]],
             linkInertialFramePositions=[[0, 0, 0.3]],
-            linkInertialFrameOrientations=[[0, 0, 0, 1]],
-            linkParentIndices=[0],
             linkJointTypes=[pybullet.JOINT_REVOLUTE],
             linkJointAxis=[[1, 0, 0]],
-            **box,
         ),
     }
     named = {bodies[old]: new for old, new in zip(bodies, names, strict=False)}
@@ -230,8 +226,8 @@ def test_a_world_that_changed_answers_as_it_did(lab, program, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("table", [*PRESENT, *PAST, *MODELS])
-@pytest.mark.parametrize("world", ["kitchen", "lab"])
+@sampled("table", [*PRESENT, *PAST, *MODELS], every=4)
+@pytest.mark.parametrize("world", [pytest.param("kitchen", marks=pytest.mark.slow), "lab"])
 def test_tables_are_the_same_row_for_row(request, world, table, kind):
     _, tables, opened = request.getfixturevalue(world)
     assert rows(opened[kind], table) == tables[table]
@@ -297,7 +293,7 @@ def python(code, *arguments):
     return done.stdout
 
 
-@pytest.mark.parametrize("kind", ["folder", "file"])
+@sampled("kind", ["folder", "file"], every=2)
 def test_a_record_needs_no_simulator(tmp_path, client, kind):
     path = tmp_path / ("run.duckdb" if kind == "file" else "run")
     with ssduck.Interpreter(path if kind == "file" else ":memory:", recording=None) as ss:
@@ -339,7 +335,7 @@ def folder(tmp_path_factory):
     return place
 
 
-@pytest.mark.parametrize("table", [*RECORDABLE, "ticks"])
+@sampled("table", [*RECORDABLE, "ticks"], every=7)
 def test_others_read_the_folder_as_it_is(folder, table):
     place = folder / table
     scanned = duckdb.sql(f"SELECT * FROM '{str(place).replace(chr(39), chr(39) * 2)}/**/*.parquet'")
@@ -363,6 +359,7 @@ def test_others_read_the_folder_as_it_is(folder, table):
     assert lazy.height == sum(counts.values())
 
 
+@pytest.mark.slow
 def test_episodes_are_told_and_opened_by_world_and_number(folder):
     told = ssduck.episodes(folder)
     assert [(e.world, e.number, e.ticks) for e in told] == [
@@ -403,13 +400,14 @@ def test_a_newer_episode_that_holds_nothing_does_not_hide_an_older_one(tmp_path,
 # -- what is written --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("chosen", "found"),
     [
         (["ball"], ["ball"]),
         (["eye"], ["arm", "eye"]),
         ("SELECT obj FROM lab WHERE isSphere(this) AS list;", ["lab_5", "other"]),
     ],
+    every=3,
     ids=["name", "sensor", "program"],
 )
 def test_some_entities_are_exported(tmp_path, client, chosen, found):
@@ -443,7 +441,7 @@ def test_some_entities_are_exported(tmp_path, client, chosen, found):
     assert episode.entities is not None
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("start", "end", "ticks"),
     [
         (None, None, range(13)),
@@ -455,6 +453,7 @@ def test_some_entities_are_exported(tmp_path, client, chosen, found):
         (-5, 0.0, range(1)),
         (0.05, 99, range(12, 13)),
     ],
+    every=4,
 )
 def test_a_span_of_time_is_exported(tmp_path, client, start, end, ticks):
     lively(client)
@@ -481,7 +480,7 @@ def test_ticks_that_there_are_none_of(tmp_path, client):
 
 
 @pytest.mark.parametrize("every", [1, 3])
-@pytest.mark.parametrize("tables", [(), ("links",), ("joints", "contacts")], ids=str)
+@sampled("tables", [(), ("links",), ("joints", "contacts")], every=3, ids=str)
 def test_recordings_of_any_kind_are_the_same_again(tmp_path, client, tables, every):
     recording = Recording(tables=tables, every=every, changed=every == 3)
     with ssduck.Interpreter(recording=None) as ss:
@@ -506,6 +505,7 @@ def test_recordings_of_any_kind_are_the_same_again(tmp_path, client, tables, eve
 ODD = ["it's", 'a "quoted" one', "../../up", "ü=ö/😀\n,", " ; DROP TABLE x; --"]
 
 
+@pytest.mark.slow
 def test_names_of_any_letters(tmp_path, client):
     numbers = lively(client, ODD)
     with ssduck.Interpreter() as ss:
@@ -529,6 +529,7 @@ def test_one_world_of_two_names_is_recorded_under_the_first(tmp_path, client):
     assert ssduck.episodes(tmp_path / "run")[0].world == "a"
 
 
+@pytest.mark.slow
 def test_nothing_touches_anything(tmp_path, client):
     sphere(client, [0, 0, 1])
     with ssduck.Interpreter(tmp_path / "run.duckdb", recording=ALL) as ss:
@@ -543,6 +544,7 @@ def test_nothing_touches_anything(tmp_path, client):
             assert "Error" not in answer(opened, program) or "contacts" in answer(opened, program)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no number")
 def test_what_is_unknown_stays_unknown(tmp_path, client):
     numbers = lively(client)
@@ -647,9 +649,7 @@ DAMAGES = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("damage", "chosen", "told"), DAMAGES, ids=[told[:40] for *_, told in DAMAGES]
-)
+@sampled(("damage", "chosen", "told"), DAMAGES, every=4, ids=[told[:40] for *_, told in DAMAGES])
 def test_records_that_cannot_be_opened(record, damage, chosen, told):
     damage(record)
     with pytest.raises(RecordError, match=told):
@@ -802,6 +802,7 @@ def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_file_in_use_is_told_of(tmp_path):
     path = tmp_path / "run.duckdb"
     with recorder(path, "wait") as process:
@@ -985,6 +986,7 @@ with ssduck.load("kitchen") as ss:
 """
 
 
+@pytest.mark.slow
 @POSIX
 def test_half_an_export_is_taken_back(tmp_path):
     assert python(EXPORT, tmp_path / "run") == "RecordError\n"
@@ -996,7 +998,7 @@ def test_half_an_export_is_taken_back(tmp_path):
 
 
 @POSIX
-@pytest.mark.parametrize("seed", range(6))
+@sampled("seed", range(6), every=6)
 def test_killed_recorders_leave_whole_records(seed):
     """The short form of `python -m tools.kill`."""
     run = kill.Run(kill.KINDS["both"])

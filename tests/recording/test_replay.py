@@ -61,6 +61,7 @@ def test_a_record_is_gone_through(opened: Any) -> None:
         kitchen["table"].move([0, 0, 0])
 
 
+@pytest.mark.slow
 def test_a_query_holds_the_record_at_its_tick(opened: Any) -> None:
     ss, kitchen = opened
     ss.add_function("goes_on", lambda _: kitchen.seek(0.0) is not None, "")
@@ -108,6 +109,7 @@ def outcome(ss: ssduck.Interpreter, program: str) -> str:
         return re.sub(r"ticks \d+ and \d+", "ticks", f"{type(error).__name__}: {error.message}")
 
 
+@pytest.mark.slow
 def test_programs_of_two_ticks_end_alike_live_and_opened(tmp_path: Path, client: int) -> None:
     box = {"halfExtents": [0.5, 0.5, 0.1], "physicsClientId": client}
     shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, **box)

@@ -97,6 +97,7 @@ def test_rows_of_another_episode_are_an_error(opened, folder, what: str) -> None
         asked(opened, what, rows_of(folder))
 
 
+@pytest.mark.slow
 def test_each_episode_answers_for_its_own_rows(folder) -> None:
     for episode, gap in enumerate(GAPS):
         with ssduck.open(folder, episode=episode) as ss:
@@ -188,6 +189,7 @@ def test_a_what_if_world_is_another_run(live) -> None:
         live.add_variable("moved", world)
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_wherever_it_is_kept(tmp_path: Path, client: int) -> None:
     file = tmp_path / "r.duckdb"
     with ssduck.Interpreter(file, recording=ALL) as ss:

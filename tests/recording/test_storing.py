@@ -21,6 +21,7 @@ from ssduck.database import recorders, writer
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import Recorder
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -174,6 +175,7 @@ def test_nothing_is_made_good_amid_a_query(
     assert recorder._store.fetch("entities", 0, 100).num_rows == BALLS * RING
 
 
+@pytest.mark.slow
 def test_queries_see_whole_ticks_while_they_are_stored(
     recorded: ssduck.Interpreter, world: ssduck.World
 ) -> None:
@@ -281,6 +283,7 @@ def test_a_world_that_is_recorded_anew_while_it_is_stored(world: ssduck.World, g
         assert _counts(ss) == _whole(RING + 2, first=RING + 1)
 
 
+@pytest.mark.slow
 def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) -> None:
     kept = Recording(ticks=8 * RING)
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=kept) as ss:
@@ -296,7 +299,7 @@ def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) ->
 # -- what fails -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("told", ["tick", "flush", "close"])
+@sampled("told", ["tick", "flush", "close"], every=3)
 def test_what_fails_in_the_thread_is_told_and_waits(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, told: str
 ) -> None:
@@ -319,6 +322,7 @@ def test_what_fails_in_the_thread_is_told_and_waits(
         assert _counts(then) == _whole(last)
 
 
+@pytest.mark.slow
 def test_what_fails_again_and_again(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path
 ) -> None:
@@ -357,6 +361,7 @@ def test_a_log_that_cannot_be_moved_is_told_at_flush(
 # -- the end ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_interpreter_that_is_forgotten_while_it_stores(
     world: ssduck.World, gate: Gate, tmp_path: Path
 ) -> None:
@@ -431,7 +436,7 @@ ENDS = {
 
 
 @POSIX
-@pytest.mark.parametrize("end", ENDS)
+@sampled("end", ENDS, every=3)
 def test_a_process_that_ends_while_it_stores(tmp_path: Path, end: str) -> None:
     path = tmp_path / "run.duckdb"
     subprocess.run(

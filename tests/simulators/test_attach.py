@@ -345,6 +345,7 @@ def next_number():
     return number
 
 
+@pytest.mark.slow
 def test_a_closed_world_does_not_close_the_next_one():
     first = ssduck.World.load(find_scene("kitchen"))
     first.close()
@@ -375,6 +376,7 @@ def test_a_lost_client_stays_lost():
     pybullet.disconnect(number)
 
 
+@pytest.mark.slow
 def test_a_world_that_nobody_holds_frees_its_client():
     number = next_number()
     world = ssduck.World.load(find_scene("kitchen"))

@@ -11,6 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
+from tests.support.cases import sampled
 
 STEP = 1 / 240
 # The ball bounces up and down through this height, m.
@@ -145,7 +146,7 @@ def test_another_tick_of_the_same_time(client, bouncing, again):
     assert ss.eval("holds(z(ball) < 0.5);") == [[0.5, 1.0]]
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("arguments", "error", "message"),
     [
         ({"time": 0.75}, NumberError, "0.75 s is before the last tick, 1 s.*attach .* anew"),
@@ -165,6 +166,7 @@ def test_another_tick_of_the_same_time(client, bouncing, again):
         ({"steps": 10**13}, NumberError, "more than 1,000,000,000,000"),
         ({"steps": 1, "time": 2.0}, ArgumentError, "exclude each other"),
     ],
+    every=4,
 )
 def test_times_that_a_tick_cannot_have(bouncing, arguments, error, message):
     _, world = bouncing

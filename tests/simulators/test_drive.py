@@ -136,7 +136,9 @@ def test_who_has_no_motors(crane):
     with pytest.raises(UnsupportedError, match="does not change"):
         maybe["crane"].drive({"lift": 0.1})
     sensor = crane.world.add_sensor("range_finder", "crane", max_range=1.0)
-    with pytest.raises(SelectScriptError, match="is a sensor; drive what it sits on"):
+    with pytest.raises(
+        SelectScriptError, match="is a sensor; drive the body that it is mounted on"
+    ):
         sensor.drive({"lift": 0.1})
 
 

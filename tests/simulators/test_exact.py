@@ -20,6 +20,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.spec import Recording
 from ssduck.schema import RECORDABLE
+from tests.support.cases import sampled
 
 LIBRARY = Path(pybullet_data.getDataPath())
 TETRA = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.123456789012345, 0.2, 1.0]]
@@ -459,7 +460,7 @@ def test_the_mark_is_a_column(marked):
     assert marked.sql(MARKS.format("other", "")).fetchall() == expected
 
 
-@pytest.mark.parametrize("changed", [False, True])
+@sampled("changed", [False, True], every=2)
 @pytest.mark.parametrize("kind", ["folder", "file"])
 def test_records_keep_the_mark(marked, tmp_path, kind, changed):
     expected = [("cube", True), ("ramp", False)]
@@ -505,7 +506,7 @@ def without_the_mark(path):
         assert tables
 
 
-@pytest.mark.parametrize("kind", ["folder", "file"])
+@sampled("kind", ["folder", "file"], every=2)
 def test_older_records_open(marked, tmp_path, kind):
     world = marked.call_variable("sim")
     path = tmp_path / ("run" if kind == "folder" else "run.duckdb")
@@ -530,7 +531,7 @@ def test_older_records_open(marked, tmp_path, kind):
         assert "not exact" not in ss.eval("EXPLAIN SELECT near(this, this, 1) FROM sim;")
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("query", "relations"),
     [
         ("SELECT id FROM sim WHERE near(this, this, 1)", "near"),
@@ -544,6 +545,7 @@ def test_older_records_open(marked, tmp_path, kind):
         ("SELECT id FROM sim WHERE isRobot(this) AND distance(this, this) < 1", None),
         ("SELECT position(this) FROM sim", None),
     ],
+    every=3,
 )
 @pytest.mark.parametrize("row_by_row", [False, True])
 def test_explain_says_where_an_answer_is_not_exact(marked, query, relations, row_by_row):

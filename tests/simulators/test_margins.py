@@ -8,6 +8,7 @@ import pybullet
 import pytest
 
 import ssduck
+from tests.support.cases import sampled
 
 CUBE = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
 WIDE = 0.01
@@ -72,7 +73,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize("row_by_row", [False, True])
-@pytest.mark.parametrize("way", WAYS)
+@sampled("way", WAYS, every=4)
 def test_changed_margins_count_from_the_next_tick(sim, client, way, row_by_row):
     with ssduck.Interpreter(row_by_row=row_by_row) as ss:
         ss.add_variable("sim", sim)

@@ -5,17 +5,24 @@ import pybullet_data
 import pytest
 
 import ssduck
+from tests.support.cases import sampled
+from tests.support.urdf import collision, joint, link, robot
+
+# A chain of eight boxes.
+ARM = robot(
+    *(link(f"l{n}", shapes=collision('<box size="0.05 0.05 0.1"/>')) for n in range(8)),
+    *(joint(f"j{n}", "continuous", f"l{n}", f"l{n + 1}", xyz=(0, 0, 0.2)) for n in range(7)),
+)
 
 
 @pytest.fixture
-def sim(client):
+def sim(client, write):
     """A world of a cube of 1 kg and an arm of several links, attached."""
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
     )
     pybullet.createMultiBody(1.0, shape, basePosition=[0, 0, 1], physicsClientId=client)
-    model = f"{pybullet_data.getDataPath()}/kuka_iiwa/model.urdf"
-    pybullet.loadURDF(model, useFixedBase=True, physicsClientId=client)
+    pybullet.loadURDF(str(write("arm.urdf", ARM)), useFixedBase=True, physicsClientId=client)
     return ssduck.World.attach(client, names={0: "cube", 1: "arm"})
 
 
@@ -49,7 +56,7 @@ WAYS = {
 
 
 @pytest.mark.parametrize("row_by_row", [False, True])
-@pytest.mark.parametrize("way", WAYS)
+@sampled("way", WAYS, every=4)
 def test_a_changed_mass_is_seen_at_the_next_tick(sim, client, way, row_by_row):
     ss = ssduck.Interpreter(row_by_row=row_by_row)
     ss.add_variable("sim", sim)
@@ -111,6 +118,7 @@ def test_a_soft_body_has_none(client):
     assert world[name].mass == 0.0
 
 
+@pytest.mark.slow
 def test_records_have_the_mass_that_a_body_came_with(sim, client):
     """As the manual says: it is stored once, not with each tick."""
     ss = ssduck.Interpreter()
@@ -163,8 +171,10 @@ PAST = {
 IN_PROGRAMS = [way for way in PAST if way not in ("entity", "links", "history", "star", "model")]
 
 
-@pytest.mark.parametrize(
-    ("way", "row_by_row"), [*((way, False) for way in PAST), *((way, True) for way in IN_PROGRAMS)]
+@sampled(
+    ("way", "row_by_row"),
+    [*((way, False) for way in PAST), *((way, True) for way in IN_PROGRAMS)],
+    every=6,
 )
 def test_a_past_mass_of_a_body_that_was_changed_comes_with_a_warning(sim, client, way, row_by_row):
     ss = ssduck.Interpreter(
@@ -192,6 +202,7 @@ def test_a_past_mass_of_a_body_that_was_changed_comes_with_a_warning(sim, client
     assert ask(ss, past) == 1.0  # what is recorded is there without the simulator
 
 
+@pytest.mark.slow
 def test_a_mass_that_changed_before_recording_begins(sim, client, tmp_path):
     sim.tick()
     change(client, 0, -1, 7.5)
@@ -213,7 +224,7 @@ def test_a_mass_that_changed_before_recording_begins(sim, client, tmp_path):
             assert opened.eval("mass(sim.cube);") == 7.5
 
 
-@pytest.mark.parametrize("place", ["export", "folder", "file"])
+@sampled("place", ["export", "folder", "file"], every=3)
 def test_a_record_of_a_mass_that_was_changed_comes_with_a_warning(sim, client, tmp_path, place):
     ss = ssduck.Interpreter(tmp_path / "run.duckdb" if place == "file" else ":memory:")
     ss.add_variable("sim", sim)

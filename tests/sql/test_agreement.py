@@ -9,8 +9,8 @@ from tests.support.grammar import evaluators, program, programs, seeded, shrunk
 
 pytestmark = pytest.mark.slow
 
-SEEDS = range(1250)
-BUNCH = 50
+SEEDS = range(625)
+BUNCH = 25
 # So many of a hundred queries run as SQL alone.
 LEAST_SQL = 40
 
@@ -31,7 +31,7 @@ def test_they_agree(both, first):
 
 
 @settings(
-    max_examples=250, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    max_examples=125, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
 )
 @given(text=programs())
 def test_they_agree_on_what_hypothesis_finds(both, text):

@@ -222,6 +222,7 @@ def test_a_condition_before_it_leaves_out_what_has_no_such_joint(scene):
                 assert one.eval(f"SELECT id FROM sim WHERE {condition} AS list;") == ["cabinet"]
 
 
+@pytest.mark.slow
 def test_past_ticks_and_records(scene, tmp_path):
     ss, slow, world, closed = scene
     times = []

@@ -20,6 +20,7 @@ from ssduck.errors import (
 )
 from ssduck.interpreter import query_runner as queries
 from ssduck.interpreter.linter import MAX_UNKNOWN
+from tests.support.cases import sampled
 
 PEOPLE = [
     {"name": "Ada", "age": 36, "group": "a"},
@@ -121,7 +122,7 @@ def test_aggregates_of_all_rows(ss, entities, text):
 
 
 @pytest.mark.parametrize("text", ["count(*)", "count(1)", "count(id)", "sum(1)", "count(uniq(id))"])
-@pytest.mark.parametrize("bound", [3, 4, 5, 8, 24, 25, 26])
+@sampled("bound", [3, 4, 5, 8, 24, 25, 26], every=3)
 def test_having_by_size(ss, entities, text, bound):
     """Groups of 8, 4 and 25: just inside and just outside."""
     wanted = [kind for kind, rows in by_kind(entities).items() if len(rows) > bound]
@@ -550,7 +551,7 @@ DOUBTS = [
 ]
 
 
-@pytest.mark.parametrize(("program", "offending", "told", "value"), DOUBTS)
+@sampled(("program", "offending", "told", "value"), DOUBTS, every=4)
 def test_doubts_are_told_once_and_are_errors_in_strict_interpreters(
     world, program, offending, told, value
 ):

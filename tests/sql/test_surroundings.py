@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.recording.spec import Recording
+from tests.support.cases import sampled
 from tests.support.stage import Stage, pairs_of
 from tests.support.urdf import collision, joint, link, robot
 
@@ -100,7 +101,7 @@ def walled(client, body, centre, turn):
 # -- enclosed ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", [*PROFILES, "ring", "box of triangles"])
+@sampled("name", [*PROFILES, "ring", "box of triangles"], every=5)
 def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
     if name in PROFILES:
         text, in_middle = of_boxes(*PROFILES[name][0]), PROFILES[name][1]
@@ -268,7 +269,7 @@ def told(ss, relation, source):
     return set(zip(flat[::2], flat[1::2], strict=True))
 
 
-@pytest.mark.parametrize("relation", MEANT)
+@sampled("relation", MEANT, every=5)
 def test_the_same_by_every_door(stage, relation, tmp_path):
     """Live and settled, row by row, in raw SQL, what if, at a past tick, and in a record."""
     world = bridge(stage)
@@ -314,7 +315,7 @@ CARRIED = [
 ]
 
 
-@pytest.mark.parametrize(("place", "holds"), CARRIED)
+@sampled(("place", "holds"), CARRIED, every=3)
 def test_supports_at_its_edges(stage, place, holds):
     stage.box("block", (0, 0, -0.1), half=[0.5, 0.5, 0.1])
     stage.box("plank", place, half=[0.1, 0.1, 0.02])
@@ -349,7 +350,7 @@ CORNERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CORNERS)
+@sampled("name", CORNERS, every=4)
 def test_what_carries_together(stage, name):
     plates, carriers = CORNERS[name]
     for plate, (degrees, about, *more) in plates.items():
@@ -432,8 +433,10 @@ SCENES = {
 TURNED = [name for name in SCENES if "bound" not in name and "beyond" not in name]
 
 
-@pytest.mark.parametrize(
-    ("name", "degrees"), [*((name, 0) for name in SCENES), *((name, 37) for name in TURNED)]
+@sampled(
+    ("name", "degrees"),
+    [*((name, 0) for name in SCENES), *((name, 37) for name in TURNED)],
+    every=8,
 )
 def test_next_to_is_beside_with_nothing_between(stage, name, degrees):
     boxes, holds = SCENES[name]
@@ -444,6 +447,7 @@ def test_next_to_is_beside_with_nothing_between(stage, name, degrees):
         assert ss.eval("[nextTo(a, b), nextTo(b, a)];") == [holds, holds]
 
 
+@pytest.mark.slow
 def test_what_is_on_or_in_something_is_not_beside_it(stage, write):
     rim = [((0.02, 0.4, 0.06), (x, 0, -0.07)) for x in (-0.2, 0.2)]
     stage.urdf("tray", write("tray.urdf", of_boxes(FLOOR, *rim)))
@@ -459,6 +463,7 @@ def test_what_is_on_or_in_something_is_not_beside_it(stage, write):
         assert ss.eval("[on(tray, plate), restsOn(tray, cup), enclosed(box, ball)];") == [True] * 3
 
 
+@pytest.mark.slow
 def test_next_to_is_symmetric_and_near(stage):
     """Of boxes at random: both ways alike, and never of what the definition leaves out."""
     random = np.random.default_rng(3)
@@ -480,6 +485,7 @@ def test_next_to_is_symmetric_and_near(stage):
         assert not found & set(pairs_of(ss, f"{held}(p, q)"))
 
 
+@pytest.mark.slow
 def test_a_ground_has_nothing_beside_it(stage):
     stage.add("ground", pybullet.GEOM_PLANE)
     stage.box("a", (0, 0, 0.5))
@@ -487,6 +493,7 @@ def test_a_ground_has_nothing_beside_it(stage):
         assert pairs_of(ss, "nextTo(p, q)") == []
 
 
+@pytest.mark.slow
 def test_what_has_no_shapes_is_nowhere(stage, write):
     stage.urdf("none", write("none.urdf", robot(link("base"))))
     stage.urdf("box", write("box.urdf", of_boxes(*PROFILES["room"][0])))

@@ -22,6 +22,7 @@ from ssduck.recording.stores.history_sql import near_pair_rows
 from ssduck.recording.stores.memory import _near_pair
 from ssduck.schema import POSE
 from ssduck.sql.relations.relation import BOX
+from tests.support.cases import sampled
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +117,7 @@ CONDITIONS = {
 
 @pytest.mark.parametrize("handle", ["board", "guest"])
 @pytest.mark.parametrize("long", [10, 10_000])
-@pytest.mark.parametrize("condition", CONDITIONS)
+@sampled("condition", CONDITIONS, every=3)
 def test_a_handles_row_is_read_where_a_column_of_it_is(
     comings: ssduck.Interpreter, condition: str, long: int, handle: str
 ) -> None:
@@ -172,6 +173,7 @@ def writer() -> Iterator[Any]:
         yield ss._database.connection.writer()
 
 
+@pytest.mark.slow
 @given(
     parts=_rows(),
     pair=st.sampled_from([(1, 2), (2, 1), (3, 1), (1, 9), (-1, 2)]),

@@ -23,6 +23,8 @@ from ssduck.errors import (
 )
 from ssduck.simulators.scenes import shipped_scenes
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, joint, link, robot
 
 # Nothing that these rest on moves, and nothing else touches them.
@@ -126,6 +128,7 @@ def kitchen():
 # -- what there is -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", shipped_scenes())
 def test_an_excerpt_of_all_is_the_same_and_stays_so(scene):
     ss = ssduck.load(scene)
@@ -150,6 +153,7 @@ def test_relations_agree(kitchen, chosen):
     assert relations(copy, names, skipped=skipped) == relations(kitchen, names, skipped=skipped)
 
 
+@pytest.mark.slow
 def test_what_is_closed_in_itself_goes_on_alike(kitchen):
     copy = kitchen.excerpt(CLOSED)
     assert farthest(kitchen, copy, CLOSED) == 0.0
@@ -158,6 +162,7 @@ def test_what_is_closed_in_itself_goes_on_alike(kitchen):
     assert farthest(kitchen, copy, CLOSED) < 1e-6
 
 
+@pytest.mark.slow
 def test_after_steps_an_excerpt_begins_alike_and_goes_on_nearly_so(kitchen):
     """Bodies of several shapes find their contacts anew, and no two runs of those agree."""
     kitchen.step(240)
@@ -244,7 +249,7 @@ def test_motors_hold_where_they_do(kitchen):
     kitchen.step(240)
     copy = kitchen.excerpt(["barrett_4918"])
     held = {kitchen.simulator.loaded.motor_positions[handle].__repr__() for handle in (2,)}
-    assert held == {repr(told) for told in copy.simulator.loaded.motor_positions.values()}
+    assert held == {repr(positions) for positions in copy.simulator.loaded.motor_positions.values()}
     copy["barrett_4918"].move(joints={"j1": 0.1})
     again = copy.excerpt(copy)
     (held,) = again.simulator.loaded.motor_positions.values()
@@ -254,59 +259,42 @@ def test_motors_hold_where_they_do(kitchen):
 # -- clients of others -------------------------------------------------------------------------
 
 
+TILTED = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.1])
+
+
 @pytest.fixture
 def menagerie(client):
-    """A world of bodies of all sorts that somebody made, some of which touch the ground."""
-    own = {"physicsClientId": client}
+    """A world of bodies of all sorts in a client of the user's; some of them touch the ground."""
     pybullet.setGravity(0, 0, -9.81, client)
-    bodies = {}
+    bodies = create_solids(client) | create_arm(client) | create_tied_boxes(client)
+    return ssduck.World.attach(client, names={number: name for name, number in bodies.items()})
 
-    def shape(kind, **size):
-        return pybullet.createCollisionShape(kind, **size, **own)
 
-    def make(name, mass, number, **more):
-        bodies[name] = pybullet.createMultiBody(mass, number, **more, **own)
-        return bodies[name]
+def create_shape(client, kind, **size):
+    return pybullet.createCollisionShape(kind, physicsClientId=client, **size)
 
-    box = shape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.05])
-    ball = shape(pybullet.GEOM_SPHERE, radius=0.1)
-    still = [0, 0, 0, 1]
-    tilted = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.1])
-    on_its_side = pybullet.getQuaternionFromEuler([0.3, np.pi / 2, 0.1])
-    make("ground", 0, shape(pybullet.GEOM_BOX, halfExtents=[20, 20, 0.1]))
-    offset = {"baseInertialFramePosition": [0.02, 0, 0.01], "baseOrientation": tilted}
-    make("box", 2, box, basePosition=[0, 0, 0.5], **offset)
-    make("ball", 1, ball, basePosition=[1, 0, 0.5])
-    lying = {"basePosition": [2, 0, 0.3], "baseOrientation": on_its_side}
-    make("cylinder", 1, shape(pybullet.GEOM_CYLINDER, radius=0.05, height=0.2), **lying)
-    capsule = shape(pybullet.GEOM_CAPSULE, radius=0.05, height=0.2)
-    make("capsule", 1, capsule, basePosition=[3, 0, 0.3])
-    make(
-        "arm",
-        0,
-        box,
-        basePosition=[8, 0, 3],
-        linkMasses=[1, 0.5, 0.3],
-        linkCollisionShapeIndices=[box, box, ball],
-        linkVisualShapeIndices=[-1] * 3,
-        linkPositions=[[0.3, 0, 0], [0, 0.5, 0], [0, 0, 0.3]],
-        linkOrientations=[tilted, still, still],
-        linkInertialFramePositions=[[0.05, 0, 0], [0, 0, 0], [0, 0, 0]],
-        linkInertialFrameOrientations=[tilted, still, still],
-        linkParentIndices=[0, 1, 1],
-        linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC, pybullet.JOINT_FIXED],
-        linkJointAxis=[[0, 0, 1], [1, 0, 0], [0, 0, 0]],
-    )
-    first = make("first", 1, box, basePosition=[10, 0, 3])
-    second = make("second", 1, box, basePosition=[10, 0.6, 3])
-    point = pybullet.JOINT_POINT2POINT
-    pybullet.createConstraint(
-        first, -1, -1, -1, point, [0, 0, 0], [0, -0.2, 0], [10, -0.2, 3.1], **own
-    )
-    tie = pybullet.createConstraint(
-        first, -1, second, -1, pybullet.JOINT_FIXED, [0] * 3, [0, 0.3, 0], [0, -0.3, 0], **own
-    )
-    pybullet.changeConstraint(tie, maxForce=200, **own)
+
+def create_box(client):
+    return create_shape(client, pybullet.GEOM_BOX, halfExtents=[0.1, 0.2, 0.05])
+
+
+def create_solids(client):
+    """Creates bodies without links, one with other dynamics and one of another colour."""
+    own = {"physicsClientId": client}
+    ground = create_shape(client, pybullet.GEOM_BOX, halfExtents=[20, 20, 0.1])
+    ball = create_shape(client, pybullet.GEOM_SPHERE, radius=0.1)
+    cylinder = create_shape(client, pybullet.GEOM_CYLINDER, radius=0.05, height=0.2)
+    capsule = create_shape(client, pybullet.GEOM_CAPSULE, radius=0.05, height=0.2)
+    offset = {"baseInertialFramePosition": [0.02, 0, 0.01], "baseOrientation": TILTED}
+    lying = {"baseOrientation": pybullet.getQuaternionFromEuler([0.3, np.pi / 2, 0.1])}
+    create = pybullet.createMultiBody
+    bodies = {
+        "ground": create(0, ground, **own),
+        "box": create(2, create_box(client), basePosition=[0, 0, 0.5], **offset, **own),
+        "ball": create(1, ball, basePosition=[1, 0, 0.5], **own),
+        "cylinder": create(1, cylinder, basePosition=[2, 0, 0.3], **lying, **own),
+        "capsule": create(1, capsule, basePosition=[3, 0, 0.3], **own),
+    }
     pybullet.changeDynamics(
         bodies["ball"],
         -1,
@@ -317,10 +305,51 @@ def menagerie(client):
         **own,
     )
     pybullet.resetBaseVelocity(bodies["ball"], [1, 0, 0], [0, 0, 3], client)
-    pybullet.resetJointState(bodies["arm"], 0, 0.4, 0.2, client)
-    pybullet.resetJointState(bodies["arm"], 1, 0.05, -0.1, client)
     pybullet.changeVisualShape(bodies["box"], -1, rgbaColor=[1, 0, 0, 0.5], **own)
-    return ssduck.World.attach(client, names={number: name for name, number in bodies.items()})
+    return bodies
+
+
+def create_arm(client):
+    """Creates a fixed body of three links; two of its joints move."""
+    box = create_box(client)
+    ball = create_shape(client, pybullet.GEOM_SPHERE, radius=0.1)
+    straight = [0, 0, 0, 1]
+    arm = pybullet.createMultiBody(
+        0,
+        box,
+        basePosition=[8, 0, 3],
+        linkMasses=[1, 0.5, 0.3],
+        linkCollisionShapeIndices=[box, box, ball],
+        linkVisualShapeIndices=[-1] * 3,
+        linkPositions=[[0.3, 0, 0], [0, 0.5, 0], [0, 0, 0.3]],
+        linkOrientations=[TILTED, straight, straight],
+        linkInertialFramePositions=[[0.05, 0, 0], [0, 0, 0], [0, 0, 0]],
+        linkInertialFrameOrientations=[TILTED, straight, straight],
+        linkParentIndices=[0, 1, 1],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE, pybullet.JOINT_PRISMATIC, pybullet.JOINT_FIXED],
+        linkJointAxis=[[0, 0, 1], [1, 0, 0], [0, 0, 0]],
+        physicsClientId=client,
+    )
+    pybullet.resetJointState(arm, 0, 0.4, 0.2, client)
+    pybullet.resetJointState(arm, 1, 0.05, -0.1, client)
+    return {"arm": arm}
+
+
+def create_tied_boxes(client):
+    """Creates a box that hangs from a point of the world, and one that is fixed to it."""
+    own = {"physicsClientId": client}
+    box = create_box(client)
+    first = pybullet.createMultiBody(1, box, basePosition=[10, 0, 3], **own)
+    second = pybullet.createMultiBody(1, box, basePosition=[10, 0.6, 3], **own)
+    point = pybullet.JOINT_POINT2POINT
+    pybullet.createConstraint(
+        first, -1, -1, -1, point, [0, 0, 0], [0, -0.2, 0], [10, -0.2, 3.1], **own
+    )
+    tie = pybullet.createConstraint(
+        first, -1, second, -1, pybullet.JOINT_FIXED, [0] * 3, [0, 0.3, 0], [0, -0.3, 0], **own
+    )
+    pybullet.changeConstraint(tie, maxForce=200, **own)
+    return {"first": first, "second": second}
 
 
 def dynamics(world):
@@ -376,6 +405,7 @@ def test_bodies_of_others_go_on_alike(menagerie, steps):
         assert farthest(menagerie, world) < 1e-6
 
 
+@pytest.mark.slow
 def test_relations_of_bodies_of_others_agree(menagerie):
     menagerie.step(300)
     with pytest.warns(UserWarning, match=MOTORS):
@@ -387,6 +417,7 @@ def test_relations_of_bodies_of_others_agree(menagerie):
     assert rounded(ours) == rounded(theirs)
 
 
+@pytest.mark.slow
 def test_hulls_and_meshes_of_others(client, tmp_path):
     """Their margins are others, so that they rest elsewhere by a 100th of a millimetre."""
     own = {"physicsClientId": client}
@@ -454,20 +485,13 @@ def test_a_number_that_another_body_has_by_now(client, menagerie):
 def test_spherical_joints(client):
     own = {"physicsClientId": client}
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **own)
-    number = pybullet.createMultiBody(
+    number = create_linked_body(
+        client,
         0,
         ball,
-        linkMasses=[1],
-        linkCollisionShapeIndices=[ball],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0.3, 0, 0]],
-        linkOrientations=[[0, 0, 0, 1]],
         linkInertialFramePositions=[[0.2, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_SPHERICAL],
-        linkJointAxis=[[0, 0, 1]],
-        **own,
     )
     turn = pybullet.getQuaternionFromEuler([0.3, 0.2, 0.5])
     pybullet.resetJointStateMultiDof(number, 0, turn, [0.1, 0.2, 0.3], physicsClientId=client)
@@ -546,6 +570,7 @@ def recorded(kitchen):
     return ss, half
 
 
+@pytest.mark.slow
 def test_a_recorded_tick(recorded):
     ss, half = recorded
     copy = ss.eval("SELECT obj FROM kitchen{0.5} AS environment;")
@@ -573,6 +598,7 @@ def test_a_tick_of_which_joints_are_not_recorded(kitchen):
     assert [j.position for j in copy["barrett_4918"].joints] == pytest.approx(positions, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_opened_record_makes_a_world_of_what_is_recorded(recorded, tmp_path):
     ss, half = recorded
     ss.export(tmp_path / "run")
@@ -608,6 +634,7 @@ def test_a_what_if_world_goes_on(kitchen):
 # -- errors ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_entities_of_other_worlds_and_ticks(kitchen, client, recorded):
     ss, _ = recorded
     other = ssduck.World.attach(client, name="other")
@@ -694,6 +721,7 @@ def test_closed_worlds_and_forgotten_ones_give_all_back(kitchen):
     assert memory() - first < 100  # a client takes some ten: 50 of them would be more
 
 
+@pytest.mark.slow
 def test_worlds_in_circles_make_room(kitchen, monkeypatch):
     """What waits for the collector holds a client; there are so many only."""
     copy = kitchen.excerpt(["table"])
@@ -713,7 +741,7 @@ def test_worlds_in_circles_make_room(kitchen, monkeypatch):
 # -- scenes ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("steps", [0, 120])
+@sampled("steps", [0, 120], every=2)
 def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     kitchen.step(steps)
     kitchen["can"].enabled = False

@@ -11,6 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import UnknownNameError
+from tests.support.cases import sampled
 
 PLACES = ["memory", "file"]
 
@@ -52,7 +53,7 @@ ROUNDS = {
 }
 
 
-@pytest.mark.parametrize("program", ROUNDS.values(), ids=ROUNDS)
+@sampled("program", ROUNDS.values(), every=5, ids=ROUNDS)
 def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> None:
     lab.eval(program)
     lab.eval(program)
@@ -68,6 +69,7 @@ def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> N
     assert held(lab)[1] == 1
 
 
+@pytest.mark.slow
 def test_what_fails_keeps_no_world(lab) -> None:
     def fails() -> None:
         with pytest.raises(UnknownNameError):
@@ -81,7 +83,7 @@ def test_what_fails_keeps_no_world(lab) -> None:
     assert held(lab)[:3] <= before[:3]
 
 
-@pytest.mark.parametrize("how", ["environment", "what_if", "excerpt"])
+@sampled("how", ["environment", "what_if", "excerpt"], every=3)
 def test_a_world_of_the_users_name_goes_with_its_name(lab, how: str) -> None:
     world = lab.call_variable("lab")
 

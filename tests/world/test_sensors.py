@@ -18,6 +18,8 @@ from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene, read_sensor
 from ssduck.simulators.sensor_types import MAX_RAYS, SENSOR_TYPES
 from ssduck.world.sensor_readings import Reading
+from tests.support.bodies import create_linked_body
+from tests.support.cases import sampled
 from tests.support.urdf import collision, joint, link, robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -346,24 +348,11 @@ def inside(stage):
         collisionFramePosition=[1, 0, 0],
         physicsClientId=stage.client,
     )
-    body = pybullet.createMultiBody(
-        0,
-        shell,
-        linkMasses=[1],
-        linkCollisionShapeIndices=[
-            pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=[0.1, 1, 1], physicsClientId=stage.client
-            )
-        ],
-        linkVisualShapeIndices=[-1],
-        linkPositions=[[2, 0, 0]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
-        linkJointTypes=[pybullet.JOINT_FIXED],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=stage.client,
+    link_shell = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1, 1, 1], physicsClientId=stage.client
+    )
+    body = create_linked_body(
+        stage.client, 0, shell, link_shape=link_shell, linkPositions=[[2, 0, 0]]
     )
     stage.names[body] = "host"
     return stage
@@ -446,7 +435,7 @@ def test_looking_through_a_body_is_as_if_it_were_not_there(stage):
 @pytest.mark.parametrize(
     ("distance", "there"), [(2 - 1e-3, True), (2 + 1e-3, False), (1e-2, True), (50, False)]
 )
-@pytest.mark.parametrize("kind", ["range_finder", "planar_laser", "depth_camera"])
+@sampled("kind", ["range_finder", "planar_laser", "depth_camera"], every=3)
 def test_how_far_a_sensor_sees(mast, kind, distance, there):
     mast.box("wall", [0.5, 9, 9], [distance + 0.5, 0, 0])
     world = mast.open()
@@ -505,6 +494,7 @@ RAW = (
 )
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_off_perceives_nothing(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
@@ -583,6 +573,7 @@ def test_nothing_senses_itself_its_body_or_a_sensor(mast):
         )
 
 
+@pytest.mark.slow
 def test_aliases_in_sql_may_be_words_of_the_table(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
@@ -661,7 +652,7 @@ PROGRAMS = [
 ]
 
 
-@pytest.mark.parametrize(("program", "expected"), PROGRAMS)
+@sampled(("program", "expected"), PROGRAMS, every=4)
 @pytest.mark.parametrize("owned", [True, False])
 def test_programs_about_sensors(mast, program, expected, owned):
     mast.box("wall", [0.5, 9, 9], [3, 0, 0])
@@ -685,6 +676,7 @@ def test_help_tells_of_the_sensors_relations(mast):
             ss.eval("SELECT id FROM sim WHERE isSensing(3, this) AS list;")
 
 
+@pytest.mark.slow
 def test_two_worlds_do_not_see_each_other(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
@@ -724,6 +716,7 @@ def test_without_a_world_sql_says_so():
 # -- a reading is of a tick --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_plan_sees_what_is_perceived_now(mast):
     """The table has more or fewer rows from tick to tick; plans are kept all the same."""
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
@@ -838,6 +831,7 @@ def test_sensors_cost_nothing_until_they_are_asked_for(mast):
     assert mast.casts == []
 
 
+@pytest.mark.slow
 def test_all_rays_of_a_tick_are_cast_in_one_call(mast, monkeypatch):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()

@@ -25,6 +25,7 @@ from ssduck.simulators.pybullet.bodies import describe
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import find_scene
 from tests.support.arm import ARM, HIGH, LOW, POSE, TWIST, unsettle
+from tests.support.cases import sampled
 from tests.support.spy import Spy
 from tests.support.urdf import collision, joint, link, robot
 
@@ -108,6 +109,7 @@ def move(world, poses, joints):
 # -- the oracle: the bodies themselves, moved -------------------------------------------------------
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.data())
 def test_what_if_is_moving_the_body_and_asking_again_in_the_kitchen(kitchen, data):
@@ -179,6 +181,7 @@ def set_spherical(client, handle, rng):
             )
 
 
+@pytest.mark.slow
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 1000), fixed=st.booleans(), scale=st.sampled_from([1, 2.5]), data=st.data()
@@ -208,7 +211,7 @@ LIBRARY = [
 
 
 @pytest.mark.filterwarnings("ignore:.*does not give back all shapes")
-@pytest.mark.parametrize("model", LIBRARY)
+@sampled("model", LIBRARY, every=5)
 def test_what_if_of_models_of_the_library(client, write, capfd, model):
     pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), client)
     path = str(write("arm.urdf", ARM)) if model == "arm" else model
@@ -435,7 +438,7 @@ def test_a_lost_body_stays_lost(client):
 # -- queries ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("row_by_row", [False, True])
+@sampled("row_by_row", [False, True], every=2)
 def test_programs(kitchen, row_by_row):
     low, high = kitchen["table"].aabb
     over = [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2] + 0.2]
@@ -469,6 +472,7 @@ def test_programs(kitchen, row_by_row):
             kitchen["can"].visible = True
 
 
+@pytest.mark.slow
 def test_the_sensors_of_the_first_world_go_on_perceiving():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen").step(10)
@@ -540,7 +544,7 @@ POSE_AT_0 = [1, 0, 0, 0, 0, 0, 0]
         ({"can": [1, 0, 0, 0, 0, 0, math.nan]}, None, StateError, "expected 7 finite numbers"),
         ({"can": [math.inf, 0, 0, 0, 0, 0, 0]}, None, StateError, "expected 7 finite numbers"),
         ({"can": [0] * 7}, None, StateError, "can: orientation: w, x, y, z are all 0"),
-        ({"fridge_webcam": POSE_AT_0}, None, ArgumentError, "fridge_webcam is a sensor; move what"),
+        ({"fridge_webcam": POSE_AT_0}, None, ArgumentError, "fridge_webcam is a sensor; move the body"),
         (None, {"fridge_webcam": []}, ArgumentError, "fridge_webcam is a sensor"),
         (None, {"roomba_625x": {"left_whel": 1}}, UnknownNameError, "no joint 'left_whel'; did you mean 'left_wheel'"),
         (None, {"roomba_625x": {"caster_mount": 1}}, ArgumentError, "'caster_mount' is fixed; only a joint"),

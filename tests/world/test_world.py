@@ -124,7 +124,7 @@ def test_sensors_move_with_what_they_sit_on(kitchen):
     # Its offset is 0.35 m ahead and 0.65 m below; ahead is now along y.
     assert laser.position == pytest.approx([5, 6.35, 0.35], abs=1e-6)
     assert laser.aabb == (laser.position, laser.position)
-    with pytest.raises(SelectScriptError, match="is a sensor; move what it sits on"):
+    with pytest.raises(SelectScriptError, match="is a sensor; move the body that it is mounted on"):
         laser.move([0, 0, 0])
 
 
@@ -302,7 +302,9 @@ def test_sensors_and_closed_worlds_have_no_such_state(kitchen):
     eye = kitchen["fridge_webcam"]
     assert (eye.enabled, eye.visible) == (False, False)
     for name in ("enabled", "visible"):
-        with pytest.raises(ArgumentError, match=r"is a sensor; (enable|show) what it sits on"):
+        with pytest.raises(
+            ArgumentError, match=r"is a sensor; (enable|show) the body that it is mounted on"
+        ):
             setattr(eye, name, True)
     with pytest.raises(ArgumentError, match="is a sensor"):
         eye.move(joints=[])

@@ -10,7 +10,7 @@ import numpy as np
 
 from ssduck.demos.motion.driving import Mover
 from ssduck.demos.motion.kinematics import KinematicChain
-from ssduck.demos.motion.obstacles import Held, Obstacles, Wall, hull_in, walls_of
+from ssduck.demos.motion.obstacles import HeldEntity, Obstacles, Wall, hull_in, walls_of
 from ssduck.demos.motion.planning import plan, shortened
 from ssduck.demos.motion.spaces import (
     ARM_CLEARANCE,
@@ -32,8 +32,8 @@ RADIUS, TRACK, AXLE = 0.24, 0.49, -0.04
 # The largest distance of moved parts from each joint of the arm, and from the axle, m.
 LEVERS = np.array([1.1, 1.1, 0.85, 0.7, 0.45, 0.38, 0.15])
 LEVER = 0.4
-# The centre of a cup's rim in the hand's frame when the fingers hold it, m: at their tips, which
-# are upright there. Further in they slant, and their force would push the cup off.
+# The centre of a held cup's rim in the hand's frame, m: at the fingertips, which are upright there.
+# Further in the fingers slant, and their force would push the cup off.
 GRIP = np.array([0.0, 0.0, 0.135])
 # Positions of fingers that fit into a cup, and that press against its walls, rad; effort, N m.
 CLOSED = {"f1": 0.3, "f2": 0.25, "f3": 0.25, "spread": 0.0}
@@ -49,7 +49,7 @@ STEP = 0.01
 # table.
 CARRIED = np.array([0.2, 0.0, 0.36])
 # Numbers of samples: places to stand, postures of the arm at each, random postures of a plan.
-PLACES, POSTURES, TRIES = 5000, 4, 1000
+PLACES, POSTURES, SAMPLES = 5000, 4, 1000
 FLOOR = 0.16
 # The attempts of randomized steps, and the waits for fingers to close.
 ATTEMPTS = 3
@@ -110,28 +110,28 @@ class Cleaner:
     Args:
         robot: the robot, with its arm clear of obstacles.
         rng: the random numbers of the planners.
-        after: a callback after each command to the motors.
+        on_step: a callback after each command to the motors.
     """
 
     def __init__(
         self,
         robot: Entity,
         rng: np.random.Generator,
-        after: Callable[[], object],
+        on_step: Callable[[], object],
     ) -> None:
         self.robot, self.rng = robot, rng
         self.world: World = robot.world
         self.chain = KinematicChain.of(robot)
         self.arm = self.chain.columns(ARM)
         self.hand = self.chain.link("arm7")
-        self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, after)
-        self.held: Held | None = None
+        self.mover = Mover(robot, self.chain, self.arm, WHEELS, RADIUS, TRACK, on_step)
+        self.held: HeldEntity | None = None
         self._fixed: dict[int, list[Wall]] = {}
-        self._pick_spot = np.zeros(3)  # the bottom of the held cup before
+        self._pick_spot = np.zeros(3)  # where the bottom of the held cup was
         self._last_path = np.zeros((0, len(ARM)))  # of the arm
         self.mover.pose(CLOSED)
         self.mover.run(60)
-        self.carrying = self._carrying()
+        self.carrying_posture = self._carrying_posture()
 
     # -- tasks ----------------------------------------------------------------------------
 
@@ -141,7 +141,7 @@ class Cleaner:
         Raises:
             Failed: no path was found.
         """
-        self._move_arm(self.carrying)
+        self._move_arm(self.carrying_posture)
 
     def recover(self) -> None:
         """Puts back a held cup, lifts the hand and retracts the arm.
@@ -154,7 +154,7 @@ class Cleaner:
             return
         self._open()
         self.mover.follow(self._path_up())
-        self._retried(lambda: self._move_arm(self.carrying))
+        self._retry(lambda: self._move_arm(self.carrying_posture))
 
     def pick(self, cup: Entity) -> None:
         """Picks up a cup that stands upright.
@@ -165,7 +165,7 @@ class Cleaner:
         low, high = cup.aabb
         rim = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]])
         descents = [Descent(rim + above * UP, rim) for above in APPROACH_HEIGHTS]
-        down = self._retried(lambda: self._reach_over(descents, cup))
+        down = self._retry(lambda: self._reach_over(descents, cup))
         self.mover.follow(down)
         self._grasp(cup)
         self._pick_spot = np.array([*rim[:2], low[2]])
@@ -175,13 +175,13 @@ class Cleaner:
         """Lifts a held cup and retracts the arm, or puts the cup back if no path is found."""
         self.mover.follow(up)
         try:
-            self._move_arm(self.carrying)
+            self._move_arm(self.carrying_posture)
         except Failed:
             higher = self._path_up()
             self.mover.follow(higher)
             up = np.concatenate((up, higher))
             try:
-                self._retried(lambda: self._move_arm(self.carrying))
+                self._retry(lambda: self._move_arm(self.carrying_posture))
             except Failed as failure:
                 self.mover.follow(up[::-1])
                 self._open()
@@ -215,7 +215,7 @@ class Cleaner:
             break
         else:
             raise Failed("the fingers do not touch it") from failed
-        self.held = Held(self.hand, cup, hull_in(self._hand_pose(), cup))
+        self.held = HeldEntity(self.hand, cup, hull_in(self._hand_pose(), cup))
         # The constraint holds the cup, so the fingers stop pressing.
         fingers = self.chain.columns(list(OPEN))
         now = self.chain.state(self.robot)[1][fingers]
@@ -231,13 +231,15 @@ class Cleaner:
         low, high = (np.array(corner) for corner in cup.aabb)
         hand = np.diag([1.0, -1.0, -1.0, 1.0])
         hand[:3, 3] = [*(low + high)[:2] / 2, high[2] + GRIP[2]]
-        self.held = Held(self.hand, cup, hull_in(hand, cup))
+        self.held = HeldEntity(self.hand, cup, hull_in(hand, cup))
         try:
             space = self._base_space()
             here = space.place(self.chain.state(self.robot)[0])
             descents = _descents(spots, high[2] - low[2], FALLS)
             return any(
-                True for some in descents for _ in self._places_to_stand(space, here, some, None)
+                True
+                for options in descents
+                for _ in self._places_to_stand(space, here, options, None)
             )
         finally:
             self.held = None
@@ -255,13 +257,13 @@ class Cleaner:
         """
         assert self.held is not None
         hanging_length = self._grip_position()[2] - self.held.entity.aabb[0][2]
-        self._retried(lambda: self._lower(_descents(spots, hanging_length, falls)))
-        self._retried(lambda: self._move_arm(self.carrying))
+        self._retry(lambda: self._lower(_descents(spots, hanging_length, falls)))
+        self._retry(lambda: self._move_arm(self.carrying_posture))
 
     def _lower(self, descents: Sequence[Sequence[Descent]]) -> None:
-        for some in descents:
+        for options in descents:
             try:
-                down = self._reach_over(some)
+                down = self._reach_over(options)
             except Failed as failure:
                 failed = failure
                 continue
@@ -279,7 +281,7 @@ class Cleaner:
         self.mover.pose(CLOSED)
         self.mover.run(60)
 
-    def _retried(self, act: Callable[[], T]) -> T:
+    def _retry(self, act: Callable[[], T]) -> T:
         """Executes a randomized step, with several attempts if it fails."""
         for _ in range(ATTEMPTS):
             try:
@@ -292,7 +294,7 @@ class Cleaner:
 
     # -- postures -------------------------------------------------------------------------
 
-    def _carrying(self) -> Array:
+    def _carrying_posture(self) -> Array:
         """Returns the carrying posture in which the robot needs the least room."""
         base, (_, angles) = np.eye(4), self.chain.state(self.robot)
         postures = self._solve(base, CARRIED, 64, angles)
@@ -300,8 +302,8 @@ class Cleaner:
         postures = postures[space.clear(postures)]
         frames = self.chain.frames(np.tile(base, (len(postures), 1, 1)), space.full(postures))
         size = np.hypot(frames[..., 0, 3], frames[..., 1, 3]).max(axis=1)
-        least: Array = postures[int(size.argmin())]
-        return least
+        smallest: Array = postures[int(size.argmin())]
+        return smallest
 
     def _solve(
         self, base: Array, rim: Array, count: int, angles: Array, spread: float | None = None
@@ -317,10 +319,10 @@ class Cleaner:
         """
         starts = np.tile(angles, (count, 1))
         low, high = self.chain.lower[self.arm], self.chain.upper[self.arm]
-        random = self.rng.uniform(low, high, (count, len(self.arm)))
+        samples = self.rng.uniform(low, high, (count, len(self.arm)))
         if spread is not None:
-            random = angles[self.arm] + self.rng.uniform(-spread, spread, random.shape)
-        starts[:, self.arm] = np.clip(random, low, high)
+            samples = angles[self.arm] + self.rng.uniform(-spread, spread, samples.shape)
+        starts[:, self.arm] = np.clip(samples, low, high)
         goals = np.tile([*rim, 0.0, 0.0, -1.0], (count, 1))
         bases = np.tile(base, (count, 1, 1))
         positions, solved = self.chain.solve(bases, starts, self.arm, self.hand, GRIP, goals)
@@ -353,14 +355,14 @@ class Cleaner:
         self, descents: Sequence[Descent], ignored_entity: Entity | None
     ) -> StandingPlace:
         """Drives to a place from which the hand reaches both ends of a descent."""
-        if np.abs(self._arm_posture() - self.carrying).max() > 0.1:
-            self._move_arm(self.carrying)
+        if np.abs(self._arm_posture() - self.carrying_posture).max() > 0.1:
+            self._move_arm(self.carrying_posture)
         space = self._base_space()
         here = space.place(self.chain.state(self.robot)[0])
         for stand in self._places_to_stand(space, here, descents, ignored_entity):
             for clearance in (BASE_CLEARANCE, NARROW_CLEARANCE):
                 near = replace(space, clearance=clearance)
-                path = plan(near, here, stand.place, self.rng, TRIES // 10, 1.0)
+                path = plan(near, here, stand.place, self.rng, SAMPLES // 10, 1.0)
                 if path is None:
                     continue
                 if not self.mover.roll(near, shortened(near, path, self.rng, 60)):
@@ -404,11 +406,11 @@ class Cleaner:
         """Returns random places (n, 3) by distance, and the indices of their descents (n,)."""
         numbers = self.rng.integers(len(descents), size=PLACES)
         x, y, _ = np.array([descents[number].above for number in numbers]).T
-        away = self.rng.uniform(0.3, 0.85, PLACES)
+        distances = self.rng.uniform(0.3, 0.85, PLACES)
         bearing, yaw = self.rng.uniform(-np.pi, np.pi, (2, PLACES))
         # The first joint of the arm is behind the axle.
-        x += away * np.cos(bearing) + 0.06 * np.cos(yaw)
-        y += away * np.sin(bearing) + 0.06 * np.sin(yaw)
+        x += distances * np.cos(bearing) + 0.06 * np.cos(yaw)
+        y += distances * np.sin(bearing) + 0.06 * np.sin(yaw)
         places = np.concatenate((np.tile(here, (len(descents), 1)), np.stack((x, y, yaw), axis=1)))
         numbers = np.concatenate((np.arange(len(descents)), numbers))
         order = np.argsort(space.distances(here, places))
@@ -428,9 +430,11 @@ class Cleaner:
         """Returns a posture over a point, preferably near another one, with a clear descent."""
         base, angles = self.chain.state(self.robot)
         angles[self.arm] = near
-        close, other = (self._solve(base, above, n, angles, o) for n, o in ((16, 0.1), (300, None)))
-        close = close[np.argsort(np.abs(close - near).max(axis=1))]
-        postures = np.concatenate((close, other))
+        near_postures, others = (
+            self._solve(base, above, n, angles, spread) for n, spread in ((16, 0.1), (300, None))
+        )
+        order = np.argsort(np.abs(near_postures - near).max(axis=1))
+        postures = np.concatenate((near_postures[order], others))
         space = self._arm_space(base, self._obstacles_in_reach(base))
         down = self._arm_space(base, self._obstacles_in_reach(base, ignored_entity))
         clear: Sequence[Array] = list(postures[space.clear(postures)]) if len(postures) else []
@@ -471,7 +475,7 @@ class Cleaner:
         for clearance in (ARM_CLEARANCE, NARROW_CLEARANCE, LEAST_CLEARANCE):
             if path is None:
                 space = replace(space, clearance=clearance)
-                path = plan(space, self._arm_posture(), posture, self.rng, TRIES, 0.8)
+                path = plan(space, self._arm_posture(), posture, self.rng, SAMPLES, 0.8)
                 path = None if path is None else shortened(space, path, self.rng, 120)
         if path is None:
             raise Failed("no clear path of the arm was found")
@@ -483,8 +487,8 @@ class Cleaner:
         if not len(self._last_path) or np.abs(self._last_path[0] - posture).max() > 0.02:
             return None
         path = np.concatenate((self._arm_posture()[None], self._last_path[::-1], posture[None]))
-        joined = float(space.distances(path[0], path[1:2])[0]) <= ARM_SPACING
-        is_clear = joined and replace(space, clearance=NARROW_CLEARANCE).clear(path).all()
+        is_joined = float(space.distances(path[0], path[1:2])[0]) <= ARM_SPACING
+        is_clear = is_joined and replace(space, clearance=NARROW_CLEARANCE).clear(path).all()
         return path if is_clear else None
 
     def _arm_posture(self) -> Array:
@@ -526,9 +530,9 @@ class Cleaner:
         low, high = base[:3, 3] - REACH, base[:3, 3] + REACH
         return self._obstacles(
             [
-                w
-                for w in self._walls(ignored_entity)
-                if (w.low <= high).all() and (w.high >= low).all()
+                wall
+                for wall in self._walls(ignored_entity)
+                if (wall.low <= high).all() and (wall.high >= low).all()
             ]
         )
 

@@ -40,7 +40,7 @@ class Mover:
         wheels: the names of the joints of the left and the right wheel.
         radius: the radius of a wheel, m.
         track: the distance of the wheels, m.
-        after: a callback after the steps of each command.
+        on_step: a callback after the steps of each command.
     """
 
     robot: Entity
@@ -49,13 +49,13 @@ class Mover:
     wheels: tuple[str, str]
     radius: float
     track: float
-    after: Callable[[], object]
+    on_step: Callable[[], object]
 
     def run(self, steps: int) -> None:
         """Runs the simulation."""
         for _ in range(0, steps, EVERY):
             self.robot.world.step(EVERY)
-            self.after()
+            self.on_step()
 
     def pose(self, postures: dict[str, float], effort: float | None = None) -> None:
         """Sets target positions of joints, which the motors approach from the next step on."""
@@ -163,19 +163,19 @@ def timed(path: Array) -> tuple[Array, Array]:
 def legs(path: Array) -> list[tuple[Array, bool]]:
     """Splits a path of places into legs; returns the end of each, and whether it is a turn."""
     ends: list[tuple[Array, bool]] = []
-    before, turned = 0, 0.0
+    previous_kind, total_turn = 0, 0.0
     for a, b in pairwise(path):
         dx, dy = (b - a)[:2]
         rolls = np.hypot(dx, dy) > 1e-6
         turn = float(wrapped(b[2] - a[2]))
         forward = dx * np.cos(a[2]) + dy * np.sin(a[2])
         kind = int(np.sign(forward)) if rolls else 2 * int(np.sign(turn))
-        turned = turned + abs(turn) if kind == before else abs(turn)
+        total_turn = total_turn + abs(turn) if kind == previous_kind else abs(turn)
         # The direction of a turn of half a circle or more would be ambiguous.
-        if kind == before and turned < 2.5:
+        if kind == previous_kind and total_turn < 2.5:
             ends[-1] = (b, not rolls)
         else:
             ends.append((b, not rolls))
-            turned = abs(turn)
-        before = kind
+            total_turn = abs(turn)
+        previous_kind = kind
     return ends

@@ -174,10 +174,12 @@ class KinematicChain:
             error[:, 3:] = ANGLE_WEIGHT * _rotation_between(z, goals[:, 3:])
             if _are_solved(error).all():
                 break
-            turned = frames[:, links]
-            about = np.einsum("njab,jb->nja", turned[..., :3, :3], axes)
-            arms = reached[:, None] - turned[..., :3, 3]
-            jacobian = np.concatenate((np.cross(about, arms), ANGLE_WEIGHT * about), axis=2)
+            joint_frames = frames[:, links]
+            axes_in_world = np.einsum("njab,jb->nja", joint_frames[..., :3, :3], axes)
+            arms = reached[:, None] - joint_frames[..., :3, 3]
+            jacobian = np.concatenate(
+                (np.cross(axes_in_world, arms), ANGLE_WEIGHT * axes_in_world), axis=2
+            )
             square = np.einsum("nja,njb->nab", jacobian, jacobian) + DAMPING**2 * np.eye(6)
             multipliers = np.linalg.solve(square, error[..., None])[..., 0]
             step = np.einsum("nja,na->nj", jacobian, multipliers)

@@ -35,7 +35,7 @@ class ObstacleShape:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldEntity:
     """A held entity: the link that holds it, and its hull in the frame of that link."""
 
     link: int
@@ -111,7 +111,7 @@ class Obstacles:
         chain: KinematicChain,
         robot: Entity,
         walls: Sequence[Wall],
-        held: Held | None = None,
+        held: HeldEntity | None = None,
         hand: Sequence[int] = (),
     ) -> None:
         self.chain = chain
@@ -230,14 +230,14 @@ class Obstacles:
     def _near_itself(self, centres: Array, tested: Indices, clearance: float | None) -> Pairs:
         if clearance is None:
             return np.zeros(0, np.intp), np.zeros(0, np.intp)
-        s, t = self._own_pairs(tested)
+        s, t = self._self_pairs(tested)
         offsets = centres[:, s] - centres[:, t]
         radii = self._radii[s] + self._radii[t] + clearance
         posture, pair = np.nonzero(np.einsum("npa,npa->np", offsets, offsets) <= radii * radii)
         base = len(self.walls) + posture * len(self._links)
         return base + s[pair], base + t[pair]
 
-    def _own_pairs(self, tested: Indices) -> Pairs:
+    def _self_pairs(self, tested: Indices) -> Pairs:
         """Returns pairs of shapes of the robot to test: not of neighbour links nor of the hand."""
         parents = np.array([link.parent for link in self.chain.body.links])
         links, is_tested = self._links, np.zeros(len(self._links), bool)

@@ -114,7 +114,7 @@ def _grow(space: Space, tree: _Tree, goal: Array, max_growth: float, steps: int)
 
 def _is_clear(space: Space, path: Array) -> bool:
     """Checks whether a path is clear; a few postures first, which often suffice to refuse it."""
-    return all(space.clear(path[some]).all() for some in (slice(None, None, 8), slice(None)))
+    return all(space.clear(path[part]).all() for part in (slice(None, None, 8), slice(None)))
 
 
 def shortened(space: Space, path: Array, rng: np.random.Generator, samples: int) -> Array:

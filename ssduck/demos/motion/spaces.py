@@ -163,11 +163,11 @@ class BaseSpace:
         """Checks whether the robot keeps clear of obstacles at each place."""
         places = postures[:, :2]
         inside = np.asarray(((places >= self.low) & (places <= self.high)).all(axis=1))
-        some = np.flatnonzero(inside)
-        if len(some):
-            positions = np.tile(self.positions, (len(some), 1))
-            inside[some] = self.obstacles.clear(
-                self.bases(postures[some]), positions, self.clearance
+        rows = np.flatnonzero(inside)
+        if len(rows):
+            positions = np.tile(self.positions, (len(rows), 1))
+            inside[rows] = self.obstacles.clear(
+                self.bases(postures[rows]), positions, self.clearance
             )
         return inside
 

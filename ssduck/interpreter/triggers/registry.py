@@ -108,6 +108,14 @@ class TriggerMethods:
         Raises:
             SelectScriptError: the program cannot be evaluated; the trigger is not added.
             ArgumentError: a trigger of that name exists, or an argument is wrong.
+
+        >>> import ssduck
+        >>> times = []
+        >>> with ssduck.load("kitchen") as ss:
+        ...     ss.add_trigger("clock", "getTime();", 0.25, times.append)
+        ...     ss.run(1.0)
+        >>> times
+        [0.0, 0.25, 0.5, 0.75, 1.0]
         """
         config = TriggerConfig(name, interval, when, debounce, rows, queue)
         self._triggers.add(config, program, callback)

@@ -1,8 +1,8 @@
-"""Which pairs of entities collide, or are near each other, at many recorded ticks at once.
+"""Evaluates predicates on pairs of entities at many recorded ticks in one batch.
 
-Each pair at a tick stands for two entities of its own in one narrow phase
-(`ssduck.geometry.narrow_phase`), so that all of them are decided together; pairs of different ticks
-are never compared.
+Each pair at a tick becomes two separate entities of one narrow phase
+(`ssduck.geometry.narrow_phase`), so that all pairs are compared together. Shapes of different
+pairs are never compared.
 """
 
 from __future__ import annotations
@@ -39,29 +39,38 @@ from ssduck.world.layout import EntityInfo
 
 Ids = npt.NDArray[np.int64]
 
-# So many pairs of shapes are compared together.
+# The number of pairs of shapes that are compared at a time.
 MAX_BATCH_SIZE = 1 << 15
 
 
 @dataclass(frozen=True, eq=False)
-class _Model:
-    """The shapes of an entity: which solid each is, on which link, where there; their boxes."""
+class _ShapeModel:
+    """The n shapes of an entity.
 
-    of: Indices
+    Attributes:
+        solid_indices: (n,), the index of each shape's solid.
+        margins: (n,), the collision margins, m.
+        links: (n,), the number of each shape's link.
+        positions: (n, 3), in the frames of the links, m.
+        orientations: (n, 4), quaternions w, x, y, z, in the frames of the links.
+        boxes: computes the boxes of the shapes.
+    """
+
+    solid_indices: Indices
     margins: Array
     links: Indices
     positions: Array
     orientations: Array
-    boxer: BoundingBoxes
+    boxes: BoundingBoxes
 
     @property
     def count(self) -> int:
-        return len(self.of)
+        return len(self.solid_indices)
 
 
 @dataclass(frozen=True, eq=False)
 class LinkPosesOverTicks:
-    """Where n links are: positions (n, 3), orientations (n, 4), w, x, y, z."""
+    """The poses of n links: positions (n, 3), m, and orientations (n, 4), w, x, y, z."""
 
     positions: Array
     orientations: Array
@@ -69,21 +78,22 @@ class LinkPosesOverTicks:
 
 @dataclass(frozen=True, eq=False)
 class PairSide:
-    """One of the two entities of n pairs.
+    """The first or the second entity of each of n pairs.
 
     Attributes:
-        ids: (n,), of the entities.
-        base: where their base links are.
-        links: gives where a link of entities is, of rows of the pairs.
+        ids: (n,), the ids of the entities.
+        base_poses: the poses of their base links.
+        link_poses: returns the poses of a link for rows of the pairs, by the rows, the id of the
+            entity and the number of the link.
     """
 
     ids: Ids
-    base: LinkPosesOverTicks
-    links: Callable[[Indices, int, int], LinkPosesOverTicks]
+    base_poses: LinkPosesOverTicks
+    link_poses: Callable[[Indices, int, int], LinkPosesOverTicks]
 
 
 class EntityShapes:
-    """What shapes entities have; a solid that several have is there once.
+    """The shapes of recorded entities; shapes of the same geometry share a solid.
 
     Args:
         members: the entities, by id.
@@ -92,227 +102,244 @@ class EntityShapes:
     def __init__(self, members: Mapping[int, EntityInfo]) -> None:
         self._members = members
         self._solids: list[Solid] = []
-        self._places: dict[str, int] = {}
-        self._models: dict[int, _Model] = {}
-        self._sorts: dict[tuple[int, ...], ShapeTable] = {}
+        self._solid_indices: dict[str, int] = {}
+        self._shape_models: dict[int, _ShapeModel] = {}
+        self._shape_tables: dict[tuple[int, ...], ShapeTable] = {}
 
     def moving_links(self, id: int) -> range:
-        """The links of an entity but its base, by number."""
+        """Returns the numbers of the links of an entity without its base."""
         body = self._members[id].body
         return range(1, 1 if body is None else len(body.links))
 
     def shapes(
         self, ids: Sequence[int], poses: Sequence[Array], calls: CallCounter
     ) -> ShapeQueries:
-        """The shapes of some entities at one tick.
+        """Returns queries of the shapes of some entities at one tick.
 
         Args:
-            ids: of the entities, ascending: of what is equal, the order tells which comes first.
-            poses: of each the positions and orientations of its links, (links, 7).
-            calls: counts what is compared.
+            ids: the ids of the entities, ascending: the order breaks ties.
+            poses: the positions and orientations of the links of each entity, (links, 7).
+            calls: counts comparisons.
         """
-        models = [self._model(id) for id in ids]
-        placed = [self._shapes_at(model, own) for model, own in zip(models, poses, strict=True)]
+        models = [self._shape_model(id) for id in ids]
+        placed = [
+            self._shapes_at(model, link_poses)
+            for model, link_poses in zip(models, poses, strict=True)
+        ]
         key = tuple(ids)
-        if key not in self._sorts:
+        if key not in self._shape_tables:
             owners = np.repeat(np.arange(len(ids)), [model.count for model in models])
-            of, margins = _joined(models)
-            self._sorts[key] = ShapeTable(self._solids, of, owners, margins)
-        of, margins = _joined(models)
+            solid_indices, margins = _joined_solids(models)
+            self._shape_tables[key] = ShapeTable(self._solids, solid_indices, owners, margins)
+        solid_indices, margins = _joined_solids(models)
         positions, orientations, boxes = (
             np.concatenate([part[i] for part in placed]) for i in range(3)
         )
         starts = list(accumulate((model.count for model in models), initial=0))
         narrow = NarrowPhase(
-            self._solids, of, positions, orientations, boxes, starts, calls, margins
+            self._solids, solid_indices, positions, orientations, boxes, starts, calls, margins
         )
         numbers = {id: number for number, id in enumerate(ids)}
-        around = np.array([_around(part[2]) for part in placed]).reshape(-1, 6).T
+        enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
         return ShapeQueries(
-            narrow, numbers, self._sorts[key], around, np.array(ids, dtype=np.int64)
+            narrow, numbers, self._shape_tables[key], enclosing_boxes, np.array(ids, dtype=np.int64)
         )
 
-    def _shapes_at(self, model: _Model, poses: Array) -> tuple[Array, Array, Array]:
-        """Positions, orientations and boxes of an entity's shapes."""
-        own = poses[model.links]
+    def _shapes_at(self, model: _ShapeModel, poses: Array) -> tuple[Array, Array, Array]:
+        """Returns the positions, orientations and boxes of an entity's shapes."""
+        link_poses = poses[model.links]
         with np.errstate(invalid="ignore"):
             positions, orientations = compose(
-                own[:, :3], own[:, 3:], model.positions, model.orientations
+                link_poses[:, :3], link_poses[:, 3:], model.positions, model.orientations
             )
             matrices = rotation_matrices(poses[:, 3:])
-            boxes = model.boxer.boxes(poses[:, :3], matrices).T
+            boxes = model.boxes.boxes(poses[:, :3], matrices).T
         return positions, orientations, boxes
 
-    def together(
-        self, first: PairSide, second: PairSide, question: PairPredicate, calls: CallCounter
+    def evaluate(
+        self, first: PairSide, second: PairSide, predicate: PairPredicate, calls: CallCounter
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Of which pairs something holds, and of which of them that is known, (n,) each.
+        """Evaluates a predicate on n pairs of entities.
 
         Args:
-            first: the one entity of each pair,
-            second: and the other.
-            question: what is to hold.
-            calls: counts what is compared.
+            first: the first entity of each pair.
+            second: the second entity of each pair.
+            predicate: the condition.
+            calls: counts comparisons.
+
+        Returns:
+            Whether the predicate holds for each pair, (n,); whether that is known, (n,).
         """
         holds = np.zeros(len(first.ids), dtype=bool)
         known = np.zeros(len(first.ids), dtype=bool)
-        counts = self._counts(first.ids) * self._counts(second.ids)
+        counts = self._shape_counts(first.ids) * self._shape_counts(second.ids)
         ends = np.cumsum(np.maximum(counts, 1))
         start = 0
         while start < len(counts):
             before = ends[start - 1] if start else 0
             end = int(np.searchsorted(ends, before + MAX_BATCH_SIZE, side="right"))
-            run = np.arange(start, max(end, start + 1))
-            holds[run], known[run] = self._some(first, second, run, question, calls)
-            start = int(run[-1]) + 1
+            rows = np.arange(start, max(end, start + 1))
+            holds[rows], known[rows] = self._evaluate_batch(first, second, rows, predicate, calls)
+            start = int(rows[-1]) + 1
         return holds, known
 
-    def _counts(self, ids: Ids) -> Indices:
+    def _shape_counts(self, ids: Ids) -> Indices:
         counts = np.zeros(len(ids), np.intp)
-        for id in _different(ids):
-            counts[ids == id] = self._model(id).count
+        for id in _unique_ids(ids):
+            counts[ids == id] = self._shape_model(id).count
         return counts
 
-    def _some(
+    def _evaluate_batch(
         self,
         first: PairSide,
         second: PairSide,
-        run: Indices,
-        question: PairPredicate,
+        rows: Indices,
+        predicate: PairPredicate,
         calls: CallCounter,
     ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Of these n pairs, compared together: the two entities of pair k are k and n + k."""
-        parts = [*self._placed(first, run, 0), *self._placed(second, run, len(run))]
-        owners, of = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+        """Evaluates a predicate on n of the pairs; the entities of pair k are k and n + k."""
+        parts = [*self._place_shapes(first, rows, 0), *self._place_shapes(second, rows, len(rows))]
+        owners, solid_indices = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
         margins, *poses = (np.concatenate([part[i] for part in parts]) for i in (2, 3, 4))
         positions, orientations = poses
-        if (owners[1:] < owners[:-1]).any():  # each entity's shapes together
+        if (owners[1:] < owners[:-1]).any():  # the shapes of an entity have to be consecutive
             order = np.argsort(owners, kind="stable")
-            owners, of, margins = owners[order], of[order], margins[order]
+            owners, solid_indices, margins = owners[order], solid_indices[order], margins[order]
             positions, orientations = positions[order], orientations[order]
-        count = len(run)
+        count = len(rows)
         counts = np.bincount(owners, minlength=2 * count)
         starts = np.cumsum(counts) - counts
-        shapes = _each_with_each(starts[:count], counts[:count], starts[count:], counts[count:])
-        table = ShapeTable(self._solids, of, owners, margins)
-        scene = _scene_of(table, positions, orientations)
-        endless = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
+        shapes = _cross_pairs(starts[:count], counts[:count], starts[count:], counts[count:])
+        table = ShapeTable(self._solids, solid_indices, owners, margins)
+        scene = _tick_shapes(table, positions, orientations)
+        unbounded = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
 
-        def holds_of(s: int, t: int) -> bool:  # of the few that only a closer look decides
-            two = [s, t]
-            placed = positions[two], orientations[two], endless
-            narrow = NarrowPhase(self._solids, of[two], *placed, [0, 1, 2], calls, margins[two])
-            return narrow.answer(0, 1, question)
+        def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
+            pair = [s, t]
+            placed = positions[pair], orientations[pair], unbounded
+            narrow = NarrowPhase(
+                self._solids, solid_indices[pair], *placed, [0, 1, 2], calls, margins[pair]
+            )
+            return narrow.satisfies(0, 1, predicate)
 
-        found = matching_pairs(scene, question, holds_of, shapes)
-        calls.pairs += len(found.compared)
+        result = matching_pairs(scene, predicate, satisfies, shapes)
+        calls.pairs += len(result.compared)
         holds = np.zeros(count, dtype=bool)
-        holds[found.sides[0]] = True
+        holds[result.sides[0]] = True
         are_known = np.ones(2 * count, dtype=bool)
         are_known[owners[~scene.is_known]] = False
         return holds, are_known[:count] & are_known[count:]
 
-    def _placed(
-        self, side: PairSide, run: Indices, start: int
+    def _place_shapes(
+        self, side: PairSide, rows: Indices, start: int
     ) -> list[tuple[Indices, Indices, Array, Array, Array]]:
-        """Whose, which solids, with which margins and where the shapes of one side's entities are.
+        """Places the shapes of one side of some pairs.
 
         Args:
-            side: one of the two entities of pairs.
-            run: which of these pairs.
+            side: the first or the second entities of pairs.
+            rows: the pairs.
             start: the number of the first of their entities.
+
+        Returns:
+            Parts of owners, solid indices, margins, positions and orientations.
         """
-        found = []
-        ids = side.ids[run]
-        for id in _different(ids):
-            model = self._model(id)
-            own = np.flatnonzero(ids == id)
+        parts = []
+        ids = side.ids[rows]
+        for id in _unique_ids(ids):
+            model = self._shape_model(id)
+            members = np.flatnonzero(ids == id)
             for link in np.unique(model.links).tolist():
-                frames = self._frames(side, run[own], id, link)
+                link_poses = self._link_poses(side, rows[members], id, link)
                 for shape in np.flatnonzero(model.links == link).tolist():
-                    placed = _composed(frames, model.positions[shape], model.orientations[shape])
-                    solid = np.full(len(own), model.of[shape])
-                    margins = np.full(len(own), model.margins[shape])
+                    placed = _compose_fixed(
+                        link_poses, model.positions[shape], model.orientations[shape]
+                    )
+                    solid = np.full(len(members), model.solid_indices[shape])
+                    margins = np.full(len(members), model.margins[shape])
                     poses = placed.positions, placed.orientations
-                    found.append((start + own, solid, margins, *poses))
-        nothing = np.zeros(0, dtype=np.intp)
-        return [*found, (nothing, nothing, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))]
+                    parts.append((start + members, solid, margins, *poses))
+        empty = np.zeros(0, dtype=np.intp)
+        return [*parts, (empty, empty, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))]
 
-    def _frames(self, side: PairSide, rows: Indices, id: int, link: int) -> LinkPosesOverTicks:
+    def _link_poses(self, side: PairSide, rows: Indices, id: int, link: int) -> LinkPosesOverTicks:
         if link == 0:
-            return LinkPosesOverTicks(side.base.positions[rows], side.base.orientations[rows])
-        return side.links(rows, id, link)
+            return LinkPosesOverTicks(
+                side.base_poses.positions[rows], side.base_poses.orientations[rows]
+            )
+        return side.link_poses(rows, id, link)
 
-    def _model(self, id: int) -> _Model:
-        if id not in self._models:
+    def _shape_model(self, id: int) -> _ShapeModel:
+        if id not in self._shape_models:
             body = self._members[id].body
             shapes = [] if body is None else list(body.shapes)
-            self._models[id] = _Model(
-                np.array([self._place(shape.geometry) for shape in shapes], dtype=np.intp),
+            self._shape_models[id] = _ShapeModel(
+                np.array([self._solid_index(shape.geometry) for shape in shapes], dtype=np.intp),
                 np.array([shape.margin for shape in shapes], dtype=np.float64),
                 np.array([shape.frame for shape in shapes], dtype=np.intp),
                 np.array([shape.position for shape in shapes]).reshape(-1, 3),
                 np.array([shape.orientation for shape in shapes]).reshape(-1, 4),
                 BoundingBoxes(shapes, range(len(shapes)), len(shapes)),
             )
-        return self._models[id]
+        return self._shape_models[id]
 
-    def _place(self, geometry: Geometry) -> int:
-        if geometry.key not in self._places:
-            self._places[geometry.key] = len(self._solids)
+    def _solid_index(self, geometry: Geometry) -> int:
+        if geometry.key not in self._solid_indices:
+            self._solid_indices[geometry.key] = len(self._solids)
             self._solids.append(solid_of(geometry))
-        return self._places[geometry.key]
+        return self._solid_indices[geometry.key]
 
 
-def _joined(models: Sequence[_Model]) -> tuple[Indices, Array]:
-    """The solids and the margins of all their shapes."""
-    of, margins = ([getattr(model, name) for model in models] for name in ("of", "margins"))
-    return np.concatenate(of), np.concatenate(margins)
+def _joined_solids(models: Sequence[_ShapeModel]) -> tuple[Indices, Array]:
+    """Returns the solid indices and the margins of the shapes of several entities."""
+    solid_indices, margins = (
+        [getattr(model, name) for model in models] for name in ("solid_indices", "margins")
+    )
+    return np.concatenate(solid_indices), np.concatenate(margins)
 
 
-def _around(boxes: Array) -> Array:
-    """The box around boxes, (6,); of none a point that is nowhere."""
+def _enclosing_box(boxes: Array) -> Array:
+    """Returns the box around boxes, (6,); NaN if there are none."""
     if not len(boxes):
         return np.full(6, np.nan)
     return np.concatenate((boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)))
 
 
-def _different(ids: Ids) -> list[int]:
-    """Which ids there are; mostly it is one."""
+def _unique_ids(ids: Ids) -> list[int]:
+    """Returns the distinct ids; mostly there is one."""
     if len(ids) and (ids == ids[0]).all():
         return [int(ids[0])]
-    found: list[int] = np.unique(ids).tolist()
-    return found
+    distinct: list[int] = np.unique(ids).tolist()
+    return distinct
 
 
-def _composed(
+def _compose_fixed(
     frames: LinkPosesOverTicks, position: Array, orientation: Array
 ) -> LinkPosesOverTicks:
-    """Where something is that is fixed to each of n frames.
+    """Returns the poses of something that is fixed to each of n frames.
 
     Args:
         frames: the frames.
         position: (3,), in a frame.
         orientation: (4,), w, x, y, z, in a frame.
     """
-    if not position.any() and np.array_equal(orientation, _UPRIGHT):
+    if not position.any() and np.array_equal(orientation, _IDENTITY):
         return frames
     count = len(frames.positions)
     inner = np.broadcast_to(position, (count, 3)), np.broadcast_to(orientation, (count, 4))
     return LinkPosesOverTicks(*compose(frames.positions, frames.orientations, *inner))
 
 
-_UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
-def _each_with_each(first: Indices, counts: Indices, second: Indices, others: Indices) -> Pairs:
-    """Runs of shapes, each shape of the one with each of the other.
+def _cross_pairs(first: Indices, counts: Indices, second: Indices, others: Indices) -> Pairs:
+    """Returns all pairs of a shape of a run and a shape of the corresponding other run.
 
     Args:
-        first: where the runs of the one side begin,
-        counts: and how long they are.
-        second: where those of the other side begin,
-        others: and how long they are.
+        first: the starts of the runs.
+        counts: the lengths of the runs.
+        second: the starts of the other runs.
+        others: the lengths of the other runs.
     """
     sizes = counts * others
     pair = np.repeat(np.arange(len(sizes)), sizes)
@@ -321,11 +348,11 @@ def _each_with_each(first: Indices, counts: Indices, second: Indices, others: In
     return first[pair] + place // width, second[pair] + place % width
 
 
-def _scene_of(table: ShapeTable, positions: Array, orientations: Array) -> TickShapes:
-    """Shapes at poses, without boxes.
+def _tick_shapes(table: ShapeTable, positions: Array, orientations: Array) -> TickShapes:
+    """Returns shapes at poses, without boxes.
 
     Args:
-        table: what they are, and whose.
+        table: the properties of the shapes.
         positions: (n, 3), in the world.
         orientations: (n, 4), quaternions w, x, y, z; their lengths do not matter.
     """

@@ -1,7 +1,7 @@
-"""What contacts and sensors told at a recorded tick, of one or two entities.
+"""Looks up contacts and sensor readings of one or two entities at a recorded tick.
 
-SQL's macros cannot look things up by the tick of a row; these can. Each takes the columns of the
-table at a tick (`ssduck.recording.replay.record.Record.rows`), and gives numbers.
+The macros of SQL cannot look things up by the tick of a row. Each function gets the columns of
+tables at a tick (`ssduck.recording.replay.record.Record.rows`) and returns numbers.
 """
 
 from __future__ import annotations
@@ -15,55 +15,57 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Array
 
 Columns: TypeAlias = Mapping[str, npt.NDArray[Any]]
-# Gives the columns of a table at the tick.
-Rows: TypeAlias = Callable[[str], Columns]
+# Returns the columns of a table at the tick.
+RowReader: TypeAlias = Callable[[str], Columns]
 
 
-def sensed(rows: Rows, sensor: int, entity: int) -> list[float]:
-    """[share of its rays] that end on the entity; none if it does not perceive it."""
-    told = rows("sensings")
-    found = np.flatnonzero((told["sensor"] == sensor) & (told["entity"] == entity))
-    shares: list[float] = (told["hits"][found] / told["rays"][found]).tolist()
+def sensed(read_rows: RowReader, sensor: int, entity: int) -> list[float]:
+    """Returns the share of a sensor's rays that end on an entity; [] if it perceives none."""
+    sensings = read_rows("sensings")
+    matches = np.flatnonzero((sensings["sensor"] == sensor) & (sensings["entity"] == entity))
+    shares: list[float] = (sensings["hits"][matches] / sensings["rays"][matches]).tolist()
     return shares
 
 
-def perceived(rows: Rows, sensor: int, _: int) -> list[float]:
-    """The ids of what a sensor perceives, ascending."""
-    told = rows("sensings")
-    ids: list[float] = np.sort(told["entity"][told["sensor"] == sensor]).astype(float).tolist()
+def perceived(read_rows: RowReader, sensor: int, _: int) -> list[float]:
+    """Returns the ids of the entities that a sensor perceives, ascending."""
+    sensings = read_rows("sensings")
+    ids: list[float] = (
+        np.sort(sensings["entity"][sensings["sensor"] == sensor]).astype(float).tolist()
+    )
     return ids
 
 
-def pressing(rows: Rows, a: int, b: int) -> list[float]:
-    """The normal forces of the contacts of two entities, N."""
-    told = rows("contacts")
-    found = (told["a"] == min(a, b)) & (told["b"] == max(a, b))
-    forces: list[float] = told["force"][found].tolist()
+def pressing(read_rows: RowReader, a: int, b: int) -> list[float]:
+    """Returns the normal forces of the contacts of two entities, N."""
+    contacts = read_rows("contacts")
+    matches = (contacts["a"] == min(a, b)) & (contacts["b"] == max(a, b))
+    forces: list[float] = contacts["force"][matches].tolist()
     return forces
 
 
-def wrench(rows: Rows, entity: int, _: int) -> list[float]:
-    """The sums of the forces on an entity, N, and of their moments about its position, N m."""
-    told, entities = rows("contacts"), rows("entities")
-    own = np.flatnonzero(entities["id"] == entity)
-    if not len(own):
+def wrench(read_rows: RowReader, entity: int, _: int) -> list[float]:
+    """Returns the net contact force on an entity, N, and the moment about its position, N m."""
+    contacts, entities = read_rows("contacts"), read_rows("entities")
+    index = np.flatnonzero(entities["id"] == entity)
+    if not len(index):
         return [0.0] * 6
-    place = np.array([entities[axis][own[0]] for axis in "xyz"])
+    position = np.array([entities[axis][index[0]] for axis in "xyz"])
     total = np.zeros(6)
-    for side, way in (("a", 1.0), ("b", -1.0)):
-        touching = told[side] == entity
-        forces = way * _three(told, touching, "fx", "fy", "fz")
-        arms = _three(told, touching, f"{side}x", f"{side}y", f"{side}z") - place
+    for side, sign in (("a", 1.0), ("b", -1.0)):
+        is_in_contact = contacts[side] == entity
+        forces = sign * _vectors(contacts, is_in_contact, "fx", "fy", "fz")
+        arms = _vectors(contacts, is_in_contact, f"{side}x", f"{side}y", f"{side}z") - position
         total[:3] += forces.sum(axis=0)
         total[3:] += np.cross(arms, forces).sum(axis=0)
-    listed: list[float] = total.tolist()
-    return listed
+    components: list[float] = total.tolist()
+    return components
 
 
-def _three(columns: Columns, rows: npt.NDArray[np.bool_], *names: str) -> Array:
+def _vectors(columns: Columns, rows: npt.NDArray[np.bool_], *names: str) -> Array:
     return np.array([columns[name][rows] for name in names]).T.reshape(-1, 3)
 
 
-TOLD: dict[str, Callable[[Rows, int, int], list[float]]] = {
-    told.__name__: told for told in (sensed, perceived, pressing, wrench)
+LOOKUPS: dict[str, Callable[[RowReader, int, int], list[float]]] = {
+    lookup.__name__: lookup for lookup in (sensed, perceived, pressing, wrench)
 }

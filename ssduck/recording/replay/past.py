@@ -1,7 +1,7 @@
-"""The past of a world as a source of queries.
+"""Provides past ticks of a world as a source of queries.
 
-A `Past` is what `kitchen{12.5}`, `kitchen{-2.0}` and `kitchen{}` are: some ticks of a
-record, whose entities are handles that stay at their tick.
+`kitchen{12.5}`, `kitchen{-2.0}` and `kitchen{}` are each a `Past`: some ticks of a record, whose
+entities are handles that stay at their tick.
 """
 
 from __future__ import annotations
@@ -16,52 +16,52 @@ from ssduck import validation
 from ssduck.errors import EvaluationError
 from ssduck.formatting import short_repr
 from ssduck.recording.replay.past_world import PastWorld
-from ssduck.recording.replay.record import ROUNDING, Record, place_at
+from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
 from ssduck.world.entities import Entity, RecordedTick
 from ssduck.world.world import World
 
 
 def past_of(record: Record, age: float | None) -> Past:
-    """Some ticks: the one at a time, those of the last seconds, or all.
+    """Returns the tick at a time, the ticks of the last seconds, or all ticks.
 
     Args:
-        record: what is kept of the world.
-        age: seconds; from 0 up a simulated time, of which the last tick until then is taken;
-            below 0 so long ago at most; None for all that are kept.
+        record: the record of the world.
+        age: if not negative, a simulated time, s, to select the last tick until then; if negative,
+            to select the ticks of so many last seconds; None for all ticks.
 
     Raises:
-        EvaluationError: nothing is kept, or nothing of that time.
+        EvaluationError: no tick is recorded, or none of that time.
     """
-    numbers, times = record.until_now()
+    numbers, times = record.ticks_until_now()
     name = record.world.name
     if not len(numbers):
         raise EvaluationError(f"no tick of {name!r} is recorded")
     if age is None:
         return Past(record, int(numbers[0]), int(numbers[-1]), is_window=True)
     if age < 0:
-        first = int(np.searchsorted(times, record.world.time + age - ROUNDING))
+        first = int(np.searchsorted(times, record.world.time + age - TIME_TOLERANCE))
         if first == len(numbers):
             raise EvaluationError(
                 f"of the last {-age:g} s of {name!r} no tick is recorded; the last one is of "
                 f"{times[-1]:g} s, and it is {record.world.time:g} s"
             )
         return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
-    tick = int(numbers[place_at(name, age, times, record.world.time)])
+    tick = int(numbers[index_at(name, age, times, record.world.time)])
     return Past(record, tick, tick, is_window=False)
 
 
 @dataclass(frozen=True, eq=False)
 class Past:
-    """Some ticks of a world: a source of queries, whose elements are its entities at each.
+    """Some ticks of a world: a source of queries, whose elements are its entities at each tick.
 
     Attributes:
-        record: what is kept of the world.
-        first: the number of the first tick,
-        last: and of the last one.
-        is_window: whether there may be several; sources of one world that are so go through
+        record: the record of the world.
+        first: the number of the first tick.
+        last: the number of the last tick.
+        is_window: whether there may be several ticks; such sources of one world advance through
             their ticks together.
-        id: of the only entity that is meant; None for all.
-        world: the world whose past it is.
+        id: the id of the only entity; None for all entities.
+        world: the recorded world.
     """
 
     record: Record
@@ -72,20 +72,20 @@ class Past:
     world: World = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "world", self.record.world)  # which is not to go meanwhile
+        object.__setattr__(self, "world", self.record.world)  # keeps the world alive
 
     @property
     def ticks(self) -> list[int]:
         """The numbers of the ticks."""
-        return self._chosen[0]
+        return self._selected_ticks[0]
 
     @property
     def times(self) -> list[float]:
         """The simulated time of each tick, s."""
-        return self._chosen[1]
+        return self._selected_ticks[1]
 
     @property
-    def _chosen(self) -> tuple[list[int], list[float]]:
+    def _selected_ticks(self) -> tuple[list[int], list[float]]:
         with self.record.world.lock:
             self.check()
             numbers = self.record.ticks.numbers
@@ -97,35 +97,35 @@ class Past:
             return numbers[chosen].tolist(), self.record.ticks.times[chosen].tolist()
 
     def check(self) -> None:
-        """Complain if some of the ticks are kept no longer.
+        """Checks that none of the ticks was dropped.
 
         Raises:
-            EvaluationError: they are not, or nothing of that record is.
+            EvaluationError: some were dropped, or the record was discarded.
         """
         self.record.check_open()
         numbers = self.record.ticks.numbers
         if not len(numbers) or self.first < numbers[0]:
-            told = (
+            kept = (
                 f"the first that is kept is tick {numbers[0]}" if len(numbers) else "none is kept"
             )
             raise EvaluationError(
-                f"tick {self.first} of {self.world.name!r} is kept no longer; {told}"
+                f"tick {self.first} of {self.world.name!r} is kept no longer; {kept}"
             )
 
     def __iter__(self) -> Iterator[Entity]:
-        """The entities at each tick, tick by tick."""
+        """Yields the entities at each tick, tick by tick."""
         for tick in self.ticks:
-            there = self.record.at(tick)
+            world = self.record.at(tick)
             if self.id is None:
-                yield from there
-            elif self.id in there.snapshot.rows:
-                yield there.entity(self.id)
+                yield from world
+            elif self.id in world.snapshot.rows:
+                yield world.entity(self.id)
 
     def at(self, tick: int) -> PastWorld:
-        """The entities at one of the ticks, by its number.
+        """Returns the world at one of the ticks, by its number.
 
         Raises:
-            EvaluationError: it is none of them.
+            EvaluationError: the tick is none of them.
         """
         if not validation.is_integer(tick) or not self.first <= tick <= self.last:
             raise EvaluationError(
@@ -134,10 +134,10 @@ class Past:
         return self.record.at(tick)
 
     def __getitem__(self, name: str) -> Entity:
-        """The entity of that name at the last of the ticks.
+        """Returns the entity of a name at the last of the ticks.
 
         Raises:
-            UnknownNameError: there is none, with the nearest names.
+            UnknownNameError: there is none; suggests the nearest names.
         """
         return self.record.at(self.ticks[-1])[name]
 
@@ -146,63 +146,63 @@ class Past:
             times = self.times
         except EvaluationError as error:
             return f"<Past of {self.world.name!r}: {error.message}>"
-        told = f"t={times[0]:g} s" if not self.is_window else f"{len(times)} ticks"
+        description = f"t={times[0]:g} s" if not self.is_window else f"{len(times)} ticks"
         if self.is_window and times:
-            told += f" from {times[0]:g} s to {times[-1]:g} s"
-        return f"<Past of {self.world.name!r}: {told}>"
+            description += f" from {times[0]:g} s to {times[-1]:g} s"
+        return f"<Past of {self.world.name!r}: {description}>"
 
 
-def at_moment(entity: Entity, moment: RecordedTick) -> Entity:
-    """The handle of an entity as it is at a tick."""
+def pin_to_tick(entity: Entity, moment: RecordedTick) -> Entity:
+    """Returns the handle of an entity that stays at a tick."""
     return type(entity)(entity.world, entity.id, entity.name, entity.kind, moment)
 
 
-def together(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
-    """Entities as they were at the tick of the first that stays at one; None if one was not there.
+def pin_to_common_tick(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
+    """Pins entities to the tick of the first pinned one; returns None if one did not exist then.
 
-    A handle goes with its world; in a query of the past it goes with that.
+    A handle follows its world; in a query of the past it follows the tick of the query.
 
     Args:
-        values: the entities, and other values.
-        elements: the current elements of the query that they are in.
+        values: entities and other values.
+        elements: the current elements of the query around them.
     """
     worlds = {v.world for v in values if isinstance(v, Entity) and v.moment is None}
     if not worlds:
         return values
     first = next((v for v in values if isinstance(v, Entity) and v.moment is not None), None)
     if first is None:
-        # Those of the query itself come last.
+        # The elements of the innermost query come last.
         past = [v for v in elements if isinstance(v, Entity) and v.moment is not None]
         first = next((v for v in reversed(past) if v.world in worlds), None)
     if first is None:
         return values
     moment = first.moment
     assert moment is not None
-    found: list[Any] = []
+    pinned: list[Any] = []
     for value in values:
         if isinstance(value, Entity) and value.moment is None and value.world is first.world:
-            there = at_moment(value, moment)
-            if not there.is_there:
+            handle = pin_to_tick(value, moment)
+            if not handle.is_there:
                 return None
-            found.append(there)
+            pinned.append(handle)
         else:
-            found.append(value)
-    return found
+            pinned.append(value)
+    return pinned
 
 
 @dataclass(frozen=True, eq=False)
 class PresentTick:
-    """A world at its current tick, beside its past in one query: its entities stay at it."""
+    """A world at its current tick, beside its past in one query: its entities stay at the tick."""
 
     record: Record
     tick: int
 
     @property
     def world(self) -> World:
-        """The world."""
+        """The recorded world."""
         return self.record.world
 
     def __iter__(self) -> Iterator[Entity]:
-        """The entities."""
+        """Yields the entities, pinned to the tick."""
         for entity in self.world:
-            yield at_moment(entity, RecordedTick(self.record, self.tick))
+            yield pin_to_tick(entity, RecordedTick(self.record, self.tick))

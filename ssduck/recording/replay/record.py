@@ -1,6 +1,6 @@
-"""What is kept of a world's ticks, and the world as it was at each of them.
+"""Provides the recorded ticks of a world, and the world as it was at each of them.
 
-`Record.at` gives the world at one tick, as what was recorded tells; the simulator is never asked.
+`Record.at` returns the world at a tick, restored from recorded rows without the simulator.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.mass_changes import MassChanges
-from ssduck.recording.replay.batch_queries import EntityShapes, Ids, PairSide
-from ssduck.recording.replay.batch_queries import LinkPosesOverTicks as LinkFrames
+from ssduck.recording.replay.batch_queries import EntityShapes, Ids, LinkPosesOverTicks, PairSide
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
@@ -37,32 +36,33 @@ from ssduck.world.layout import EntityInfo, margins_of
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
-# So many ticks are kept as worlds.
+# The number of restored worlds that are cached.
 MAX_WORLDS = 256
-# After so many questions about a tick all shapes of it are placed.
-FEW = 8
-MAX_REQUESTED = 100_000
+# After so many queries of a tick, all of its shapes are placed.
+MAX_SINGLE_QUERIES = 8
+MAX_COUNTED_TICKS = 100_000
 
-# What is told of two entities at a tick: the tick, their ids, and 1, or 0 where it is not known.
-PAIR = ("tick", "a", "b", "known")
-# Times are the same that differ by no more, s.
-ROUNDING = 1e-9
+# The columns of the result of a predicate: the tick, two ids, and 1, or 0 where it is unknown.
+PREDICATE_COLUMNS = ("tick", "a", "b", "known")
+# Times that differ by less are equal, s.
+TIME_TOLERANCE = 1e-9
 _NAN = float("nan")
 
 
 class Record:
-    """What is kept of a world's ticks.
+    """The recorded ticks of a world.
 
     Args:
-        world: whose ticks they are; None if it is made of them, and told later.
-        ticks: their numbers and times.
-        members: the entities that they tell of, by id.
-        tables: which tables are recorded.
-        fetch: gives the rows of a table at the ticks from one to another.
-        near: gives the pairs of entities whose boxes are near at some ticks, with their poses.
+        world: the recorded world; None for a replayed world, which sets the attribute later.
+        ticks: the numbers and times of the ticks.
+        members: the recorded entities, by id.
+        tables: the recorded tables.
+        fetch: returns the rows of a table at the ticks from a first to a last one.
+        near_pairs: returns the pairs of entities whose boxes are near at some ticks, with their
+            poses.
         geometries: the numbers of geometries by their keys; None for those of the world.
-        run: the number of the run that they are of; None for that of the world.
-        reweighed: the bodies whose masses changed after they were kept; None for none.
+        run: the number of the run; None for that of the world.
+        mass_changes: the bodies whose masses changed after they were recorded; None for none.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Record:
         members: Mapping[int, EntityInfo],
         tables: Sequence[str],
         fetch: Callable[[str, int, int], pa.Table],
-        near: Callable[[PairRequest], pa.Table],
+        near_pairs: Callable[[PairRequest], pa.Table],
         geometries: dict[str, int] | None = None,
         run: int | None = None,
         mass_changes: MassChanges | None = None,
@@ -82,35 +82,35 @@ class Record:
             self.world = world
         self.ticks = ticks
         self.tables = frozenset(tables)
-        self._links = links_of(self.tables)
+        self._links_table = links_of(self.tables)
         self.members = members
         self.fetch = fetch
-        self._near = near
-        self._reweighed = mass_changes
-        self._models = EntityShapes(members)
-        # Of how many members it was found.
-        self._margins = -1, 0.0
-        # How often shapes at a tick were asked for.
-        self._asked: dict[int, int] = {}
+        self._near_pairs = near_pairs
+        self._mass_changes = mass_changes
+        self._entity_shapes = EntityShapes(members)
+        # The number of members that the value was computed for, and the value.
+        self._cached_margins = -1, 0.0
+        # The number of queries of shapes at each tick.
+        self._query_counts: dict[int, int] = {}
         self._worlds: OrderedDict[int, PastWorld] = OrderedDict()
         if geometries is None:
             assert world is not None
             geometries, run = world.snapshot.geometries, world.snapshot.run
-        self._blocks = RowCache(fetch, ticks)
-        self._placings = SnapshotRestorer(
-            members, self.tables, self._blocks, Snapshot(geometries, run)
+        self._row_cache = RowCache(fetch, ticks)
+        self._restorer = SnapshotRestorer(
+            members, self.tables, self._row_cache, Snapshot(geometries, run)
         )
-        # Whether another record has taken its place, or none.
+        # Whether it was replaced by another record, or discarded.
         self.is_closed = False
-        # How often the narrow phase is called counts for the world, at whatever tick.
+        # Calls of the narrow phase count for the world, at any tick.
         self.calls = CallCounter() if world is None else world.snapshot.calls
 
     @property
     def world(self) -> World:
-        """Whose ticks they are; it is not kept by them.
+        """The recorded world, which the record does not keep alive.
 
         Raises:
-            EvaluationError: nobody has it any more.
+            EvaluationError: the world is gone.
         """
         world = None if self._world is None else self._world()
         if world is None:
@@ -123,8 +123,8 @@ class Record:
 
     # -- which ticks ------------------------------------------------------------------------
 
-    def until_now(self) -> tuple[npt.NDArray[np.int64], Array]:
-        """The numbers and times of the ticks that are kept, up to the world's present one."""
+    def ticks_until_now(self) -> tuple[npt.NDArray[np.int64], Array]:
+        """Returns the numbers and times of the recorded ticks up to the world's current one."""
         with self.world.lock:
             self.check_open()
             numbers = self.ticks.numbers
@@ -134,53 +134,53 @@ class Record:
     # -- a tick -----------------------------------------------------------------------------
 
     def entity(self, tick: int, id: int) -> Entity:
-        """The handle of an entity at a tick."""
+        """Returns the handle of an entity at a tick."""
         member = self.members[id]
         kind = HANDLES[member.kind]
         return kind(self.world, id, member.name, member.kind, RecordedTick(self, tick))
 
     def at(self, tick: int) -> PastWorld:
-        """The world at a tick.
+        """Returns the world at a tick.
 
         Raises:
-            EvaluationError: the tick is not kept, or not any more.
+            EvaluationError: the tick is not recorded, or was dropped.
         """
         with self.world.lock:
-            self._place_of(tick)
+            self._index_of(tick)
             if tick not in self._worlds:
                 while len(self._worlds) >= MAX_WORLDS:
                     self._worlds.popitem(last=False)
-                self._worlds[tick] = PastWorld(RecordedTick(self, tick), *self.taken(tick))
+                self._worlds[tick] = PastWorld(RecordedTick(self, tick), *self.restore(tick))
             self._worlds.move_to_end(tick)
             return self._worlds[tick]
 
-    def taken(self, tick: int) -> tuple[StaticSimulator, Snapshot]:
-        """What stands for a simulator at a tick, and the snapshot of it.
+    def restore(self, tick: int) -> tuple[StaticSimulator, Snapshot]:
+        """Restores the static simulator and the snapshot of a tick.
 
         Raises:
-            EvaluationError: the tick is not kept, or not any more.
+            EvaluationError: the tick is not recorded, or was dropped.
         """
         with self.world.lock:
-            self._place_of(tick)
-            snapshot = self._placings.snapshot(tick, _unavailable(self))
+            self._index_of(tick)
+            snapshot = self._restorer.snapshot(tick, _unavailable(self))
             snapshot.calls = self.calls
-            return self.take(snapshot, tick), snapshot
+            return self.restore_into(snapshot, tick), snapshot
 
-    def take(self, snapshot: Snapshot, tick: int) -> StaticSimulator:
-        """Make a snapshot that of a tick; gives what stands for a simulator there.
+    def restore_into(self, snapshot: Snapshot, tick: int) -> StaticSimulator:
+        """Restores a tick into a snapshot, and returns the static simulator of the tick.
 
         Raises:
-            EvaluationError: the tick is not kept, or not any more.
+            EvaluationError: the tick is not recorded, or was dropped.
         """
         with self.world.lock:
-            time = float(self.ticks.times[self._place_of(tick)])
-            return self._placings.take(snapshot, tick, time)
+            time = float(self.ticks.times[self._index_of(tick)])
+            return self._restorer.restore_into(snapshot, tick, time)
 
     def check_open(self) -> None:
-        """Complain if it is kept no longer.
+        """Checks that the record was not discarded.
 
         Raises:
-            EvaluationError: something else is recorded of the world since, or nothing.
+            EvaluationError: the world is recorded anew since, or not at all.
         """
         if self.is_closed:
             raise EvaluationError(
@@ -189,11 +189,11 @@ class Record:
             )
 
     def warn_of_masses(self) -> None:
-        """Warn of bodies whose masses are no longer those that are kept; of each once."""
-        if self._reweighed is not None:  # nothing changes in a world that was opened
-            self._reweighed.warn(self.world)
+        """Warns of bodies whose masses are no longer the recorded ones, of each once."""
+        if self._mass_changes is not None:  # masses do not change in a replayed world
+            self._mass_changes.warn(self.world)
 
-    def _place_of(self, tick: int) -> int:
+    def _index_of(self, tick: int) -> int:
         self.check_open()
         place = int(np.searchsorted(self.ticks.numbers, tick))
         if place == len(self.ticks) or self.ticks.numbers[place] != tick:
@@ -202,103 +202,116 @@ class Record:
             )
         return place
 
-    def pairs(self, asked: PairRequest, question: PairPredicate) -> list[Ids]:
-        """The pairs of entities of which something holds, at some ticks.
+    def matching_pairs(self, request: PairRequest, predicate: PairPredicate) -> list[Ids]:
+        """Returns the pairs of entities for which a predicate holds or is unknown, at some ticks.
 
         Args:
-            asked: which ones; boxes are looked at as far out as margins make it.
-            question: what is to hold.
+            request: selects the pairs; margins are added to its gap where the predicate needs it.
+            predicate: the condition.
 
         Returns:
-            The columns `PAIR` of those of which it holds, or is not known.
+            The columns `PREDICATE_COLUMNS`.
         """
-        far = self.margins if question.of == "touching" else 0.0
-        rows = self._near(replace(asked, max_gap=asked.max_gap + far))
+        margins = self.margins if predicate.kind == "touching" else 0.0
+        rows = self._near_pairs(replace(request, max_gap=request.max_gap + margins))
         ticks = rows["tick"].to_numpy()
         sides = [
             PairSide(
                 rows[side].to_numpy(),
-                LinkFrames(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
-                partial(self._link_frames, ticks),
+                LinkPosesOverTicks(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
+                partial(self._link_poses, ticks),
             )
             for side in "ab"
         ]
-        holds, known = self._models.together(sides[0], sides[1], question, self.calls)
-        found = np.flatnonzero(holds | ~known)
+        holds, known = self._entity_shapes.evaluate(sides[0], sides[1], predicate, self.calls)
+        selected = np.flatnonzero(holds | ~known)
         columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
-        return [column[found] for column in columns]
+        return [column[selected] for column in columns]
 
-    def _link_frames(
+    def _link_poses(
         self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
-    ) -> LinkFrames:
-        """Where a link of an entity is at the ticks of some rows."""
-        found = np.full((len(rows), 7), _NAN)
+    ) -> LinkPosesOverTicks:
+        """Returns the poses of a link of an entity at the ticks of some rows."""
+        poses = np.full((len(rows), 7), _NAN)
         for tick in np.unique(ticks[rows]).tolist():
-            found[ticks[rows] == tick] = self._pose(self._links, tick, id, link)
-        return LinkFrames(found[:, :3], found[:, 3:])
+            poses[ticks[rows] == tick] = self._pose(self._links_table, tick, id, link)
+        return LinkPosesOverTicks(poses[:, :3], poses[:, 3:])
 
     def _pose(self, table: str, tick: int, id: int, link: int) -> Array:
-        """Position and orientation of a link of an entity at a tick, (7,); NaN if it is not there.
+        """Returns the pose of a link of an entity at a tick, (7,); NaN if it is not there.
 
         Args:
-            table: of entities, where `link` is 0, or of links.
-            tick: the tick.
-            id: of the entity.
-            link: its number.
+            table: the table of entities, where `link` is 0, or of links.
+            tick: the number of the tick.
+            id: the id of the entity.
+            link: the number of the link.
         """
-        own = self.rows(table, tick)
-        is_it = own["id"] == id if table == "entities" else own["entity"] == id
+        rows = self.rows(table, tick)
+        matches = rows["id"] == id if table == "entities" else rows["entity"] == id
         if table != "entities":
-            is_it &= own["link"] == link
-        place = np.flatnonzero(is_it)
-        return np.array([own[name][place[0]] if len(place) else _NAN for name in POSE])
+            matches &= rows["link"] == link
+        index = np.flatnonzero(matches)
+        return np.array([rows[name][index[0]] if len(index) else _NAN for name in POSE])
 
     def shapes(self, tick: int, ids: Sequence[int] | None) -> ShapeQueries:
-        """The shapes at a tick, to be compared.
+        """Returns queries of the shapes at a tick.
 
-        Where few are asked for at a tick, only these are placed.
+        Only the requested shapes are placed as long as there are few queries of the tick.
 
         Args:
-            tick: which one.
-            ids: of the entities that are asked for; None for all.
+            tick: the number of the tick.
+            ids: the ids of the requested entities; None for all.
         """
         if ids is None:
             return self.at(tick).shapes()
-        self._asked[tick] = self._asked.get(tick, 0) + 1
-        if tick in self._worlds or self._asked[tick] > FEW or len(set(ids)) < len(ids):
+        self._query_counts[tick] = self._query_counts.get(tick, 0) + 1
+        if (
+            tick in self._worlds
+            or self._query_counts[tick] > MAX_SINGLE_QUERIES
+            or len(set(ids)) < len(ids)
+        ):
             return self.at(tick).shapes()
-        if len(self._asked) > MAX_REQUESTED:
-            self._asked.clear()
+        if len(self._query_counts) > MAX_COUNTED_TICKS:
+            self._query_counts.clear()
         ordered = sorted(ids)
         poses = [
             [self._pose("entities", tick, id, 0)]
-            + [self._pose(self._links, tick, id, link) for link in self._models.moving_links(id)]
+            + [
+                self._pose(self._links_table, tick, id, link)
+                for link in self._entity_shapes.moving_links(id)
+            ]
             for id in ordered
         ]
-        return self._models.shapes(ordered, [np.array(found) for found in poses], self.calls)
+        return self._entity_shapes.shapes(ordered, [np.array(links) for links in poses], self.calls)
 
     @property
     def margins(self) -> float:
-        """How much farther apart shapes may be than what touches, metres: twice the most."""
-        if self._margins[0] != len(self.members):
-            self._margins = len(self.members), margins_of(self.members.values())
-        return self._margins[1]
+        """The largest distance of shapes that touch by their margins: twice the largest one, m."""
+        if self._cached_margins[0] != len(self.members):
+            self._cached_margins = len(self.members), margins_of(self.members.values())
+        return self._cached_margins[1]
 
     def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
-        """The columns of a table at a tick; NaN for what is not known."""
+        """Returns the columns of a table at a tick; NaN for unknown numbers."""
         with self.world.lock:
             self.check_open()
-            return self._blocks.rows(table, tick)
+            return self._row_cache.rows(table, tick)
 
 
-def place_at(world: str, time: float, times: Array, now: float) -> int:
-    """The place of the last tick until a time.
+def index_at(world: str, time: float, times: Array, now: float) -> int:
+    """Returns the index of the last tick until a time.
+
+    Args:
+        world: the name of the world.
+        time: the simulated time, s.
+        times: the times of the ticks, s, (n,).
+        now: the current time of the world, s.
 
     Raises:
-        EvaluationError: that is before the first, or later than it is now.
+        EvaluationError: the time is before the first tick, or later than now.
     """
-    place = int(np.searchsorted(times, time + ROUNDING, side="right")) - 1
-    if place < 0 or time > max(now, float(times[-1])) + ROUNDING:
+    place = int(np.searchsorted(times, time + TIME_TOLERANCE, side="right")) - 1
+    if place < 0 or time > max(now, float(times[-1])) + TIME_TOLERANCE:
         raise EvaluationError(
             f"{world!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is no tick at "
             f"{time:g} s"
@@ -307,13 +320,13 @@ def place_at(world: str, time: float, times: Array, now: float) -> int:
 
 
 def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
-    """Columns of one of two entities, (rows, names)."""
+    """Returns columns of one of two entities, (rows, names)."""
     columns = [_numbers(rows[f"{side}_{name}"]) for name in names]
     return np.array(columns).reshape(len(names), rows.num_rows).T
 
 
 def _unavailable(record: Record) -> dict[str, str]:
-    """Tables whose rows nobody knows at a past tick, and why."""
+    """Returns the tables that are unavailable at a past tick, with the reasons."""
     world = record.world.name
     return {
         table: not_recorded_message(table, world)
@@ -323,5 +336,5 @@ def _unavailable(record: Record) -> dict[str, str]:
 
 
 def _numbers(column: pa.ChunkedArray) -> Array:
-    """A column of numbers; NaN for what is not known."""
+    """Returns a column of numbers; NaN for unknown ones."""
     return np.asarray(column.to_numpy(), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The entities of a recorded tick, where they were: rows to a snapshot."""
+"""Restores the snapshot of a recorded tick from its rows."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 
 _NAN = float("nan")
-# Tables that only a simulator knows; their rows are copied from the record.
+# Tables that only a simulator provides; their rows are copied from the record.
 _COPIED = frozenset(name for name in ON_DEMAND if not TABLES[name].key)
 _STATE = (*POSE, "vx", "vy", "vz", "wx", "wy", "wz")
 _ENTITY_DOUBLES = TABLES["entities"].tick_columns.doubles
 
 
 @dataclass(frozen=True, eq=False)
-class _Placing:
-    """The entities of a tick, and where the frames of their bodies are found.
+class _Template:
+    """What ticks with the same entities share.
 
     Attributes:
-        template: a snapshot of such entities.
-        sources: of each part, the rows of its frames: those of entities, then those of links.
-        bases: of bodies of several links, the row of the base, and that of the entity, which
-            knows how fast it is, (n, 2).
+        snapshot: a snapshot with these entities.
+        sources: the rows of the link poses of each body group: of entities, then of links.
+        bases: the row of the base of each body with several links, and the row of its entity,
+            which has the velocity, (n, 2).
     """
 
-    template: Snapshot
+    snapshot: Snapshot
     sources: tuple[tuple[BodyGroup, Indices], ...]
     bases: Indices
 
 
 class SnapshotRestorer:
-    """Places what a record tells of; what is the same while the entities are is kept.
+    """Restores recorded ticks; caches what ticks with the same entities share.
 
     Args:
         members: the entities, by id.
-        tables: which tables are recorded.
-        rows: of these.
-        empty: a snapshot of their run in which nothing is.
+        tables: the recorded tables.
+        rows: the rows of these tables.
+        empty: a snapshot of the run without entities.
     """
 
     def __init__(
@@ -61,90 +61,99 @@ class SnapshotRestorer:
         self._links = links_of(tables)
         self._rows = rows
         self._empty = empty
-        self._placings: dict[tuple[int, ...], _Placing] = {}
+        self._templates: dict[tuple[int, ...], _Template] = {}
 
     def snapshot(self, tick: int, unavailable: Mapping[str, str]) -> Snapshot:
-        """One of the entities at a tick, to be taken.
+        """Returns a snapshot with the entities of a tick, to restore the tick into.
 
         Args:
-            tick: which one.
-            unavailable: tables whose rows nobody knows there, and why.
+            tick: the number of the tick.
+            unavailable: the unavailable tables, with the reasons.
         """
-        return self._at(tick).template.past(tick, unavailable)
+        return self._template_at(tick).snapshot.past(tick, unavailable)
 
-    def take(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:
-        """Make a snapshot that of a tick; gives what stands for a simulator there."""
-        placing = self._at(tick)
-        members = placing.template.load_order
+    def restore_into(self, snapshot: Snapshot, tick: int, time: float) -> StaticSimulator:
+        """Restores a tick into a snapshot, and returns the static simulator of the tick.
+
+        Args:
+            snapshot: has the entities of the tick.
+            tick: the number of the tick.
+            time: the simulated time of the tick, s.
+        """
+        template = self._template_at(tick)
+        members = template.snapshot.load_order
         rows = self._rows.rows("entities", tick)
         by_id = np.argsort(rows["id"])
-        listed = [member.id for member in placing.template.entities]
+        listed = [member.id for member in template.snapshot.entities]
         order = by_id[np.searchsorted(rows["id"][by_id], listed)]
         doubles = np.array([rows[name] for name in _ENTITY_DOUBLES])[:, order]
         own_states = np.array([rows[name] for name in _STATE])[:, order].T
         states = np.concatenate((own_states, self._states_of_links(tick)))
-        states[placing.bases[:, 0], 7:] = states[placing.bases[:, 1], 7:]
+        states[template.bases[:, 0], 7:] = states[template.bases[:, 1], 7:]
         absent = {
             name: frozenset(
                 member.body
                 for member, is_so in zip(
-                    placing.template.entities, rows[name][order].tolist(), strict=True
+                    template.snapshot.entities, rows[name][order].tolist(), strict=True
                 )
                 if member.body is not None and not is_so
             )
             for name in ("enabled", "visible")
         }
-        posed = StaticSimulator(
+        simulator = StaticSimulator(
             time=time,
-            link_poses={part.bodies: _frames(states[source]) for part, source in placing.sources},
-            joints=self._joints(tick, placing.template.layout),
+            link_poses={
+                part.bodies: _link_poses(states[source]) for part, source in template.sources
+            },
+            joints=self._joints(tick, template.snapshot.layout),
             disabled=absent["enabled"],
             hidden=absent["visible"],
             description="a recorded tick",
         )
         snapshot.go_to(tick)
-        snapshot.take(posed, members)
-        # To the last digit as it was.
+        snapshot.take(simulator, members)
+        # Poses are computed anew above; the recorded numbers are exact.
         entities = snapshot.tables["entities"]
         entities.block[entities.block_rows(_ENTITY_DOUBLES)] = doubles
         entities.publish_unknown()
         for table in _COPIED & self._tables:
-            told = self._rows.rows(table, tick)
-            snapshot.tables[table].fill(len(told["tick"]), told)
-        return posed
+            recorded = self._rows.rows(table, tick)
+            snapshot.tables[table].fill(len(recorded["tick"]), recorded)
+        return simulator
 
-    def _at(self, tick: int) -> _Placing:
-        return self._of(tuple(np.sort(self._rows.rows("entities", tick)["id"]).tolist()))
+    def _template_at(self, tick: int) -> _Template:
+        return self._template_of(tuple(np.sort(self._rows.rows("entities", tick)["id"]).tolist()))
 
-    def _of(self, ids: tuple[int, ...]) -> _Placing:
-        if ids not in self._placings:
+    def _template_of(self, ids: tuple[int, ...]) -> _Template:
+        if ids not in self._templates:
             members = [self._members[id] for id in ids]
             template = Snapshot(self._empty.geometries, self._empty.run)
             layout = TableLayout(members, is_external=False)
-            posed = StaticSimulator(
+            simulator = StaticSimulator(
                 0.0,
                 {
-                    part.bodies: _nowhere(part)
+                    part.bodies: _identity_poses(part)
                     for part in (layout.static_bodies, layout.moving_bodies)
                 },
                 {body: np.zeros((len(body.joints), 3)) for _, body in layout.bodies},
                 frozenset(),
                 frozenset(),
             )
-            template.take(posed, members)
-            laid = template.layout
-            starts = _starts(laid)
+            template.take(simulator, members)
+            template_layout = template.layout
+            starts = _base_rows(template_layout)
             sources = tuple(
-                _sources(part, laid, starts) for part in (laid.static_bodies, laid.moving_bodies)
+                _sources(part, template_layout, starts)
+                for part in (template_layout.static_bodies, template_layout.moving_bodies)
             )
-            bases = [(start, laid.rows[id]) for id, start in starts.items()]
-            self._placings[ids] = _Placing(
+            bases = [(start, template_layout.rows[id]) for id, start in starts.items()]
+            self._templates[ids] = _Template(
                 template, sources, np.array(bases, dtype=np.intp).reshape(-1, 2)
             )
-        return self._placings[ids]
+        return self._templates[ids]
 
     def _states_of_links(self, tick: int) -> Array:
-        """Of the links of bodies that have several: pose and velocities, (n, 13)."""
+        """Returns the poses and velocities of the links of bodies with several links, (n, 13)."""
         rows = self._rows.rows(self._links, tick)
         keys = np.array([rows[name] for name in ("entity", "link")])
         unknown = np.full(len(rows["tick"]), _NAN)
@@ -158,51 +167,51 @@ class SnapshotRestorer:
         owners = rows["entity"]
         states = np.array([rows[name] for name in ("position", "velocity", "effort")])
         links = rows["link"]
-        found = {}
+        joints = {}
         for id, body in layout.bodies:
-            own = np.flatnonzero(owners == id)
-            found[body] = states[:, own[np.argsort(links[own])]].T.copy()
-        return found
+            indices = np.flatnonzero(owners == id)
+            joints[body] = states[:, indices[np.argsort(links[indices])]].T.copy()
+        return joints
 
 
 def links_of(tables: Collection[str]) -> str:
-    """Which of these tables tells where the links of bodies of several links are."""
+    """Returns the recorded table that has the poses of the links of bodies with several links."""
     return "links" if "links" in tables else FRAMES
 
 
-def _frames(states: Array) -> LinkPoses:
+def _link_poses(states: Array) -> LinkPoses:
     positions = np.ascontiguousarray(states[:, :3])
     with np.errstate(invalid="ignore"):
         matrices = rotation_matrices(states[:, 3:7])
     return LinkPoses(positions, matrices, states)
 
 
-def _nowhere(part: BodyGroup) -> LinkPoses:
+def _identity_poses(part: BodyGroup) -> LinkPoses:
     count = sum(run.stop - run.start for run in part.runs.values())
     states = np.zeros((count, 13))
     states[:, 3] = 1.0
-    return _frames(states)
+    return _link_poses(states)
 
 
-def _starts(layout: TableLayout) -> dict[int, int]:
-    """The row of the base of each body of several links, behind the rows of all entities."""
+def _base_rows(layout: TableLayout) -> dict[int, int]:
+    """Returns the row of the base of each body with several links, after the rows of entities."""
     first = len(layout.entities)
-    found: dict[int, int] = {}
+    rows: dict[int, int] = {}
     for id, body in sorted(layout.bodies, key=lambda entry: entry[0]):
         if len(body.links) > 1:
-            found[id] = first
+            rows[id] = first
             first += len(body.links)
-    return found
+    return rows
 
 
 def _sources(
     part: BodyGroup, layout: TableLayout, starts: Mapping[int, int]
 ) -> tuple[BodyGroup, Indices]:
-    """Where the frames of a part are: among the entities' rows, and behind them."""
+    """Returns a body group with the rows of its links, among those of entities and after them."""
     ids = {body: id for id, body in layout.bodies}
-    places: list[int] = []
+    rows: list[int] = []
     for body in part.bodies:
         id = ids[body]
         start = starts.get(id, layout.rows[id])
-        places += range(start, start + len(body.links))
-    return part, np.array(places, dtype=np.intp)
+        rows += range(start, start + len(body.links))
+    return part, np.array(rows, dtype=np.intp)

@@ -1,4 +1,4 @@
-"""The rows of recorded ticks, fetched in blocks."""
+"""Caches the rows of recorded ticks, in blocks of ticks."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ import pyarrow as pa
 
 from ssduck.recording.buffers import TickBuffer
 
-# So many ticks are fetched at once, and so many blocks of them kept.
+# The number of ticks of a block, and the number of cached blocks.
 BLOCK = 64
 MAX_BLOCKS = 8
 
 
 class RowCache:
-    """The rows of a record, of which those that were asked for last are kept.
+    """The rows of a record, with a cache of the least recently used blocks.
 
     Args:
-        fetch: gives the rows of a table at the ticks from one to another.
-        ticks: that are recorded.
+        fetch: returns the rows of a table at the ticks from a first to a last one.
+        ticks: the recorded ticks.
     """
 
     def __init__(self, fetch: Callable[[str, int, int], pa.Table], ticks: TickBuffer) -> None:
@@ -33,9 +33,9 @@ class RowCache:
         )
 
     def rows(self, table: str, tick: int) -> dict[str, npt.NDArray[Any]]:
-        """The columns of a table at a tick; NaN for what is not known."""
+        """Returns the columns of a table at a tick; NaN for unknown numbers."""
         number = tick // BLOCK
-        # What is recorded meanwhile makes a block another one.
+        # The key of the last block changes when further ticks are recorded.
         last = min((number + 1) * BLOCK - 1, int(self._ticks.numbers[-1]))
         key = number, last
         if key not in self._blocks:
@@ -45,9 +45,9 @@ class RowCache:
         self._blocks.move_to_end(key)
         block = self._blocks[key]
         if table not in block:
-            found = self._fetch(table, number * BLOCK, last)
-            order = np.argsort(found["tick"].to_numpy(), kind="stable")
-            block[table] = {name: found[name].to_numpy()[order] for name in found.column_names}
+            rows = self._fetch(table, number * BLOCK, last)
+            order = np.argsort(rows["tick"].to_numpy(), kind="stable")
+            block[table] = {name: rows[name].to_numpy()[order] for name in rows.column_names}
         columns = block[table]
         first, end = np.searchsorted(columns["tick"], [tick, tick + 1])
         return {name: column[first:end] for name, column in columns.items()}

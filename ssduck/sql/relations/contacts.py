@@ -12,8 +12,8 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         "(least(a.id, b.id), greatest(a.id, b.id)) IN "
         "(SELECT contacts.a, contacts.b FROM contacts WHERE contacts.force > 0)",
-        "Checks if the physics solver found a contact of a and b in the last step whose normal "
-        "force is more than 0.",
+        "Checks if the physics solver found a contact of a and b with a normal force above 0 in "
+        "the last step.",
         is_symmetric=True,
         across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
@@ -27,8 +27,8 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "map(list((pair[1], pair[2])), list(total)) FROM (SELECT [contacts.a, contacts.b] AS pair, "
         "sum(contacts.force) AS total FROM contacts GROUP BY ALL) AS summed), "
         "(least(a.id, b.id), greatest(a.id, b.id))), 0.0::DOUBLE) END",
-        "Returns the sum of the normal forces between a and b that the physics solver found in "
-        "the last step.",
+        "Returns the sum of the normal forces between a and b in the last step, from the "
+        "physics solver.",
         unit="N",
         is_symmetric=True,
         across_worlds="0.0::DOUBLE",

@@ -6,8 +6,8 @@ from ssduck.sql.relations.common import A_B, ENTITY, of_entity
 from ssduck.sql.relations.relation import Parameter, Relation
 
 _SLICE = (
-    Parameter("start", "integer", "the first number that is kept, from 0", optional=True),
-    Parameter("stop", "integer", "the first number that is not kept", optional=True),
+    Parameter("start", "integer", "the index of the first element, from 0", optional=True),
+    Parameter("stop", "integer", "the index after the last element", optional=True),
 )
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
 
@@ -33,28 +33,34 @@ def _sliced(
 
 
 ENTITY_RELATIONS: tuple[Relation, ...] = (
-    of_entity("id", "string", "object.name", "Returns the name of an object, unique in its world."),
     of_entity(
-        "type", "string", "object.kind", "Returns the kind of an object: robot, kinbody or sensor."
+        "id",
+        "string",
+        "object.name",
+        "Returns the name of an entity, which is unique in its world.",
     ),
     of_entity(
-        "tick", "integer", "object.tick", "Returns the number of the tick that object is of."
+        "type",
+        "string",
+        "object.kind",
+        "Returns the kind of an entity: 'robot', 'kinbody' or 'sensor'.",
     ),
+    of_entity("tick", "integer", "object.tick", "Returns the number of the tick of an entity."),
     of_entity(
         "time",
         "double",
         "object.time",
-        "Returns the simulated time of the tick that object is of.",
+        "Returns the simulated time of the tick of an entity.",
         "s",
         aliases=("timeOf",),
     ),
-    of_entity("obj", "entity", "object.name", "Returns the object itself."),
+    of_entity("obj", "entity", "object.name", "Returns the entity itself."),
     *(
         of_entity(
             kind,
             "entity",
             f"CASE WHEN object.kind = '{kind}' THEN object.name END",
-            f"Returns the object itself if it is a {kind}, else nothing.",
+            f"Returns the entity itself if it is a {kind}, else nothing.",
         )
         for kind in ("robot", "sensor", "kinbody")
     ),
@@ -63,15 +69,15 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
             f"is{kind}",
             "boolean",
             f"object.kind = '{kind.lower()}'",
-            f"Checks if object is of type {kind}.",
+            f"Checks if the entity is a {kind.lower()}.",
         )
         for kind in ("Robot", "Sensor", "Kinbody")
     ),
     _sliced(
         "position",
         "[object.x, object.y, object.z]",
-        "Returns [x, y, z] of the object's link frame in the world, or that list from start "
-        "to stop.",
+        "Returns the position [x, y, z] of the entity's link frame in the world frame, or its "
+        "elements from start to stop.",
         "m",
         aliases=("positionOf",),
     ),
@@ -80,7 +86,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
             axis,
             "double",
             f"object.{axis}",
-            f"Returns the {axis} coordinate of the object's link frame in the world.",
+            f"Returns the {axis} coordinate of the entity's link frame in the world frame.",
             "m",
         )
         for axis in "xyz"
@@ -88,15 +94,15 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     _sliced(
         "orientation",
         "[object.qw, object.qx, object.qy, object.qz]",
-        "Returns the unit quaternion [w, x, y, z] of the object's link frame in the world, or "
-        "that list from start to stop.",
+        "Returns the orientation of the entity's link frame in the world frame, a unit "
+        "quaternion [w, x, y, z], or its elements from start to stop.",
         "",
     ),
     _sliced(
         "pose",
         "[object.qw, object.qx, object.qy, object.qz, object.x, object.y, object.z]",
-        "Returns the orientation [w, x, y, z] and the position [x, y, z] as one list of seven, "
-        "or that list from start to stop.",
+        "Returns the pose [qw, qx, qy, qz, x, y, z] of the entity's link frame in the world "
+        "frame, or its elements from start to stop.",
         "m",
     ),
     of_entity(
@@ -104,15 +110,15 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "double",
         "CASE WHEN object.kind = 'kinbody' THEN (object.xmax - object.xmin) "
         "* (object.ymax - object.ymin) * (object.zmax - object.zmin) / 8 ELSE 0.0::DOUBLE END",
-        "Returns the product of the three half-extents of the object's axis-aligned box: an "
-        "eighth of the box's volume (see aabbVolume); 0 for what is no kinbody.",
+        "Returns the product of the half-extents of a kinbody's axis-aligned box, an eighth of "
+        "the volume of the box (see aabbVolume); 0 for robots and sensors.",
         "m^3",
     ),
     of_entity(
         "aabbVolume",
         "double",
         "(object.xmax - object.xmin) * (object.ymax - object.ymin) * (object.zmax - object.zmin)",
-        "Returns the volume of the object's axis-aligned box.",
+        "Returns the volume of the entity's axis-aligned box.",
         "m^3",
     ),
     Relation(
@@ -123,8 +129,8 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         ),
         "double",
         "sqrt((a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2)",
-        "Returns the distance between the positions of two objects, or between two points "
-        "given as lists. The size of the objects does not matter.",
+        "Returns the distance of two positions, each that of an entity or a point [x, y, z]. "
+        "The sizes of the entities do not matter.",
         unit="m",
         is_symmetric=True,
     ),
@@ -133,8 +139,8 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         A_B,
         "boolean",
         f"{_FOOTPRINT} AND b.z >= a.zmax AND a.id <> b.id",
-        "Checks if the position of b is above a: x and y within the box of a, edges "
-        "included, and z at its top or higher.",
+        "Checks if the position of b is above the box of a: x and y are within the box, edges "
+        "included, and z is at its top or higher.",
     ),
     Relation(
         "below",
@@ -142,8 +148,8 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         f"{_FOOTPRINT} AND 2 * b.z < a.zmin + a.zmax AND a.zmax < 'infinity'::DOUBLE "
         "AND a.id <> b.id",
-        "Checks if the position of b is below the centre of a: x and y within the box of a, "
-        "edges included, and z less than that of the box's centre.",
+        "Checks if the position of b is below the centre of the box of a: x and y are within "
+        "the box, edges included, and z is lower than the centre.",
     ),
     Relation(
         "within",
@@ -154,10 +160,15 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "Checks if the position of b is inside the box of a, edges excluded.",
     ),
     of_entity(
-        "isEnabled", "boolean", "object.enabled", "Checks if object takes part in collisions."
+        "isEnabled", "boolean", "object.enabled", "Checks if the simulator lets the entity collide."
     ),
-    of_entity("isVisible", "boolean", "object.visible", "Checks if object is drawn."),
     of_entity(
-        "environmentID", "integer", "object.id", "Returns the number of the object in its world."
+        "isVisible", "boolean", "object.visible", "Checks if the simulator draws the entity."
+    ),
+    of_entity(
+        "environmentID",
+        "integer",
+        "object.id",
+        "Returns the id of the entity, a number that is unique in its world.",
     ),
 )

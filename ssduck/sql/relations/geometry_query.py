@@ -25,7 +25,7 @@ ZERO = "0.0::DOUBLE"
 
 # The pairs that the narrow phase compares, as the manual and EXPLAIN state them.
 MEETING_BOXES = "on pairs whose boxes meet"
-EVERY_PAIR = "on every pair that is asked for"
+EVERY_PAIR = "on every pair"
 
 
 def boxes_within(distance: str) -> str:

@@ -15,13 +15,13 @@ from ssduck.sql.relations.relation import Parameter, Relation
 
 _OF = "$world, object.tick, object.id"
 _OPENNESS = (
-    "How far a joint is open is a share of its range from its closed end, which is that of its two "
-    "limits that is nearer to 0, or the lower one."
+    "The share is that of the joint's range, from its closed end: the limit nearer to 0, or the "
+    "lower one of two equally near."
 )
 
 
 _MISSING = (
-    "A name that no joint of the object has is an error; in raw SQL it is NULL where another "
+    "A name of no joint of the entity is an error; in raw SQL, the value is NULL if another "
     "entity has such a joint."
 )
 
@@ -41,13 +41,12 @@ def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
         name,
         (
             *ENTITY,
-            Parameter("joint", "string", "the name of a joint that has limits", optional=True),
+            Parameter("joint", "string", "the name of a joint with limits", optional=True),
             Parameter("share", "double", "a share of its range, from 0 to 1", optional=True),
         ),
         "boolean",
         condition.format(most, usual),
-        f"{about} {_OPENNESS} What has no joints with limits is neither open nor closed. "
-        f"{_MISSING}",
+        f"{about} {_OPENNESS} An entity without such joints is neither open nor closed. {_MISSING}",
         formula_with_first_option=condition.format(named, usual),
         formula_with_options=condition.format(named, _SHARE.format(name)),
         python_table="joints",
@@ -68,8 +67,8 @@ JOINT_RELATIONS: tuple[Relation, ...] = (
         (*ENTITY, Parameter("name", "string", "the name of a revolute or prismatic joint")),
         "double",
         f'"joints position"({_OF}, name)',
-        "Returns the position of a joint of the object: radians of a revolute one, metres of a "
-        f"prismatic one. {_MISSING}",
+        "Returns the position of a joint of the entity, in radians for a revolute joint and in "
+        f"metres for a prismatic one. {_MISSING}",
         unit="rad or m",
         python_table="joints",
         may_fail=True,
@@ -78,16 +77,14 @@ JOINT_RELATIONS: tuple[Relation, ...] = (
         "isOpen",
         OPEN,
         f"{{}} >= {{}} - {OPENNESS_TOLERANCE}",
-        "Checks if a joint of the object, or any of its joints that have limits, is open by at "
-        "least a share of its range, one half if it is not given. A share that is not from 0 to 1 "
-        "is an error.",
+        "Checks if a joint of the entity, or any of its joints with limits, is open by at least "
+        "a share, 0.5 by default. A share outside 0 to 1 is an error.",
     ),
     _has_share(
         "isClosed",
         CLOSED,
         f"{{}} BETWEEN -1e300 AND {{}} + {OPENNESS_TOLERANCE}",
-        "Checks if a joint of the object, or all of its joints that have limits, are open by at "
-        "most a share of their range, 0.05 if it is not given. A share that is not from 0 to 1 is "
-        "an error.",
+        "Checks if a joint of the entity, or each of its joints with limits, is open by at most "
+        "a share, 0.05 by default. A share outside 0 to 1 is an error.",
     ),
 )

@@ -21,13 +21,19 @@ _ROTATION = re.sub(
 )
 
 ODE_RELATIONS: tuple[Relation, ...] = (
-    of_entity("pos", "list", "[object.x, object.y, object.z]", "Returns position(object).", "m"),
+    of_entity(
+        "pos",
+        "list",
+        "[object.x, object.y, object.z]",
+        "Returns the position [x, y, z]; the same as position(object).",
+        "m",
+    ),
     *(
         of_entity(
             f"pos{axis}",
             "double",
             f"object.{axis.lower()}",
-            f"Returns {axis.lower()}(object).",
+            f"Returns the {axis.lower()} coordinate; the same as {axis.lower()}(object).",
             "m",
         )
         for axis in "XYZ"
@@ -36,23 +42,23 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "quat",
         "list",
         "[object.qw, object.qx, object.qy, object.qz]",
-        "Returns orientation(object), [w, x, y, z].",
+        "Returns the orientation [w, x, y, z]; the same as orientation(object).",
     ),
     of_entity(
         "rot",
         "list",
         _ROTATION,
-        "Returns the rotation matrix of the object's link frame in the world, row by row: "
-        "[[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]].",
+        "Returns the rotation matrix of the entity's link frame in the world frame, as three "
+        "rows: [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]].",
         element="list",
     ),
     Relation(
         "linearVelocity",
-        (*ENTITY, Parameter("axis", "integer", "0, 1 or 2, for x, y or z", optional=True)),
+        (*ENTITY, Parameter("axis", "integer", "0, 1 or 2 for x, y or z", optional=True)),
         "list",
         "[object.vx, object.vy, object.vz]",
-        "Returns the velocity [x, y, z] of the origin of the object's link frame, or one of the "
-        "three.",
+        "Returns the velocity [x, y, z] of the origin of the entity's link frame in the world "
+        "frame, or its component along an axis.",
         formula_with_options="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy "
         "WHEN 2 THEN object.vz ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
         result_with_options="double",
@@ -62,37 +68,37 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "velocity",
         "list",
         "[object.vx, object.vy, object.vz]",
-        "Returns linearVelocity(object).",
+        "Returns the velocity [x, y, z]; the same as linearVelocity(object).",
         "m/s",
     ),
     of_entity(
         "angularVelocity",
         "list",
         "[object.wx, object.wy, object.wz]",
-        "Returns the angular velocity [x, y, z] of the object.",
+        "Returns the angular velocity [x, y, z] of the entity in the world frame.",
         "rad/s",
     ),
     of_entity(
         "mass",
         "double",
         "object.mass",
-        "Returns the mass of all links; 0 for what cannot move.",
+        "Returns the mass of all links of the entity; 0 for an immovable entity.",
         "kg",
     ),
     of_entity(
         "aabb",
         "list",
         "[object.xmin, object.xmax, object.ymin, object.ymax, object.zmin, object.zmax]",
-        "Returns the axis-aligned box, [xmin, xmax, ymin, ymax, zmin, zmax].",
+        "Returns the entity's axis-aligned box [xmin, xmax, ymin, ymax, zmin, zmax] in the "
+        "world frame.",
         "m",
     ),
     of_entity(
         "force",
         "list",
         contact_sum("fx", "fy", "fz"),
-        "Returns the sum [x, y, z] of the forces on the object by contacts that the physics "
-        "solver found in the last step, friction included. What a program applies, PyBullet does "
-        "not tell.",
+        "Returns the sum [x, y, z] of the contact forces on the entity in the last step, "
+        "friction included, in the world frame. Forces that a program applies are not included.",
         "N",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[1:3]",
     ),
@@ -100,8 +106,8 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "torque",
         "list",
         contact_sum("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
-        "Returns the sum [x, y, z] of the moments of those forces (see force) about the object's "
-        "position.",
+        "Returns the sum [x, y, z] of the moments of the contact forces (see force) about the "
+        "entity's position, in the world frame.",
         "N m",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[4:6]",
     ),
@@ -109,19 +115,19 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "gravityMode",
         "boolean",
         "object.mass > 0",
-        "Checks if gravity acts on the object: in PyBullet, on all that have a mass.",
+        "Checks if gravity acts on the entity: in PyBullet, if it has a mass.",
     ),
     of_entity(
         "hasBody",
         "boolean",
         "object.mass > 0",
-        "Checks if the object moves under forces: if it has a mass.",
+        "Checks if the entity moves under forces: if it has a mass.",
     ),
     shape_relation(
         "collision",
         "boolean",
         GeometryQuery(ShapeQueries.collides, (DEEP,)),
-        "Checks if a and b collide: collides(a, b).",
+        "Checks if a and b collide; the same as collides(a, b).",
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP),
     ),
@@ -131,7 +137,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
             "boolean",
             "object.id IN (SELECT shapes.entity FROM shapes JOIN geometries ON geometries.id = "  # noqa: S608
             f"shapes.geometry GROUP BY ALL HAVING bool_and(geometries.type {of}))",
-            f"Checks if all of the object's shapes are {words}; False without a shape.",
+            f"Checks if all shapes of the entity are {words}; False without shapes.",
         )
         for name, of, words in (
             ("isBox", "= 'box'", "boxes"),
@@ -139,7 +145,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
             ("isCylinder", "= 'cylinder'", "cylinders"),
             ("isCapsule", "= 'capsule'", "capsules"),
             ("isPlane", "= 'plane'", "planes"),
-            ("isTriMesh", "IN ('hull', 'mesh')", "meshes or their hulls"),
+            ("isTriMesh", "IN ('hull', 'mesh')", "meshes or hulls"),
         )
     ),
 )

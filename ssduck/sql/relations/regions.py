@@ -26,11 +26,12 @@ def _seen(name: str, condition: str, about: str) -> Relation:
     formula = condition.format(forward=f"({forward})", left=f"({left})")
     return Relation(
         name,
-        (*A_B, Parameter("viewer", "entity", "an entity that looks along its own +x")),
+        (*A_B, Parameter("viewer", "entity", "an entity that looks along its +x axis")),
         "boolean",
         f"a.id <> b.id AND {formula}",
-        f"{about}, as seen by the viewer: of the differences of the two positions along its own "
-        "x (forward) and y (left) the larger one decides; if they are alike, that along x.",
+        f"{about}, as seen by the viewer. The direction from a to b is compared along the "
+        "viewer's x axis (forward) and y axis (left): the larger component decides, or that along "
+        "x if both are equal.",
     )
 
 
@@ -40,12 +41,12 @@ REGION_RELATIONS: tuple[Relation, ...] = (
     _seen(
         "behind",
         "{forward} > 0 AND {forward} >= abs({left})",
-        "Checks if b is behind a, farther from the viewer",
+        "Checks if b is behind a, farther away",
     ),
     _seen(
         "inFrontOf",
         "{forward} < 0 AND -{forward} >= abs({left})",
-        "Checks if b is in front of a, nearer to the viewer",
+        "Checks if b is in front of a, nearer",
     ),
     Relation(
         "inBox",
@@ -53,7 +54,7 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         "object.x BETWEEN min.x AND max.x AND object.y BETWEEN min.y AND max.y "
         "AND object.z BETWEEN min.z AND max.z",
-        "Checks if the position of the object is in an axis-aligned box, its sides included.",
+        "Checks if the position of the entity is in an axis-aligned box, boundary included.",
     ),
     Relation(
         "fitsBox",
@@ -62,7 +63,7 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "object.xmin >= min.x AND object.xmax <= max.x AND object.ymin >= min.y "
         "AND object.ymax <= max.y AND object.zmin >= min.z AND object.zmax <= max.z "
         "AND object.xmin <= object.xmax",
-        "Checks if all of the object's shapes are in an axis-aligned box, its sides included.",
+        "Checks if all shapes of the entity are in an axis-aligned box, boundary included.",
     ),
     Relation(
         "inSphere",
@@ -74,6 +75,6 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         "sqrt((object.x - centre.x) ** 2 + (object.y - centre.y) ** 2 "
         "+ (object.z - centre.z) ** 2) <= r",
-        "Checks if the position of the object is in a sphere, its surface included.",
+        "Checks if the position of the entity is in a sphere, boundary included.",
     ),
 )

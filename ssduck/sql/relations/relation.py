@@ -108,7 +108,13 @@ class Relation:
     @property
     def help(self) -> str:
         """The text of `help('name')` after the name."""
-        return " ".join(filter(None, (self.about, self.alias_note))) + f"\nUsage: {self.usage}"
+        sentences = (self.about, self.unit_note, self.alias_note)
+        return " ".join(filter(None, sentences)) + f"\nUsage: {self.usage}"
+
+    @property
+    def unit_note(self) -> str:
+        """A sentence about the unit of the result; empty if it has none."""
+        return f"Unit: {self.unit}." if self.unit else ""
 
     @property
     def alias_note(self) -> str:

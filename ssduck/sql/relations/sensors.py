@@ -14,9 +14,9 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         _SENSOR_AND_OTHER,
         "boolean",
         "(s.id, e.id) IN (SELECT sensor, entity FROM sensings)",
-        "Checks if sensor s perceives e now: if one of its rays, pixels or contact points ends "
-        "on e. False while s is switched off, for the body that s sits on, for a sensor, and for "
-        "what is no sensor.",
+        "Checks if sensor s perceives e at the tick: if a ray, a pixel or a contact point of s "
+        "ends on e. It is False while s is switched off, for the body on which s is mounted, if "
+        "e is a sensor, and if s is not one.",
         across_worlds="FALSE",
         recorded_formula=f"len({recorded_numbers('sensed', 's', 'e')}) > 0",
     ),
@@ -26,8 +26,8 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         "double",
         "COALESCE(map_extract_value((SELECT map(list((sensor, entity)), list(hits / rays)) "
         "FROM sensings), (s.id, e.id)), 0.0::DOUBLE)",
-        "Returns the share of the rays, pixels or contact points of sensor s that end on e, from "
-        "0 to 1; 0 where isSensing(s, e) is False.",
+        "Returns the share of the rays, pixels or contact points of sensor s that end on e, "
+        "from 0 to 1; 0 if isSensing(s, e) is False.",
         across_worlds="0.0::DOUBLE",
         recorded_formula=f"COALESCE({recorded_numbers('sensed', 's', 'e')}[1], 0.0)",
     ),
@@ -38,8 +38,8 @@ SENSOR_RELATIONS: tuple[Relation, ...] = (
         "COALESCE(map_extract_value((SELECT map(list(sensor), list(ids)) FROM (SELECT sensor, "
         "list(entity ORDER BY entity) AS ids FROM sensings GROUP BY sensor) AS seen), s.id), "
         "[]::BIGINT[])",
-        "Returns the numbers (see environmentID) of what sensor s perceives now, in ascending "
-        "order; an empty list while it is switched off.",
+        "Returns the ids (see environmentID) of the entities that sensor s perceives at the "
+        "tick, in ascending order; an empty list while it is switched off.",
         element="integer",
         recorded_formula=f"{recorded_numbers('perceived', 's')}::BIGINT[]",
     ),

@@ -97,8 +97,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         "a.id <> b.id AND a.xmin <= b.xmax AND b.xmin <= a.xmax AND a.ymin <= b.ymax "
         "AND b.ymin <= a.ymax AND a.zmin <= b.zmax AND b.zmin <= a.zmax",
-        "Checks if the axis-aligned boxes of a and b meet, touching included. Of two intervals "
-        "[start, end] it checks if a begins before b, and ends inside b.",
+        "Checks if the axis-aligned boxes of a and b overlap or touch. For two intervals "
+        "[start, end], it checks if a begins before b and ends inside b.",
         list_formula=RELATIONS_OF_INTERVALS["overlaps"].formula,
         is_symmetric=True,
     ),
@@ -111,10 +111,10 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             arguments_with_options=("depth",),
             bound_with_options=_CHECKED_DEPTH,
         ),
-        "Checks if shapes of a and b are deeper in each other than depth, 1e-6 m if it is not "
-        "given. What rests on something is pressed into it by 1e-5 m or so, or stays as far away "
-        "as the margins of the simulator are: inContact and touching tell of resting, "
-        "collides(a, b, 1e-3) of intrusion. A depth below 0 is an error.",
+        "Checks if shapes of a and b penetrate each other by more than depth, 1e-6 m by "
+        "default. A body at rest penetrates its support by about 1e-5 m, or stays away from it "
+        "by the margins of the simulator: use inContact or touching for rest, and collides(a, "
+        "b, 1e-3) for intrusion. A negative depth is an error.",
         parameters=(*A_B, Parameter("depth", "double", "a depth, m", optional=True)),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP, "depth"),
@@ -123,8 +123,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "penetration",
         "double",
         GeometryQuery(ShapeQueries.penetration, otherwise=ZERO),
-        "Returns the depth of the deepest penetration of the shapes of a and b: how far they "
-        "would have to be moved to be apart; 0 if they are.",
+        "Returns the largest penetration of the shapes of a and b, the length of the shortest "
+        "translation that separates them; 0 if they are apart.",
         unit="m",
         is_symmetric=True,
     ),
@@ -138,10 +138,10 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             pairs=EVERY_PAIR,
             is_at_least_gap=True,
         ),
-        "Returns the smallest distance between the surfaces of a and b, 0 if they meet. It is "
-        "worked out for each pair that is asked for, but for near(a, b, d), and for "
-        "WHERE clearance(a, b) < d in SelectScript: they leave out what is far apart. "
-        "What has no shapes is infinitely far from everything.",
+        "Returns the smallest distance between the surfaces of a and b; 0 if they meet. It is "
+        "computed for every pair, while near(a, b, d), and WHERE clearance(a, b) < d in "
+        "SelectScript, skip distant pairs. An entity without shapes is infinitely far from "
+        "everything.",
         unit="m",
         is_symmetric=True,
     ),
@@ -157,10 +157,10 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             pairs="on pairs whose boxes are at most eps and the largest margins apart",
             uses_margins=True,
         ),
-        "Checks if shapes of a and b are at most eps apart, 1 mm if it is not given; what meets "
-        "touches. The collision margins of the two shapes are added to eps: the simulator keeps "
-        "what rests on each other as far apart, 2 mm for two hulls in PyBullet (the column margin "
-        "of the table of shapes). near(a, b, d) goes by the surfaces alone.",
+        "Checks if the clearance of shapes of a and b is at most eps, 1 mm by default, plus the "
+        "collision margins of the two shapes. The simulator keeps bodies at rest apart by their "
+        "margins (the column margin of the table shapes), 2 mm for two hulls in PyBullet. "
+        "near(a, b, d) ignores margins.",
         parameters=(*A_B, Parameter("eps", "double", "a distance, m", optional=True)),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(TOUCHING, "0.001", "eps"),
@@ -185,8 +185,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             otherwise=f"[{_POSITION}, {_POSITION}]",
             pairs=EVERY_PAIR,
         ),
-        "Returns a point on a and one on b, [[x, y, z], [x, y, z]] in the world: the nearest "
-        "ones, or where they meet those that are deepest in the other; nothing of what has no "
+        "Returns the nearest points of a and b, [[x, y, z], [x, y, z]] in the world frame; if "
+        "they meet, the points that are deepest in the other; nothing for an entity without "
         "shapes.",
         unit="m",
         element="list",
@@ -200,10 +200,9 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             pairs="on pairs whose boxes are at most 1 mm and the largest margins apart",
             uses_margins=True,
         ),
-        "Checks if b rests on a: they touch (at most 1 mm apart and the collision margins of the "
-        "shapes, see touching), a normal there is within 30 degrees of up, and the centre of the "
-        "box of b is over the convex hull of the footprint of a. See supports for what carries it "
-        "with others.",
+        "Checks if b stands on a: they touch (see touching, with eps 1 mm), a contact normal is "
+        "within 30 degrees of up, and the centre of the box of b is above the convex hull of "
+        "the footprint of a. For a support that carries b together with others, see supports.",
         candidate_pairs=CandidatePairs(BOXES_REACHING, "0.001"),
         aliases=("onTop",),
     ),
@@ -217,11 +216,10 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             needs_whole_tick=True,
             uses_margins=True,
         ),
-        "Checks if a carries b, alone or with others, wherever the centre of b is: they touch (at "
-        "most 1 mm apart and the collision margins of the shapes, see touching), and a normal "
-        "there from a to b is within 30 degrees of up, or steeper and needed by others to push so "
-        "together, as of the sides of a groove. A plank on two blocks is supported by both, and "
-        "on neither. Told by the shapes alone, not by forces.",
+        "Checks if a carries b, alone or with others, wherever the centre of b is: they touch "
+        "(see touching, with eps 1 mm), and a contact normal from a to b is within 30 degrees "
+        "of up, or is steeper and pushes up together with others, as the sides of a groove do. "
+        "A plank on two blocks is supported by both, but on neither. Forces are not considered.",
         candidate_pairs=CandidatePairs(BOXES_REACHING, "0.001"),
     ),
     shape_relation(
@@ -234,35 +232,35 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             needs_whole_tick=True,
             uses_margins=True,
         ),
-        "Checks if b is on a, or on something that rests on a: the cup on a plate on a table rests "
-        "on the table. What is on what is found once a tick, for all entities.",
+        "Checks if b is on a, or on something that rests on a: a cup on a plate on a table "
+        "rests on the table. All pairs of a tick are computed at once.",
         candidate_pairs=CandidatePairs(RESTING),
     ),
     shape_relation(
         "inside",
         "double",
         GeometryQuery(ShapeQueries.inside, otherwise=ZERO),
-        "Returns the share of the volume of b that is inside the convex hull of a, from 0 to 1; "
-        "0 if b has no volume. Open meshes have none: see solidVolume. What is between the legs of "
-        "a table is in its hull: enclosed asks for walls.",
+        "Returns the share of the volume of b inside the convex hull of a, from 0 to 1; 0 if b "
+        "has no volume, as an open mesh (see solidVolume). The hull of a table includes the "
+        "space between its legs; enclosed requires walls.",
     ),
     shape_relation(
         "contains",
         "boolean",
         GeometryQuery(ShapeQueries.contains),
-        "Checks if at least 95 percent of the volume of b is inside the convex hull of a. What is "
-        "between the legs of a table is in its hull: enclosed asks for walls.",
+        "Checks if at least 95 percent of the volume of b is inside the convex hull of a. The "
+        "hull of a table includes the space between its legs; enclosed requires walls.",
         candidate_pairs=CandidatePairs(BOXES_MEETING),
     ),
     shape_relation(
         "enclosed",
         "boolean",
         GeometryQuery(ShapeQueries.encloses, _ORIENTATION_A),
-        "Checks if b is within walls of a, as in a cup, a drawer or a room: along at least two of "
-        "the three axes of a's link frame, rays from the centre of the box of b meet a on both "
-        "sides. Grazing counts. A convex shape that holds the centre is no wall, a mesh is one "
-        "from either side. An axis along which b reaches past a by more than 1 mm at both ends "
-        "does not count.",
+        "Checks if b is between walls of a, as in a cup, a drawer or a room: along at least two "
+        "of the three axes of a's link frame, rays from the centre of the box of b meet a on "
+        "both sides. A grazing ray counts. A convex shape that contains the centre is not a "
+        "wall; a mesh is one from either side. An axis along which b extends past a by more "
+        "than 1 mm at both ends does not count.",
         candidate_pairs=CandidatePairs(BOXES_MEETING),
     ),
     shape_relation(
@@ -278,18 +276,17 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             uses_margins=True,
         ),
         "Checks if a and b are beside each other: the heights of their boxes overlap, their "
-        "clearance is at most a third of the mean of the six sides of the two boxes, a horizontal "
-        "ray from one meets the other before anything else, and neither supports, contains, "
-        "encloses or carries through others the other one. A box without end has nothing beside "
-        "it.",
+        "clearance is at most a third of the mean side of the two boxes, a horizontal ray from "
+        "one meets the other before anything else, and neither supports, contains or encloses "
+        "the other, or rests on it. An infinite box has nothing beside it.",
         is_symmetric=True,
     ),
     shape_relation(
         "solidVolume",
         "double",
         GeometryQuery(ShapeQueries.volume, pairs=""),
-        "Returns the sum of the volumes of the object's shapes, infinity for a plane, 0 for an "
-        "open mesh.",
+        "Returns the sum of the volumes of the entity's shapes; a plane has infinite volume, an "
+        "open mesh none.",
         parameters=ENTITY,
         unit="m^3",
     ),

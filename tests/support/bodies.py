@@ -1,0 +1,31 @@
+"""Bodies of PyBullet that tests create by a call."""
+
+from __future__ import annotations
+
+import pybullet
+
+
+def create_linked_body(client, mass, shape, *, link_shape=None, **settings):
+    """Creates a body with one link besides its base; returns its number.
+
+    Args:
+        client: the client.
+        mass: the mass of the base, kg.
+        shape: the collision shape of the base.
+        link_shape: the collision shape of the link; None for that of the base.
+        settings: arguments of `createMultiBody` that replace the default values. The link weighs
+            1 kg. Its fixed joint is at the origin of the base, with the axis z.
+    """
+    link = {
+        "linkMasses": [1],
+        "linkCollisionShapeIndices": [shape if link_shape is None else link_shape],
+        "linkVisualShapeIndices": [-1],
+        "linkPositions": [[0, 0, 0]],
+        "linkOrientations": [[0, 0, 0, 1]],
+        "linkInertialFramePositions": [[0, 0, 0]],
+        "linkInertialFrameOrientations": [[0, 0, 0, 1]],
+        "linkParentIndices": [0],
+        "linkJointTypes": [pybullet.JOINT_FIXED],
+        "linkJointAxis": [[0, 0, 1]],
+    }
+    return pybullet.createMultiBody(mass, shape, **(link | settings), physicsClientId=client)
