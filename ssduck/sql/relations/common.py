@@ -10,7 +10,7 @@ ENTITY = (Parameter("object", "entity", "an entity"),)
 A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
 
 
-def of_entity(
+def entity_relation(
     name: str,
     result: ValueType,
     formula: str,
