@@ -145,8 +145,8 @@ class _Translator:
         result = [condition for condition in conditions if condition is not None]
         result.extend(self._tick_joins())
         order, keys = self._order(result)
-        one_group = is_one_group(self.query)
-        limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
+        is_group = is_one_group(self.query)
+        limit = self._limit(left=bool(left or keys or is_group or self.query.distinct))
         plan.python_clauses = PythonClauses(
             self.selected,
             tuple(left),
@@ -154,7 +154,7 @@ class _Translator:
             self.query.group,
             self.query.having,
             None if limit is not None else self.query.limit,
-            one_group,
+            is_group,
             aggregated,
             self.query.distinct,
         )
@@ -353,15 +353,15 @@ class _Translator:
         """Returns ORDER BY in SQL and in Python: the query's keys, then the sources' order."""
         ordered: list[exp.Expr] = []
         left: tuple[OrderKey, ...] = ()
-        of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
+        orders_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
         try:
-            if of_groups or is_impure(self.query):
+            if orders_groups or is_impure(self.query):
                 raise NotSqlError  # side effects occur in the order of the sources
             ordered.extend(subqueries.ordered(self.sql, self.query.order))
         except NotSqlError:
             left = self.query.order
             for key in left:
-                if of_groups:
+                if orders_groups:
                     self._group_columns(key.value)
                 else:
                     self._add_column(key.value)

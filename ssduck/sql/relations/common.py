@@ -34,7 +34,7 @@ def entity_relation(
     )
 
 
-def recorded_numbers(what: str, a: str, b: str = "") -> str:
+def recorded_numbers(kind: str, a: str, b: str = "") -> str:
     """Returns a formula: numbers of contacts or sensors at the tick of a row (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
-    return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{what}', {a}.tick, {a}.id, {other})"
+    return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{kind}', {a}.tick, {a}.id, {other})"
