@@ -19,14 +19,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeAlias
 
-# Requested like a table: the masses, which users may change in a simulation of theirs.
+# Requested like a table: the masses, which users may change in their own client.
 MASSES = "masses"
-# The collision margins, likewise.
+# Requested likewise: the collision margins.
 MARGINS = "margins"
-# A table is read with each tick until so many ticks have passed without a request.
+# A table is read with each tick until this number of ticks has passed without a request.
 FORGOTTEN_AFTER = 240
-# A pair of entities in SQL is one number, the first id times this and the second: DuckDB takes and
-# sorts one number in less time than two.
+# A pair of entities in SQL is one number, the first id times this plus the second: DuckDB passes
+# and sorts one number faster than two.
 ID_FACTOR = 1 << 32
 # The numbers of an entity that may be infinite; the others are finite or unknown.
 BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
@@ -54,8 +54,8 @@ class Column:
         name: its name.
         type: the type of its values.
         comment: its meaning, with the unit.
-        second_name: another name in the views of SQL, where the name, or that of a neighbour of
-            the same meaning, has to be quoted there; else empty.
+        second_name: another name in SQL views if the name, or that of a related column, must be
+            quoted there; else empty.
         storage: where a record stores it.
         is_live: whether the table of the current tick has it; else only the model has.
         model_comment: its meaning in the model, where it differs; else empty.
@@ -113,15 +113,15 @@ class Table:
         row: what a row is, to follow "A row is".
         all_columns: its columns and those that only its model has, in order.
         filled_by: the functions that write its rows, by their dotted names in `ssduck`.
-        key: the columns by which the rows of a tick and those of the model belong together; empty
-            for a table whose rows are other ones at each tick.
+        key: the columns that join the rows of a tick with those of the model; empty
+            for a table whose rows differ from tick to tick.
         entity_columns: the columns that hold ids of entities: a row is recorded if all of these
             entities are.
-        is_live: whether each world has it; else it is there in records only.
+        is_live: whether each world has it; else only records have it.
         is_on_demand: whether it is read from the simulator only when it is requested.
         is_recordable: whether users choose to record it.
-        has_history: whether its rows are of ticks.
-        follows_from_poses: whether a past tick has it without its being recorded.
+        has_history: whether its rows belong to ticks.
+        follows_from_poses: whether it can be computed for a past tick without being recorded.
     """
 
     name: str
@@ -166,7 +166,7 @@ class Table:
 
     @cached_property
     def second_names(self) -> dict[str, str]:
-        """The columns that have a second name, with that."""
+        """The second names, by the names of the columns that have one."""
         return {column.name: column.second_name for column in self.columns if column.second_name}
 
     @property
@@ -187,7 +187,7 @@ def _doubles(
     storage: Storage = "tick",
     model_comment: str = "",
 ) -> tuple[Column, ...]:
-    """Columns of doubles of one meaning; their second names end as their names do."""
+    """Returns columns of doubles with the same comment; second names keep the last letter."""
     return tuple(
         Column(
             name,
@@ -202,17 +202,17 @@ def _doubles(
 
 
 def _fixed(name: str, type: ColumnType, comment: str, model_comment: str = "") -> Column:
-    """A column that is the same at each tick."""
+    """Returns a column whose values are the same at each tick."""
     return Column(name, type, comment, storage="model", model_comment=model_comment)
 
 
 def _key(name: str, comment: str) -> Column:
-    """A column by which the rows of a tick and those of the model belong together."""
+    """Returns a column that joins the rows of a tick with those of the model."""
     return Column(name, "integer", comment, storage="both")
 
 
 def _model_only(name: str, type: ColumnType, comment: str) -> Column:
-    """A column that only the model has."""
+    """Returns a column that only the model has."""
     return Column(name, type, comment, storage="model", is_live=False)
 
 
@@ -251,15 +251,15 @@ _ENTITIES = Table(
         *_POSE,
         *_TWIST,
         *_BOX,
-        _fixed("mass", "double", "kg; 0 for what cannot move", _FIRST_MASS),
-        Column("enabled", "boolean", "takes part in collisions"),
-        Column("visible", "boolean", "is drawn"),
-        _model_only("links", "integer", "how many links it has"),
-        _model_only("movable", "boolean", "whether the simulation can move it; none for a sensor"),
+        _fixed("mass", "double", "kg; 0 for a sensor and for a body that cannot move", _FIRST_MASS),
+        Column("enabled", "boolean", "whether it takes part in collisions"),
+        Column("visible", "boolean", "whether it is drawn"),
+        _model_only("links", "integer", "number of links"),
+        _model_only("movable", "boolean", "whether the simulation can move it; NULL for a sensor"),
         _model_only("host", "integer", "id of the entity that a sensor is mounted on"),
         _model_only("host_link", "integer", "number of the link that a sensor is mounted on"),
-        _model_only("sensor", "string", "what a sensor is, as JSON"),
-        _fixed("run", "integer", "random number of the run that the row is of"),
+        _model_only("sensor", "string", "specification of a sensor, as JSON"),
+        _fixed("run", "integer", "random number of the run that the row belongs to"),
     ),
     ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_entities"),
     key=("id",),
@@ -273,7 +273,7 @@ _LINKS = Table(
         _key("entity", "id of the entity"),
         _key("link", "number of the link; the base is 0"),
         _fixed("name", "string", "as in the model"),
-        _fixed("parent", "integer", "number of the parent link; none for the base"),
+        _fixed("parent", "integer", "number of the parent link; NULL for the base"),
         *_POSE,
         *_TWIST,
         *_BOX,
@@ -321,7 +321,7 @@ _SHAPES = Table(
         _fixed("geometry", "integer", "id of the geometry"),
         *_POSE_OF_SHAPE,
         *_BOX,
-        _fixed("margin", "double", "how far around it the simulator takes others to touch it, m"),
+        _fixed("margin", "double", "distance at which the simulator already reports contact, m"),
         _fixed("exact", "boolean", EXACT),
     ),
     ("world.snapshot.Snapshot._fill_shapes", "world.layout.BodyGroup.write_shapes"),
@@ -375,8 +375,8 @@ _SENSINGS = Table(
         *_TICK,
         Column("sensor", "integer", "id of a sensor that is switched on"),
         Column("entity", "integer", "id of an entity that it perceives"),
-        Column("hits", "integer", "how many of its rays, pixels or contact points end on that"),
-        Column("rays", "integer", "how many it has"),
+        Column("hits", "integer", "number of its rays, pixels or contact points on the entity"),
+        Column("rays", "integer", "number of all its rays, pixels or contact points"),
         Column("measured", "double", "simulated time of the reading, s"),
     ),
     ("world.snapshot.Snapshot._write_sensings",),
@@ -399,7 +399,7 @@ _FRAMES = Table(
         Column("link", "integer", "number of the link"),
         *_POSE,
     ),
-    ("recording.row_selection.RecordedRows._copy_frames",),
+    ("recording.row_selection.RecordedRows._copy_link_poses",),
     key=("entity", "link"),
     entity_columns=("entity",),
     is_live=False,
@@ -434,10 +434,10 @@ FRAMES = _FRAMES.name
 
 
 def recorded_tables(chosen: tuple[str, ...]) -> tuple[str, ...]:
-    """The tables that a record stores of each tick.
+    """Returns the tables that a record stores with each tick.
 
     Args:
-        chosen: those that are chosen of `RECORDABLE`.
+        chosen: the chosen tables, of `RECORDABLE`.
 
     >>> recorded_tables(("entities", "joints"))
     ('ticks', 'entities', 'joints', 'frames')

@@ -1,7 +1,7 @@
-"""Checks arguments of public functions before anything happens.
+"""Checks the arguments of public functions.
 
-NumPy's numbers count as Python's. True and False are no numbers, nor is a text that looks like one.
-Each function takes the value and names the argument as its error message does: "run: seconds".
+NumPy's numbers count as Python's. True, False and texts of digits are not numbers.
+Each function takes the value and the name of the argument for the message, such as "run: seconds".
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ssduck.errors import ArgumentError, NumberError, StateError
 from ssduck.formatting import short_repr
 
-# More steps than this take years: the number is a mistake.
+# More steps than this would take years: the number is a mistake.
 MAX_STEPS = 10**12
 # The largest width and height of a picture, pixels.
 MAX_PIXELS = 8192
@@ -106,7 +106,7 @@ def steps_in(seconds: float, timestep: float, argument: str) -> int:
 
 
 def finite_number(value: Any, argument: str, unit: str) -> float:
-    """Returns a finite number; the message names its unit, "seconds" say.
+    """Returns a finite number; the message names its unit, for example "seconds".
 
     Raises:
         NumberError: the value is no finite number.
@@ -271,8 +271,8 @@ def finite_array(values: Any, count: int, argument: str) -> npt.NDArray[np.float
     except OverflowError:  # an integer beyond all floats
         array = np.zeros(0)
     if array.shape != (count,) or not np.isfinite(array).all():
-        given = list(values) if isinstance(values, np.ndarray) else values
-        raise StateError(f"{argument}: expected {count} finite numbers, found {short_repr(given)}")
+        plain = list(values) if isinstance(values, np.ndarray) else values
+        raise StateError(f"{argument}: expected {count} finite numbers, found {short_repr(plain)}")
     return array
 
 
@@ -335,7 +335,7 @@ def identifier(value: Any, owner: str) -> str:
 
     Args:
         value: the value to check.
-        owner: the owner of the name in the message, "a variable" say.
+        owner: the owner of the name in the message, for example "a variable".
 
     Raises:
         ArgumentError: the value is no such name.
@@ -405,24 +405,24 @@ def mapping(value: Any, rule: str) -> Mapping[Any, Any]:
 
 
 def are_numbers(values: Any) -> bool:
-    """Tells whether these are real numbers in a list, a tuple or an array of one dimension."""
+    """Checks whether values are real numbers in a list, a tuple or a one-dimensional array."""
     if isinstance(values, np.ndarray):
         return values.ndim == 1 and values.dtype.kind in "iuf"
     return isinstance(values, Sequence) and all(map(is_number, values))
 
 
 def is_integer(value: Any) -> bool:
-    """Tells whether a value is an integer by its type."""
+    """Checks whether a value is of an integer type."""
     return isinstance(value, Integral) and not isinstance(value, bool | np.bool_)
 
 
 def is_number(value: Any) -> bool:
-    """Tells whether a value is a real number by its type; infinities and NaN are."""
+    """Checks whether a value is of a real number type; infinities and NaN are numbers."""
     return isinstance(value, Real) and not isinstance(value, bool | np.bool_)
 
 
 def as_float(value: Any) -> float | None:
-    """Returns a real number as a float, infinity for one too large; None for any other value."""
+    """Returns a real number as a float, infinity if it is too large; None for other values."""
     if not is_number(value):
         return None
     try:
@@ -437,11 +437,11 @@ def _is_duration(value: Any) -> bool:
 
 
 def is_boolean(value: Any) -> bool:
-    """Tells whether a value is True or False, or 1 or 0 in their place."""
+    """Checks whether a value is True, False, 1 or 0."""
     return isinstance(value, bool | np.bool_) or (is_integer(value) and value in (0, 1))
 
 
 def is_finite(value: Any) -> bool:
-    """Tells whether a value is a finite number by its type and size."""
+    """Checks whether a value is a finite number."""
     number = as_float(value)
     return number is not None and math.isfinite(number)

@@ -32,7 +32,7 @@ def check_file(selection: Selection, file: Any) -> Path:
 
 
 def _is_path(file: str) -> bool:
-    """Whether a file can have the path."""
+    """Checks whether a file can have the path."""
     try:
         file.encode()
     except UnicodeEncodeError:

@@ -118,11 +118,11 @@ class Grid:
         return len(self.cells)
 
     def __bool__(self) -> bool:
-        """Whether any cell is not zero or False."""
+        """Checks whether any cell is not zero or False."""
         return bool(self.cells.any())
 
     def __eq__(self, other: object) -> bool:
-        """Whether the other grid has the same class, place and values."""
+        """Checks whether the other grid has the same class, place and values."""
         if type(self) is not type(other) or not isinstance(other, Grid):
             return False
         mine, others = ({**vars(grid), "cells": None} for grid in (self, other))

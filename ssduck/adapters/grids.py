@@ -83,7 +83,9 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
         ground = lower[2] + layer * size
-        cells[:, :, layer] = rasterizer.cells(raster, ground, ground + size, reach=CELL_TOLERANCE)
+        cells[:, :, layer] = rasterizer.cells(
+            raster, ground, ground + size, min_overlap=CELL_TOLERANCE
+        )
     return VoxelGrid(cells, lower, size)
 
 
@@ -99,7 +101,7 @@ def _sensor_grid(
         raise ArgumentError("no sensor is selected; WHERE isSensor(this) selects them all")
     world = selection.world
     placed = placed_shapes(world, [e for e in world if not isinstance(e, Sensor)])
-    bounded = placed.of(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
+    bounded = placed.select(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
     lower, upper = _bounds(bounds, bounded, 2)
     nx, ny = _counts(lower, upper, size)
     cells = np.zeros((nx, ny), dtype=np.int32)
@@ -127,7 +129,7 @@ def _visible_points(sensor: Sensor, placed: PlacedSolids, points: Array, toleran
     inside = np.flatnonzero(
         view((points - start) @ matrix, spec.max_range, spec.settings, tolerance)
     )
-    others = placed.of(placed.owners != sensor.host)
+    others = placed.select(placed.owners != sensor.host)
     return inside[~are_blocked(others, start, points[inside])]
 
 

@@ -18,7 +18,7 @@ def shapes_of(selection: Selection) -> PlacedSolids:
     """Returns the shapes of the selected entities at the tick of the query; sensors have none."""
     entities = [entity for entity in selection.entities if not isinstance(entity, Sensor)]
     if not entities:
-        return PlacedSolids.none()
+        return PlacedSolids.empty()
     return placed_shapes(selection.world, entities)
 
 

@@ -108,7 +108,7 @@ def _numpy(selection: Selection) -> npt.NDArray[Any]:
 
 
 def _are_exact(array: npt.NDArray[Any]) -> bool:
-    """Whether all numbers can be converted to floats without rounding."""
+    """Checks whether all numbers can be converted to floats without rounding."""
     return array.dtype.kind != "i" or bool(((array >= -EXACT) & (array <= EXACT)).all())
 
 

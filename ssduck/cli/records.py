@@ -25,7 +25,7 @@ _MAGIC = slice(8, 12), b"DUCK"
 
 
 def is_record(location: str) -> bool:
-    """Whether a path is the folder or file of a record; names of shipped scenes are not."""
+    """Checks whether a path is the folder or file of a record; names of shipped scenes are not."""
     from ssduck.simulators.scenes import shipped_scenes
 
     path = Path(location)
@@ -38,41 +38,47 @@ def is_record(location: str) -> bool:
         return file.read(position.stop)[position] == magic
 
 
+_Duration = Annotated[
+    float,
+    typer.Option(
+        min=0.0, metavar="T", help="The simulated time, s, rounded to whole steps of the scene."
+    ),
+]
+_RecordPath = Annotated[
+    Path,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="PATH",
+        help="A folder for Parquet files, or a DuckDB file if the name ends with .duckdb. "
+        "An existing one gets a new episode.",
+    ),
+]
+_Tables = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="A table to record: entities, links, joints, shapes, contacts or sensings; "
+        "may be repeated.",
+        show_default="all",
+    ),
+]
+_Entities = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME",
+        help="The name of an entity to record; may be repeated.",
+        show_default="all",
+    ),
+]
+
+
 def record(
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="The name or the path of a scene.")],
-    seconds: Annotated[
-        float,
-        typer.Option(
-            min=0.0, metavar="T", help="The simulated time, s, rounded to whole steps of the scene."
-        ),
-    ],
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="PATH",
-            help="A folder for Parquet files, or a DuckDB file if the name ends with .duckdb. "
-            "An existing one gets a new episode.",
-        ),
-    ],
-    tables: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="A table to record: entities, links, joints, shapes, contacts or sensings; "
-            "may be repeated.",
-            show_default="all",
-        ),
-    ] = None,
-    entities: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="The name of an entity to record; may be repeated.",
-            show_default="all",
-        ),
-    ] = None,
+    seconds: _Duration,
+    output: _RecordPath,
+    tables: _Tables = None,
+    entities: _Entities = None,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Record only each N-th step.")] = 1,
 ) -> None:
     """Simulate a scene and record it; each step of the simulator is a tick."""

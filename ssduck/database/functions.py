@@ -266,10 +266,10 @@ def _pairs_over_ticks(
         if history is None:
             raise EvaluationError(f"the ticks of {world!r} are not recorded")
         predicate = PairPredicate(kind, depth(distance) if kind == "colliding" else distance)
-        reach = 0.0 if kind == "colliding" else distance
+        max_gap = 0.0 if kind == "colliding" else distance
         if kind == "touching":
             worlds[world].warn_of_changed_margins(first)
-        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, reach), predicate)
+        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, max_gap), predicate)
         return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PREDICATE_COLUMNS)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)

@@ -59,7 +59,7 @@ class PairPredicate:
     distance: float
 
     def bound(self, margins: float) -> float:
-        """The bound of the signed distance of two shapes.
+        """Returns the bound of the signed distance of two shapes.
 
         Args:
             margins: the sum of their collision margins, metres.
@@ -69,14 +69,14 @@ class PairPredicate:
         return self.distance + margins if self.kind == "touching" else self.distance
 
     def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
-        """The bounds for pairs of shapes, (n,)."""
+        """Returns the bounds for pairs of shapes, (n,)."""
         bounds = np.full(len(first), self.bound(0.0))
         if self.kind == "touching":
             bounds += table.margins[first] + table.margins[second]
         return bounds
 
     def candidates(self, tick: TickShapes) -> Pairs:
-        """The pairs of shapes whose boxes are near enough."""
+        """Returns the pairs of shapes whose boxes are near enough."""
         if self.kind == "colliding":
             return _candidates(tick, tick.boxes, 0.0)
         if self.kind == "within":
@@ -149,7 +149,7 @@ class TickShapes:
     matrices: Array
 
     def to_world(self, points: Array) -> Array:
-        """A point (n, 3) of each shape, transformed to the world."""
+        """Returns a point (n, 3) of each shape, transformed to the world."""
         if not points.any():
             return self.positions
         with np.errstate(invalid="ignore"):
@@ -174,13 +174,13 @@ class TickShapes:
         return PlacedCores(self.table.cores, rotations, centres, inscribed)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
-        """The pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
+        """Returns the pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
         i, j = self.table.entities[first], self.table.entities[second]
         return np.minimum(i, j) * _MAX_ENTITIES + np.maximum(i, j)
 
 
 def pair_number(i: int, j: int) -> int:
-    """The number of a pair of entities, in either order.
+    """Returns the number of a pair of entities, in either order.
 
     >>> pair_number(3, 7) == pair_number(7, 3)
     True
@@ -213,7 +213,7 @@ class PairResult:
 
 
 def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
-    """Whether all shapes of each shape's entity are known, (n,)."""
+    """Checks whether all shapes of each shape's entity are known, (n,)."""
     lost = np.bincount(table.entities[~is_known], minlength=table.count)
     all_known: Flags = lost[table.entities] == 0
     return all_known
@@ -225,7 +225,7 @@ def matching_pairs(
     satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
 ) -> PairResult:
-    """The pairs of entities for which a predicate holds.
+    """Returns the pairs of entities for which a predicate holds.
 
     Args:
         tick: the shapes.
@@ -266,7 +266,7 @@ def _matching_entities(
     bounds: Array,
     is_below: Callable[[int, int], bool],
 ) -> PairResult:
-    """The pairs of entities with shapes whose signed distance is below a bound.
+    """Returns the pairs of entities with shapes whose signed distance is below a bound.
 
     Args:
         tick: the shapes.
@@ -302,7 +302,7 @@ def _matching_entities(
 
 
 def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
-    """The pairs of known shapes of two entities whose boxes (6, n) are near each other.
+    """Returns the pairs of known shapes of two entities whose boxes (6, n) are near each other.
 
     There are none if the greatest distance is negative or NaN.
     """
@@ -376,36 +376,51 @@ def _by_cores(tick: TickShapes, first: Indices, second: Indices, bounds: Array) 
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
-    found = classify_gaps(tick.placed_cores, first[indices], second[indices], bounds[indices])
-    hollow = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
-    found[hollow & (found == BELOW)] = UNDECIDED
-    verdicts[indices] = found
+    core_verdicts = classify_gaps(
+        tick.placed_cores, first[indices], second[indices], bounds[indices]
+    )
+    is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
+    core_verdicts[is_concave & (core_verdicts == BELOW)] = UNDECIDED
+    verdicts[indices] = core_verdicts
     return verdicts
 
 
 def box_depths(tick: TickShapes, first: Indices, second: Indices) -> Array:
-    """The depths of pairs of boxes, m: the least overlap along 15 axes; negative if separated."""
+    """Returns the depths of pairs of boxes, m: their least overlaps along 15 axes, signed."""
     a, b = tick.table.cores.half_extents[:, first].T, tick.table.cores.half_extents[:, second].T
-    turn_a, turn_b = tick.matrices[first], tick.matrices[second]
+    rotations_a, rotations_b = tick.matrices[first], tick.matrices[second]
     # The second box in the frame of the first.
-    turn = np.einsum("nji,njk->nik", turn_a, turn_b)
-    offsets = np.einsum("nji,nj->ni", turn_a, tick.positions[second] - tick.positions[first])
-    size = np.abs(turn)
-    faces_a = a + np.einsum("nij,nj->ni", size, b) - np.abs(offsets)
-    faces_b = b + np.einsum("nij,ni->nj", size, a) - np.abs(np.einsum("nij,ni->nj", turn, offsets))
-    edges = _edge_overlaps(a, b, turn, size, offsets).reshape(len(first), 9)
+    rotations = np.einsum("nji,njk->nik", rotations_a, rotations_b)
+    offsets = np.einsum("nji,nj->ni", rotations_a, tick.positions[second] - tick.positions[first])
+    magnitudes = np.abs(rotations)
+    faces_a = a + np.einsum("nij,nj->ni", magnitudes, b) - np.abs(offsets)
+    faces_b = (
+        b
+        + np.einsum("nij,ni->nj", magnitudes, a)
+        - np.abs(np.einsum("nij,ni->nj", rotations, offsets))
+    )
+    edges = _edge_overlaps(a, b, rotations, magnitudes, offsets).reshape(len(first), 9)
     depths: Array = np.concatenate((faces_a, faces_b, edges), axis=1).min(axis=1)
     return depths
 
 
-def _edge_overlaps(a: Array, b: Array, turn: Array, size: Array, offsets: Array) -> Array:
-    """The overlaps along the cross products of edges, (n, 3, 3)."""
-    of_a = a[:, _NEXT, None] * size[:, _LAST, :] + a[:, _LAST, None] * size[:, _NEXT, :]
-    of_b = b[:, None, _NEXT] * size[:, :, _LAST] + b[:, None, _LAST] * size[:, :, _NEXT]
-    across = (
-        offsets[:, _LAST, None] * turn[:, _NEXT, :] - offsets[:, _NEXT, None] * turn[:, _LAST, :]
+def _edge_overlaps(
+    a: Array, b: Array, rotations: Array, magnitudes: Array, offsets: Array
+) -> Array:
+    """Returns the overlaps along the cross products of edges, (n, 3, 3)."""
+    extents_a = (
+        a[:, _NEXT, None] * magnitudes[:, _LAST, :] + a[:, _LAST, None] * magnitudes[:, _NEXT, :]
     )
-    length = np.sqrt(np.maximum(1.0 - turn * turn, 0.0))
-    parallel = length < _MIN_SINE
-    overlaps: Array = (of_a + of_b - np.abs(across)) / np.where(parallel, 1.0, length)
-    return np.where(parallel, np.inf, overlaps)
+    extents_b = (
+        b[:, None, _NEXT] * magnitudes[:, :, _LAST] + b[:, None, _LAST] * magnitudes[:, :, _NEXT]
+    )
+    distances = (
+        offsets[:, _LAST, None] * rotations[:, _NEXT, :]
+        - offsets[:, _NEXT, None] * rotations[:, _LAST, :]
+    )
+    length = np.sqrt(np.maximum(1.0 - rotations * rotations, 0.0))
+    is_parallel = length < _MIN_SINE
+    overlaps: Array = (extents_a + extents_b - np.abs(distances)) / np.where(
+        is_parallel, 1.0, length
+    )
+    return np.where(is_parallel, np.inf, overlaps)

@@ -1,4 +1,4 @@
-"""Exact axis-aligned bounding boxes of shapes."""
+"""Computes exact axis-aligned bounding boxes of shapes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import PlacedGeometry
 
 # A normal that deviates from an axis by less counts as parallel to it: 1e-6 m at 1 km.
-LEVEL = 1e-9
+AXIS_TOLERANCE = 1e-9
 # Points are rotated and compared in groups of this size. A box has eight corners.
 GROUP_SIZE = 8
 # Below this number of points, computing a hull costs more than it saves.
@@ -84,7 +84,7 @@ class BoundingBoxes:
         self._vectors = np.array(vectors).reshape(len(cores), -1, 3).T.copy() if cores else None
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
-        """The boxes at some poses of the frames, in the frame of the poses.
+        """Returns the boxes at some poses of the frames, in the frame of the poses.
 
         Args:
             positions: (frames, 3), metres.
@@ -94,22 +94,22 @@ class BoundingBoxes:
             (6, groups): the lower corners' x, y, z, then the upper corners'. A box that a plane
             extends is infinite.
         """
-        boxes = self._of_groups(positions, matrices)
+        boxes = self._group_boxes(positions, matrices)
         for shape, group in self._planes:
             _add_plane(boxes[:, group], shape, positions, matrices)
         return boxes
 
-    def _of_groups(self, positions: Array, matrices: Array) -> Array:
+    def _group_boxes(self, positions: Array, matrices: Array) -> Array:
         if self._vectors is None:
-            return self._spread(np.zeros((6, 0)))
-        low, high = self._of_cores(positions, matrices, self._vectors)
+            return self._fill_groups(np.zeros((6, 0)))
+        low, high = self._core_boxes(positions, matrices, self._vectors)
         boxes = np.zeros((6, len(self._groups)))
         np.minimum.reduceat(low, self._starts, axis=1, out=boxes[:3])
         np.maximum.reduceat(high, self._starts, axis=1, out=boxes[3:])
-        return boxes if len(self._groups) == self._count else self._spread(boxes)
+        return boxes if len(self._groups) == self._count else self._fill_groups(boxes)
 
-    def _of_cores(self, positions: Array, matrices: Array, vectors: Array) -> tuple[Array, Array]:
-        """The lower and the upper corners of the cores' boxes, (3, cores) each."""
+    def _core_boxes(self, positions: Array, matrices: Array, vectors: Array) -> tuple[Array, Array]:
+        """Returns the lower and the upper corners of the cores' boxes, (3, cores) each."""
         # Copied, because operations on strided arrays cost more than a copy.
         rotations = matrices.reshape(-1, 9).take(self._frames, axis=0).T.copy().reshape(3, 3, -1)
         rotated = rotations[:, 0, None] * vectors[0]
@@ -118,22 +118,22 @@ class BoundingBoxes:
         origins = positions.take(self._frames, axis=0).T.copy()
         low = rotated[:, :GROUP_SIZE].min(axis=1) + origins
         high = rotated[:, :GROUP_SIZE].max(axis=1) + origins
-        reach = self._radii
+        radii = self._radii
         if self._has_discs:
             # The extent of a circle along x is the length of the vector of its two radii's x.
             sides = rotated[:, GROUP_SIZE:]
-            reach = reach + np.sqrt(sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1])
-        return low - reach, high + reach
+            radii = radii + np.sqrt(sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1])
+        return low - radii, high + radii
 
-    def _spread(self, boxes: Array) -> Array:
-        """The boxes of all groups, with those of groups without shapes."""
+    def _fill_groups(self, boxes: Array) -> Array:
+        """Returns the boxes of all groups, with those of groups without shapes."""
         all_boxes = np.repeat([[np.inf], [-np.inf]], 3, axis=0).repeat(self._count, axis=1)
         all_boxes[:, self._groups] = boxes
         return all_boxes
 
 
 def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
-    """The cores of all shapes but planes.
+    """Returns the cores of all shapes but planes.
 
     The polyhedral shapes of a frame and a group share one core: the corners of their hull.
     """
@@ -155,7 +155,7 @@ def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
                 placed = corners @ matrix.T + shape.position
                 polyhedra.setdefault((group, shape.frame), []).append(placed)
     for (group, frame), sets in polyhedra.items():
-        cores.append(_Core(group, frame, _extreme(np.concatenate(sets))))
+        cores.append(_Core(group, frame, _hull_corners(np.concatenate(sets))))
     return cores
 
 
@@ -163,8 +163,8 @@ _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z i
 _ENDS = np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]])
 
 
-def _extreme(points: Array) -> Array:
-    """The points that a box can touch: the corners of the convex hull."""
+def _hull_corners(points: Array) -> Array:
+    """Returns the points that a box can touch: the corners of the convex hull."""
     if len(points) < MIN_HULL_POINTS:
         return points
     from scipy.spatial import ConvexHull, QhullError
@@ -186,7 +186,7 @@ def _add_plane(box: Array, shape: PlacedGeometry, positions: Array, matrices: Ar
         return
     low, high = np.full(3, -np.inf), np.full(3, np.inf)
     axis = int(np.argmax(np.abs(normal)))
-    if np.abs(np.delete(normal, axis)).max() < LEVEL:
+    if np.abs(np.delete(normal, axis)).max() < AXIS_TOLERANCE:
         (high if normal[axis] > 0 else low)[axis] = origin[axis]
     np.minimum(box[:3], low, out=box[:3])
     np.maximum(box[3:], high, out=box[3:])

@@ -45,7 +45,7 @@ _BEHIND = ((0, -1), (-1, 1), (-1, 0), (-1, -1))
 
 
 def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
-    """The pairs of boxes that overlap or touch, or are near each other along every axis.
+    """Returns the pairs of boxes that overlap or touch, or are near each other along every axis.
 
     >>> boxes = np.array([[0, 0, 0, 1, 1, 1], [0.5, 0, 0, 2, 1, 1], [5, 5, 5, 6, 6, 6]], float).T
     >>> [side.tolist() for side in overlapping_pairs(boxes)]
@@ -66,11 +66,12 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
     is_bounded = ((low >= -_MAX_CORNER) & (high <= _MAX_CORNER)).all(axis=0)
     is_unbounded: Flags = np.asarray(is_box & ~is_bounded)
     parts = [
-        _with_others(low, high, one, is_box, is_unbounded) for one in np.flatnonzero(is_unbounded)
+        _pairs_of_unbounded(low, high, box, is_box, is_unbounded)
+        for box in np.flatnonzero(is_unbounded)
     ]
     bounded = np.flatnonzero(is_box & ~is_unbounded)
     if len(bounded) > 1:
-        pairs = _in_grids(low[:, bounded], high[:, bounded])
+        pairs = _grid_pairs(low[:, bounded], high[:, bounded])
         parts += [(bounded[i], bounded[j]) for i, j in pairs]
     if not parts:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
@@ -78,33 +79,33 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
     return np.concatenate(first), np.concatenate(second)
 
 
-def _with_others(
-    low: Array, high: Array, one: np.intp, is_box: Flags, is_unbounded: Flags
+def _pairs_of_unbounded(
+    low: Array, high: Array, box: np.intp, is_box: Flags, is_unbounded: Flags
 ) -> Pairs:
-    """The pairs of an unbounded box with the boxes that it overlaps, later unbounded ones only."""
+    """Returns the pairs of an unbounded box with bounded or later boxes that it overlaps."""
     overlaps = (
-        is_box & (low <= high[:, one, None]).all(axis=0) & (high >= low[:, one, None]).all(axis=0)
+        is_box & (low <= high[:, box, None]).all(axis=0) & (high >= low[:, box, None]).all(axis=0)
     )
-    overlaps[: one + 1] &= ~is_unbounded[: one + 1]
+    overlaps[: box + 1] &= ~is_unbounded[: box + 1]
     others = np.flatnonzero(overlaps)
-    return np.full(len(others), one), others
+    return np.full(len(others), box), others
 
 
-def _in_grids(low: Array, high: Array) -> Iterator[Pairs]:
-    """The pairs of bounded boxes that overlap, one class of sizes after another."""
+def _grid_pairs(low: Array, high: Array) -> Iterator[Pairs]:
+    """Returns the pairs of bounded boxes that overlap, one class of sizes after another."""
     extents = np.maximum((high - low).max(axis=0), _MIN_CELL)
     orders = (np.log(extents) - np.log(extents.max())) / np.log(_SIZE_RATIO)
     classes = np.ceil(orders - 1e-9)
     for size in np.unique(classes):
-        yield from _in_grid(low, high, classes, extents, size)
+        yield from _grid_pairs_of_class(low, high, classes, extents, size)
 
 
-def _in_grid(
+def _grid_pairs_of_class(
     low: Array, high: Array, classes: Array, extents: Array, size: float
 ) -> Iterator[Pairs]:
-    """The pairs of a box of a class with a box of the same or of a smaller class."""
+    """Returns the pairs of a box of a class with a box of the same or of a smaller class."""
     members = np.flatnonzero(classes <= size)
-    numbers, widths = _numbered(low[:, members], extents[members].max() * (1.0 + _MARGIN))
+    numbers, widths = _cell_numbers(low[:, members], extents[members].max() * (1.0 + _MARGIN))
     order = np.argsort(numbers, kind="stable")
     members, numbers = members[order], numbers[order]
     low, high = low[:, members], high[:, members]
@@ -125,51 +126,55 @@ def _in_grid(
         if is_same_class:  # of two boxes in one row, the later one is ahead
             starts[0] = np.arange(1, len(larger) + 1)
         repeated = np.tile(larger, len(steps))
-        for one, places in _runs(repeated, starts.ravel(), (ends - starts).ravel()):
-            i, j = _met(low, high, one, targets[places])
+        for boxes, places in _run_pairs(repeated, starts.ravel(), (ends - starts).ravel()):
+            i, j = _overlapping(low, high, boxes, targets[places])
             yield members[i], members[j]
 
 
-def _numbered(low: Array, cell: float) -> tuple[Cells, list[int]]:
-    """The cell number of each box, and the grid's width in cells along each axis.
+def _cell_numbers(low: Array, cell: float) -> tuple[Cells, list[int]]:
+    """Returns the cell number of each box, and the grid's width in cells along each axis.
 
     Numbers are integers: as floats, the numbers of neighbours could be equal. An axis has at most
     `_MAX_DENSE_CELLS` cells or twice the boxes, so that only millions of boxes exceed the bound.
     """
-    x, y, z = cells = [_along(axis, cell) for axis in low]
+    x, y, z = cells = [_cells_along(axis, cell) for axis in low]
     # A cell around the grid keeps rows from running into each other.
     widths = [int(axis.max()) + 3 for axis in cells]
     if math.prod(widths) > _MAX_CELL_NUMBER:
-        return _numbered(low, 8.0 * cell)  # boxes that overlap are neighbours in a coarser grid too
+        return _cell_numbers(
+            low, 8.0 * cell
+        )  # boxes that overlap are neighbours in a coarser grid too
     return ((x + 1) * widths[1] + y + 1) * widths[2] + z + 1, widths
 
 
-def _along(low: Array, cell: float) -> Cells:
-    """The cell of each box along an axis, from 0; cells of boxes that overlap differ by at most 1.
+def _cells_along(low: Array, cell: float) -> Cells:
+    """Returns the cells of boxes along an axis, from 0; those of overlapping boxes differ by <= 1.
 
     Cells are counted from a box that begins nearby, not from the origin. The difference of two
     floats is off by at most 2 ** -53 of itself, so that a count of n cells is off by less than
     n * 2 ** -51, which is within the margin of a cell for n up to 2 ** 31.
     """
-    before = low - low.min()
-    if before.max() / _MAX_DENSE_CELLS <= cell:
-        cells: Cells = np.floor(before / cell).astype(np.int64)
+    offsets = low - low.min()
+    if offsets.max() / _MAX_DENSE_CELLS <= cell:
+        cells: Cells = np.floor(offsets / cell).astype(np.int64)
         return cells
     # A gap of more than a cell separates the boxes before it from those after it: they form
     # groups that are counted from their own first boxes, with an empty cell between them.
     order = np.argsort(low)
     ascending = low[order]
-    begins = np.append(0, np.flatnonzero(np.diff(ascending) > cell) + 1)
-    sizes = np.diff(begins, append=len(low))
-    within = np.floor((ascending - np.repeat(ascending[begins], sizes)) / cell).astype(np.int64)
-    widths = within[begins + sizes - 1] + 2
+    group_starts = np.append(0, np.flatnonzero(np.diff(ascending) > cell) + 1)
+    sizes = np.diff(group_starts, append=len(low))
+    cells_in_group = np.floor(
+        (ascending - np.repeat(ascending[group_starts], sizes)) / cell
+    ).astype(np.int64)
+    widths = cells_in_group[group_starts + sizes - 1] + 2
     cells = np.zeros(len(low), np.int64)
-    cells[order] = within + np.repeat(np.cumsum(widths) - widths, sizes)
+    cells[order] = cells_in_group + np.repeat(np.cumsum(widths) - widths, sizes)
     return cells
 
 
-def _runs(larger: Indices, starts: Indices, counts: Indices) -> Iterator[Pairs]:
-    """Pairs of each box with each place of its run, in parts that fit into memory."""
+def _run_pairs(larger: Indices, starts: Indices, counts: Indices) -> Iterator[Pairs]:
+    """Returns pairs of each box with each place of its run, in parts that fit into memory."""
     totals = np.cumsum(counts)
     parts = np.searchsorted(totals, np.arange(0, totals[-1], _CANDIDATES_AT_ONCE), "right")
     for begin, end in pairwise((*parts, len(totals))):
@@ -179,8 +184,8 @@ def _runs(larger: Indices, starts: Indices, counts: Indices) -> Iterator[Pairs]:
         yield i, np.arange(len(i)) + np.repeat(shifts, lengths)
 
 
-def _met(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
-    """The candidate pairs that overlap."""
+def _overlapping(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
+    """Returns the candidate pairs that overlap."""
     for begin, end in zip(low, high, strict=True):
         overlaps = (begin.take(i) <= end.take(j)) & (begin.take(j) <= end.take(i))
         hits = np.flatnonzero(overlaps)
@@ -192,7 +197,7 @@ def _met(low: Array, high: Array, i: Indices, j: Indices) -> Pairs:
 
 
 def overlapping_pairs_across(first: Corners, second: Corners, *, touching: bool) -> Iterator[Pairs]:
-    """The pairs of a box of one set and a box of another that overlap, in parts.
+    """Returns the pairs of a box of one set and a box of another that overlap, in parts.
 
     The larger of the two sets is halved until few pairs are left.
 
@@ -227,23 +232,23 @@ def overlapping_pairs_across(first: Corners, second: Corners, *, touching: bool)
 
 
 def _overlap(less: np.ufunc, low: Array, high: Array, lows: Array, highs: Array) -> Flags:
-    """Whether boxes overlap, by their lower and upper corners (3, …)."""
+    """Checks whether boxes overlap, by their lower and upper corners (3, …)."""
     overlap: Flags = np.asarray((less(low, highs) & less(lows, high)).all(axis=0))
     return overlap
 
 
 def _lowest(low: Array) -> Array:
-    least: Array = low.min(axis=1, keepdims=True, initial=math.inf)
-    return least
+    lowest: Array = low.min(axis=1, keepdims=True, initial=math.inf)
+    return lowest
 
 
 def _highest(high: Array) -> Array:
-    most: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
-    return most
+    highest: Array = high.max(axis=1, keepdims=True, initial=-math.inf)
+    return highest
 
 
 def _halves(indices: Indices, positions: Array) -> Pairs:
-    """The two halves of a set, split at the median along the axis of the largest range."""
+    """Returns the two halves of a set, split at the median along the axis of the largest range."""
     middle = len(indices) // 2
     order = positions[np.ptp(positions, axis=1).argmax()].argpartition(middle)
     return indices[order[:middle]], indices[order[middle:]]

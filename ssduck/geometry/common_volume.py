@@ -1,4 +1,4 @@
-"""The common volume of two closed surfaces.
+"""Computes the common volume of two closed surfaces.
 
 For two polyhedra it is a sum over pairs of faces, one of each. No corners of the intersection are
 searched for: the faces above a point tell whether it is inside.
@@ -19,7 +19,7 @@ MIN_PROJECTION = 1e-13
 
 
 def common_volume(surface: Array, weights: Array, other: Array) -> float:
-    """The common volume of two closed surfaces, m³.
+    """Returns the common volume of two closed surfaces, m³.
 
     Let s be 1 for a triangle that faces up and -1 for one that faces down. The winding number of a
     surface around a point is the sum of s over its triangles above the point. So the volume is a
@@ -35,8 +35,8 @@ def common_volume(surface: Array, weights: Array, other: Array) -> float:
             part.
         other: triangles (m, 3, 3) that face outward.
     """
-    middle = surface.reshape(-1, 3).mean(axis=0)
-    surface, other = surface - middle, other - middle
+    centroid = surface.reshape(-1, 3).mean(axis=0)
+    surface, other = surface - centroid, other - centroid
     areas, other_areas = _projected_areas(surface), _projected_areas(other)
     surface, weights = surface[areas != 0.0], weights[areas != 0.0]
     other, other_areas = other[other_areas != 0.0], other_areas[other_areas != 0.0]
@@ -47,25 +47,27 @@ def common_volume(surface: Array, weights: Array, other: Array) -> float:
 
 
 def _projected_areas(triangles: Array) -> Array:
-    """Twice the areas of triangles' projections, (n,); negative for those that face down."""
-    one, two = (triangles[:, k, :2] - triangles[:, 0, :2] for k in (1, 2))
-    areas: Array = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
+    """Returns twice the areas of triangles' projections, (n,); negative if they face down."""
+    first_edges, second_edges = (triangles[:, k, :2] - triangles[:, 0, :2] for k in (1, 2))
+    areas: Array = first_edges[:, 0] * second_edges[:, 1] - first_edges[:, 1] * second_edges[:, 0]
     edges = triangles - np.roll(triangles, 1, axis=1)
     longest = np.einsum("nki,nki->nk", edges, edges).max(axis=1, initial=0.0)
     return np.where(np.abs(areas) > MIN_PROJECTION * longest, areas, 0.0)
 
 
 def _overlapping_pairs(surface: Array, other: Array) -> Iterator[Pairs]:
-    """Pairs of triangles with overlapping projections, unless the first is above the second."""
+    """Yields pairs of triangles with overlapping projections, if the first is not above."""
     low, high, lows, highs = (
-        corner.T.copy() for one in (surface, other) for corner in (one.min(axis=1), one.max(axis=1))
+        corner.T.copy()
+        for triangles in (surface, other)
+        for corner in (triangles.min(axis=1), triangles.max(axis=1))
     )
     high[2], lows[2] = math.inf, -math.inf
     return overlapping_pairs_across((low, high), (lows, highs), touching=False)
 
 
 def _heights_below(first: Array, second: Array, areas: Array) -> Array:
-    """The integrals of the height of the first triangle below the second, for pairs (n, 3, 3).
+    """Integrates the height of the first triangle below the second, for pairs (n, 3, 3).
 
     Negative, with the sign of the product of their s; see `common_volume`.
 
@@ -92,13 +94,13 @@ def _heights_below(first: Array, second: Array, areas: Array) -> Array:
     polygons[:, :, 2] -= plane_heights
     polygons, indices = clip_polygons(polygons, -polygons[:, :, 2])
     rows = rows[indices]
-    found = np.zeros(len(first))
-    found[rows] = _integrals(polygons) * np.abs(areas[rows])
-    return found
+    integrals = np.zeros(len(first))
+    integrals[rows] = _integrals(polygons) * np.abs(areas[rows])
+    return integrals
 
 
 def clip_polygons(polygons: Array, heights: Array) -> tuple[Array, Indices]:
-    """The parts of convex polygons (n, k, d) where heights (n, k), linear over each, are not < 0.
+    """Clips convex polygons (n, k, d) to where heights (n, k), linear over each, are not < 0.
 
     Returns:
         The polygons that have such a part, with their last corner repeated to make them equally
@@ -120,13 +122,13 @@ def clip_polygons(polygons: Array, heights: Array) -> tuple[Array, Indices]:
 
 
 def _integrals(polygons: Array) -> Array:
-    """The integrals of polygons' (n, k, 3) third coordinate over the plane of the other two.
+    """Integrates the third coordinate of polygons (n, k, 3) over the plane of the other two.
 
     Negative for clockwise polygons.
     """
-    start, one, two = polygons[:, :1], polygons[:, 1:-1], polygons[:, 2:]
-    u, v = one - start, two - start
+    start, first, second = polygons[:, :1], polygons[:, 1:-1], polygons[:, 2:]
+    u, v = first - start, second - start
     areas = u[:, :, 0] * v[:, :, 1] - u[:, :, 1] * v[:, :, 0]
-    heights = start[:, :, 2] + one[:, :, 2] + two[:, :, 2]
-    found: Array = np.einsum("nk,nk->n", areas, heights) / 6.0
-    return found
+    heights = start[:, :, 2] + first[:, :, 2] + second[:, :, 2]
+    integrals: Array = np.einsum("nk,nk->n", areas, heights) / 6.0
+    return integrals

@@ -1,4 +1,4 @@
-"""Which contact forces carry a body: by the normals of its contacts, without friction and moments.
+"""Determines which contacts carry a body, by their normals, without friction and moments.
 
 A force that points nearly up carries alone. Steeper ones carry together if their sum can point
 nearly up: the two sides of a groove, three balls under a fourth, a slope and a wall.
@@ -25,7 +25,7 @@ DIGITS = 3
 
 
 def is_carried_by(own_normals: Sequence[Point], other_normals: Iterable[Point]) -> bool:
-    """Whether a body is carried by another one, alone or together with others.
+    """Checks whether a body is carried by another one, alone or together with others.
 
     It is if one of the other's normals is in a set of normals that have a positive combination
     within 30 degrees of up, while no part of the set has one: then they need each other.
@@ -50,25 +50,29 @@ def is_carried_by(own_normals: Sequence[Point], other_normals: Iterable[Point]) 
 
 
 def _distinct(normals: Iterable[Point]) -> list[Point]:
-    """Normals without near duplicates."""
+    """Returns normals without near duplicates."""
     return list(
         {tuple(round(part, DIGITS) for part in normal): normal for normal in normals}.values()
     )
 
 
 def _can_point_up(p: Point, q: Point) -> bool:
-    """Whether a positive sum of two steep normals can point nearly up, with both of them needed."""
-    along = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
-    room = 1.0 - along * along
-    if room < 1e-9:
+    """Checks whether a positive sum of two steep normals, both needed, can point nearly up."""
+    cosine = p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    squared_sine = 1.0 - cosine * cosine
+    if squared_sine < 1e-9:
         return False
-    of_p, of_q = (p[2] - along * q[2]) / room, (q[2] - along * p[2]) / room
-    # The projection of up to their plane is of_p * p + of_q * q. Its z is its squared length.
-    return of_p > 0.0 and of_q > 0.0 and of_p * p[2] + of_q * q[2] >= MIN_UP**2
+    weight_p, weight_q = (
+        (p[2] - cosine * q[2]) / squared_sine,
+        (q[2] - cosine * p[2]) / squared_sine,
+    )
+    # The projection of up to their plane is weight_p * p + weight_q * q; its z is its squared
+    # length.
+    return weight_p > 0.0 and weight_q > 0.0 and weight_p * p[2] + weight_q * q[2] >= MIN_UP**2
 
 
 def _balance_upward(p: Point, q: Point, r: Point) -> bool:
-    """Whether a positive sum of three normals points up, with all of them needed."""
+    """Checks whether a positive sum of three normals points up, with all of them needed."""
     normals = np.array([p, q, r]).T
     if abs(float(np.linalg.det(normals))) < 1e-9:
         return False

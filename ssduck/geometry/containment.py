@@ -1,4 +1,4 @@
-"""The fraction of a volume inside a convex hull, and the footprint of shapes on the ground."""
+"""Computes fractions of volumes inside convex hulls, and footprints of shapes on the ground."""
 
 from __future__ import annotations
 
@@ -49,33 +49,35 @@ class WorldHull:
 
 
 def world_hull(a: Sequence[PlacedSolid]) -> WorldHull | None:
-    """The convex hull of shapes; None if it has no volume.
+    """Returns the convex hull of shapes; None if it has no volume.
 
     Polyhedra stand for round shapes; see `fraction_inside`.
     """
-    planes = [one for one in a if one.solid.type == "plane"]
-    own = _own_hull(a[0]) if len(a) == 1 else None
-    if own is not None:
-        return own
+    planes = [placed for placed in a if placed.solid.type == "plane"]
+    single = _single_hull(a[0]) if len(a) == 1 else None
+    if single is not None:
+        return single
     if not planes:
-        solid = hull_solid(_points(a))
+        solid = hull_solid(_hull_points(a))
         if solid.offsets is None:
             return None
         return WorldHull(solid.normals, solid.offsets, solid.core[solid.faces])
-    endless = np.zeros((0, 3, 3))
+    unbounded = np.zeros((0, 3, 3))
     normal = planes[0].normals[0]
-    if any(float(np.linalg.norm(normal - one.normals[0])) > ROUNDING for one in planes):
+    if any(float(np.linalg.norm(normal - placed.normals[0])) > ROUNDING for placed in planes):
         return WorldHull(
-            np.zeros((0, 3)), np.zeros(0), endless
+            np.zeros((0, 3)), np.zeros(0), unbounded
         )  # half-spaces that differ in direction
-    heights = [float(normal @ one.position) for one in planes]
-    bodies = (one for one in a if one.solid.type != "plane")
-    heights += [float(one.support_heights(normal[None])[0]) + one.solid.radius for one in bodies]
-    return WorldHull(normal[None], np.array([max(heights)]), endless)
+    heights = [float(normal @ placed.position) for placed in planes]
+    bodies = (placed for placed in a if placed.solid.type != "plane")
+    heights += [
+        float(placed.support_heights(normal[None])[0]) + placed.solid.radius for placed in bodies
+    ]
+    return WorldHull(normal[None], np.array([max(heights)]), unbounded)
 
 
-def _own_hull(a: PlacedSolid) -> WorldHull | None:
-    """The hull of a polyhedron that is convex and certainly not flat."""
+def _single_hull(a: PlacedSolid) -> WorldHull | None:
+    """Returns the hull of a polyhedron that is convex and certainly not flat."""
     sharp = (
         a.solid.type in ("box", "hull")
         and a.solid.inscribed_radius > FLAT * a.solid.bounding_radius
@@ -86,7 +88,7 @@ def _own_hull(a: PlacedSolid) -> WorldHull | None:
 
 
 def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float | None:
-    """The fraction of the volume of some shapes inside a convex hull, 0..1.
+    """Returns the fraction of the volume of some shapes inside a convex hull, 0..1.
 
     Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, polyhedra
     of about 1000 corners stand for balls and the ends of capsules, and prisms with 64 sides for
@@ -97,36 +99,36 @@ def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float |
     Returns:
         None if the shapes have no volume.
     """
-    if any(one.solid.type == "plane" for one in b):
+    if any(placed.solid.type == "plane" for placed in b):
         return 1.0 if hull is not None and hull.is_everything else 0.0
-    solid = [one for one in b if one.solid.volume > 0.0]
-    total = sum(one.solid.volume for one in solid)
-    if not solid:
+    with_volume = [placed for placed in b if placed.solid.volume > 0.0]
+    total = sum(placed.solid.volume for placed in with_volume)
+    if not with_volume:
         return None
     if hull is None:
         return 0.0
     inside, crossing = 0.0, []
-    for one in solid:
-        bottom, top = _span(hull, one)
+    for placed in with_volume:
+        bottom, top = _height_range(hull, placed)
         if top <= ROUNDING:
-            inside += one.solid.volume
+            inside += placed.solid.volume
         elif bottom < -ROUNDING:
-            crossing.append(one)
+            crossing.append(placed)
     if crossing:
         inside += _volume_inside(hull, crossing)
     return min(1.0, max(0.0, inside / total))
 
 
 def hull_bounds(a: Iterable[tuple[Solid, Box]]) -> Box:
-    """A box that contains the hull of shapes: by the solids, and the box of each."""
-    boxes = np.array([_grown(solid, box) for solid, box in a]).reshape(-1, 6)
+    """Returns a box that contains the hull of shapes: by the solids, and the box of each."""
+    boxes = np.array([_grow(solid, box) for solid, box in a]).reshape(-1, 6)
     low, high = boxes[:, :3].min(0, initial=math.inf), boxes[:, 3:].max(0, initial=-math.inf)
     corners: Box = [*low.tolist(), *high.tolist()]
     return corners
 
 
 def max_fraction_in_box(hull_box: Box, b: Iterable[tuple[Solid, Box]]) -> float:
-    """An upper bound of `fraction_inside`: no more of a shape is inside than its box overlaps.
+    """Returns an upper bound of `fraction_inside`, by the overlap of the boxes.
 
     Args:
         hull_box: a box that contains the hull.
@@ -134,93 +136,96 @@ def max_fraction_in_box(hull_box: Box, b: Iterable[tuple[Solid, Box]]) -> float:
     """
     inside = total = 0.0
     for solid, box in b:
-        own, overlap_volume = _grown(solid, box), 1.0
+        grown, overlap_volume = _grow(solid, box), 1.0
         for k in range(3):
-            overlap_volume *= max(min(hull_box[k + 3], own[k + 3]) - max(hull_box[k], own[k]), 0.0)
+            overlap_volume *= max(
+                min(hull_box[k + 3], grown[k + 3]) - max(hull_box[k], grown[k]), 0.0
+            )
         inside += min(solid.volume, overlap_volume)
         total += solid.volume
     return inside / total
 
 
 def max_fraction_in_hull(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float:
-    """An upper bound of `fraction_inside`: a face of the hull cuts a cap off a shape's sphere."""
+    """Returns an upper bound of `fraction_inside`: a face cuts off a cap of a sphere."""
     if hull is None:
         return 0.0
     inside = total = 0.0
-    for one in b:
-        middle, radius = one.to_world(*one.solid.inscribed_centre), one.solid.inscribed_radius
-        over = float((hull.normals @ middle - hull.offsets).max(initial=-math.inf)) - ROUNDING
-        height = min(max(radius + over, 0.0), 2.0 * radius)
-        inside += one.solid.volume - math.pi * height**2 * (radius - height / 3.0)
-        total += one.solid.volume
+    for placed in b:
+        solid = placed.solid
+        centre, radius = placed.to_world(*solid.inscribed_centre), solid.inscribed_radius
+        highest = float((hull.normals @ centre - hull.offsets).max(initial=-math.inf)) - ROUNDING
+        height = min(max(radius + highest, 0.0), 2.0 * radius)
+        inside += placed.solid.volume - math.pi * height**2 * (radius - height / 3.0)
+        total += placed.solid.volume
     return inside / total
 
 
-def _grown(solid: Solid, box: Box) -> Box:
-    """The box of the polyhedron that stands for a solid."""
+def _grow(solid: Solid, box: Box) -> Box:
+    """Returns the box of the polyhedron that stands for a solid."""
     if solid.type == "plane":
         return [-math.inf] * 3 + [math.inf] * 3
-    off = ROUNDING + ROUND_SHAPE_ERROR * max(solid.radius, solid.disc_radius)
+    margin = ROUNDING + ROUND_SHAPE_ERROR * max(solid.radius, solid.disc_radius)
     a, b, c, d, e, f = box
-    return [a - off, b - off, c - off, d + off, e + off, f + off]
+    return [a - margin, b - margin, c - margin, d + margin, e + margin, f + margin]
 
 
-def _points(a: Sequence[PlacedSolid]) -> Array:
-    """Points in the world whose convex hull is that of the shapes."""
-    bodies = [one for one in a if one.solid.type != "plane"]
-    placed = [one.solid.points @ one.matrix.T + one.position for one in bodies]
+def _hull_points(a: Sequence[PlacedSolid]) -> Array:
+    """Returns points in the world whose convex hull is that of the shapes."""
+    bodies = [shape for shape in a if shape.solid.type != "plane"]
+    placed = [shape.solid.points @ shape.matrix.T + shape.position for shape in bodies]
     return np.concatenate(placed) if placed else np.zeros((0, 3))
 
 
 # -- in a hull ---------------------------------------------------------------------------------
 
 
-def _span(hull: WorldHull, one: PlacedSolid) -> tuple[float, float]:
-    """The greatest heights of a shape's lowest and highest points over the faces of a hull.
+def _height_range(hull: WorldHull, placed: PlacedSolid) -> tuple[float, float]:
+    """Returns the greatest heights of a shape's lowest and highest points over the faces of a hull.
 
     A shape whose highest points are below all faces is inside. A shape whose lowest points are
     above one face is outside. If a sphere around the shape decides that, only the sphere is used.
     """
-    middle, reach = one.to_world(*one.solid.centre), one.solid.bounding_radius
-    heights = hull.normals @ middle - hull.offsets
-    farthest = float(heights.max(initial=-math.inf))
-    if abs(farthest) >= reach:
-        return farthest - reach, farthest + reach
-    face_numbers = np.flatnonzero(heights > -reach)
+    centre, bounding_radius = placed.to_world(*placed.solid.centre), placed.solid.bounding_radius
+    heights = hull.normals @ centre - hull.offsets
+    greatest = float(heights.max(initial=-math.inf))
+    if abs(greatest) >= bounding_radius:
+        return greatest - bounding_radius, greatest + bounding_radius
+    faces = np.flatnonzero(heights > -bounding_radius)
     bottom = top = -math.inf
-    step = max(1, PAIRS_AT_ONCE // len(one.points))
-    for start in range(0, len(face_numbers), step):
-        indices = face_numbers[start : start + step]
+    step = max(1, PAIRS_AT_ONCE // len(placed.points))
+    for start in range(0, len(faces), step):
+        indices = faces[start : start + step]
         normals, offsets = hull.normals[indices], hull.offsets[indices]
-        radius = one.solid.radius
-        top = max(top, float((one.support_heights(normals) + radius - offsets).max()))
-        bottom = max(bottom, float((-one.support_heights(-normals) - radius - offsets).max()))
+        radius = placed.solid.radius
+        top = max(top, float((placed.support_heights(normals) + radius - offsets).max()))
+        bottom = max(bottom, float((-placed.support_heights(-normals) - radius - offsets).max()))
     return bottom, top
 
 
 def _volume_inside(hull: WorldHull, crossing: Sequence[PlacedSolid]) -> float:
-    """The volume of shapes within a hull."""
+    """Returns the volume of shapes within a hull."""
     parts, weights = [], []
-    for one in crossing:
-        surface = one.solid.closed_surface
-        parts.append((surface.vertices @ one.matrix.T + one.position)[surface.faces])
+    for placed in crossing:
+        surface = placed.solid.closed_surface
+        parts.append((surface.vertices @ placed.matrix.T + placed.position)[surface.faces])
         # The volume of a capsule differs slightly from that of its polyhedron.
-        weights.append(np.full(len(surface.faces), one.solid.volume / surface.volume))
+        weights.append(np.full(len(surface.faces), placed.solid.volume / surface.volume))
     triangles = np.concatenate(parts)
     hull_box = hull.triangles
     if not len(hull_box):
-        hull_box = _below(hull, triangles.reshape(-1, 3))
+        hull_box = _half_space_cube(hull, triangles.reshape(-1, 3))
     return common_volume(triangles, np.concatenate(weights), hull_box)
 
 
-def _below(hull: WorldHull, points: Array) -> Array:
-    """The surface (12, 3, 3) of a cube that is the part of a half-space around some points."""
+def _half_space_cube(hull: WorldHull, points: Array) -> Array:
+    """Returns the surface (12, 3, 3) of a cube: the part of a half-space around some points."""
     low, high = points.min(axis=0), points.max(axis=0)
     normal, middle = hull.normals[0], (low + high) / 2
     side = 2.0 * math.dist(low, high)
-    along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    along /= np.linalg.norm(along)
-    frame = np.stack((along, np.cross(normal, along), normal))
+    tangent = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    tangent /= np.linalg.norm(tangent)
+    frame = np.stack((tangent, np.cross(normal, tangent), normal))
     centre = middle - (middle @ normal - hull.offsets[0] + side / 2) * normal
     cube = solid_of(Geometry.primitive("box", (1, 1, 1)))
     triangles: Array = (side * cube.core @ frame + centre)[cube.faces]
@@ -231,11 +236,11 @@ def _below(hull: WorldHull, points: Array) -> Array:
 
 
 def footprint(a: Sequence[PlacedSolid]) -> Array:
-    """The corners (k, 2) of the convex hull of the shapes' projections on the ground.
+    """Returns the corners (k, 2) of the convex hull of the shapes' projections on the ground.
 
     Half-spaces are left out.
     """
-    points = unique_points(_points(a)[:, :2])
+    points = unique_points(_hull_points(a)[:, :2])
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
@@ -248,29 +253,29 @@ def footprint(a: Sequence[PlacedSolid]) -> Array:
 
 
 def is_over_footprint(a: Sequence[PlacedSolid], corners: Array, x: float, y: float) -> bool:
-    """Whether a point of the ground is in the footprint, including its boundary."""
-    for one in a:
-        if one.solid.type == "plane":
-            nx, ny, nz = one.normals[0].tolist()
-            over = nx * (x - one.position[0]) + ny * (y - one.position[1])
-            if abs(nz) > ROUNDING or over <= ROUNDING:
+    """Checks whether a point of the ground is in the footprint, including its boundary."""
+    for placed in a:
+        if placed.solid.type == "plane":
+            nx, ny, nz = placed.normals[0].tolist()
+            height = nx * (x - placed.position[0]) + ny * (y - placed.position[1])
+            if abs(nz) > ROUNDING or height <= ROUNDING:
                 return True
     if not len(corners):
         return False
     if len(corners) < 3:
         return _is_between(corners[0], corners[-1], x, y)
-    after = np.roll(corners, -1, axis=0)
-    dx, dy = (after - corners).T
-    left = dx * (y - corners[:, 1]) - dy * (x - corners[:, 0])
-    turn = float(dx @ corners[:, 1] - dy @ corners[:, 0])
+    next_corners = np.roll(corners, -1, axis=0)
+    dx, dy = (next_corners - corners).T
+    offsets = dx * (y - corners[:, 1]) - dy * (x - corners[:, 0])
+    doubled_area = float(dx @ corners[:, 1] - dy @ corners[:, 0])
     length = np.hypot(dx, dy)
-    way = -1.0 if turn > 0 else 1.0
-    if not np.any(np.abs(left) > ROUNDING * length):
+    sign = -1.0 if doubled_area > 0 else 1.0
+    if not np.any(np.abs(offsets) > ROUNDING * length):
         return _is_between(corners.min(axis=0), corners.max(axis=0), x, y)
-    return bool((way * left >= -ROUNDING * length).all())
+    return bool((sign * offsets >= -ROUNDING * length).all())
 
 
 def _is_between(p: Array, q: Array, x: float, y: float) -> bool:
-    """Whether a point is on a segment."""
+    """Checks whether a point is on a segment."""
     direct = math.dist(p, q)
     return math.dist(p, (x, y)) + math.dist((x, y), q) <= direct + ROUNDING

@@ -1,4 +1,4 @@
-"""The signed distance of two solids: their distance, or minus the depth of their overlap.
+"""Computes the signed distance of two solids: their distance, or minus the depth of their overlap.
 
 The signed distance of a and b is the distance of their nearest points. If they overlap, it is minus
 the length of the shortest translation that separates them. It comes with a point of each solid and
@@ -38,11 +38,11 @@ MAX_EXPANSIONS = 40
 MAX_POLYTOPE_POINTS = 400
 MAX_STEPS = 100
 _UP: Point = (0.0, 0.0, 1.0)
-_AROUND = np.array(
+_NEIGHBOUR_DIRECTIONS = np.array(
     [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z],
     dtype=np.float64,
 )
-_AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
+_NEIGHBOUR_DIRECTIONS /= np.linalg.norm(_NEIGHBOUR_DIRECTIONS, axis=1)[:, None]
 
 
 @dataclass
@@ -79,17 +79,17 @@ class SignedDistance:
     normal: Point | None
 
     def swapped(self) -> SignedDistance:
-        """The signed distance of b and a."""
+        """Returns the signed distance of b and a."""
         normal = self.normal
-        turned = None if normal is None else (-normal[0], -normal[1], -normal[2])
-        return SignedDistance(self.distance, self.point_b, self.point_a, turned)
+        reversed_normal = None if normal is None else (-normal[0], -normal[1], -normal[2])
+        return SignedDistance(self.distance, self.point_b, self.point_a, reversed_normal)
 
 
 Rule: TypeAlias = Callable[[PlacedSolid, PlacedSolid], SignedDistance]
 
 
 def signed_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
-    """The signed distance of two convex solids, or of a half-space and any solid."""
+    """Returns the signed distance of two convex solids, or of a half-space and any solid."""
     kinds = a.solid.type, b.solid.type
     rule = _RULES.get(kinds)
     if rule is not None:
@@ -98,9 +98,9 @@ def signed_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Signe
     if rule is not None:
         return rule(b, a).swapped()
     if kinds[0] == "plane":
-        return _plane(b, a).swapped()
+        return _against_plane(b, a).swapped()
     if kinds[1] == "plane":
-        return _plane(a, b)
+        return _against_plane(a, b)
     gap, p, q, normal = _core_gap(a, b, calls)
     return offset_by_radii(gap, p, q, normal, a, b)
 
@@ -108,13 +108,13 @@ def signed_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Signe
 def offset_by_radii(
     gap: float, p: Any, q: Any, normal: Any, a: PlacedSolid, b: PlacedSolid
 ) -> SignedDistance:
-    """The signed distance of two shapes, from that of their cores."""
-    ra, rb = a.solid.radius, b.solid.radius
+    """Returns the signed distance of two shapes, from that of their cores."""
+    radius_a, radius_b = a.solid.radius, b.solid.radius
     x, y, z = float(normal[0]), float(normal[1]), float(normal[2])
     return SignedDistance(
-        float(gap) - ra - rb,
-        (float(p[0]) - ra * x, float(p[1]) - ra * y, float(p[2]) - ra * z),
-        (float(q[0]) + rb * x, float(q[1]) + rb * y, float(q[2]) + rb * z),
+        float(gap) - radius_a - radius_b,
+        (float(p[0]) - radius_a * x, float(p[1]) - radius_a * y, float(p[2]) - radius_a * z),
+        (float(q[0]) + radius_b * x, float(q[1]) + radius_b * y, float(q[2]) + radius_b * z),
         (x, y, z),
     )
 
@@ -123,7 +123,7 @@ def offset_by_radii(
 
 
 def _ends(a: PlacedSolid) -> tuple[Point, Point]:
-    """The ends of the core of a sphere or a capsule."""
+    """Returns the ends of the core of a sphere or a capsule."""
     if a.solid.type == "sphere":
         x, y, z = a.solid.core[0].tolist()
         centre = a.to_world(x, y, z)
@@ -135,41 +135,41 @@ def _ends(a: PlacedSolid) -> tuple[Point, Point]:
 def _segments(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     """Spheres and capsules: the nearest points of two segments."""
     (p1, p2), (q1, q2) = _ends(a), _ends(b)
-    d1, d2, r = _minus(p2, p1), _minus(q2, q1), _minus(p1, q1)
+    d1, d2, r = _difference(p2, p1), _difference(q2, q1), _difference(p1, q1)
     s, t = _nearest_on_segments(d1, d2, r)
     p = (p1[0] + s * d1[0], p1[1] + s * d1[1], p1[2] + s * d1[2])
     q = (q1[0] + t * d2[0], q1[1] + t * d2[1], q1[2] + t * d2[2])
-    offset = _minus(p, q)
+    offset = _difference(p, q)
     length = math.sqrt(_dot(offset, offset))
     if length > CONTACT_TOLERANCE:
         normal = (offset[0] / length, offset[1] / length, offset[2] / length)
         return offset_by_radii(length, p, q, normal, a, b)
-    return offset_by_radii(0.0, p, p, _across(d1, d2), a, b)
+    return offset_by_radii(0.0, p, p, _any_normal(d1, d2), a, b)
 
 
 def _nearest_on_segments(d1: Point, d2: Point, r: Point) -> tuple[float, float]:
-    """Ericson, 5.1.9: the fractions 0..1 along two segments at which they are nearest."""
+    """Returns the fractions 0..1 along two segments of their nearest points (Ericson, 5.1.9)."""
     a, e, f = _dot(d1, d1), _dot(d2, d2), _dot(d2, r)
     if a <= 0.0 and e <= 0.0:
         return 0.0, 0.0
     if a <= 0.0:
-        return 0.0, _within(f / e)
+        return 0.0, _clamp(f / e)
     c = _dot(d1, r)
     if e <= 0.0:
-        return _within(-c / a), 0.0
+        return _clamp(-c / a), 0.0
     b = _dot(d1, d2)
-    below = a * e - b * b
-    s = _within((b * f - c * e) / below) if below > 1e-14 * a * e else 0.0
+    determinant = a * e - b * b
+    s = _clamp((b * f - c * e) / determinant) if determinant > 1e-14 * a * e else 0.0
     t = (b * s + f) / e
     if t < 0.0:
-        return _within(-c / a), 0.0
+        return _clamp(-c / a), 0.0
     if t > 1.0:
-        return _within((b - c) / a), 1.0
+        return _clamp((b - c) / a), 1.0
     return s, t
 
 
-def _across(u: Point, v: Point) -> Point:
-    """A unit vector normal to two vectors of any length."""
+def _any_normal(u: Point, v: Point) -> Point:
+    """Returns a unit vector normal to two vectors of any length."""
     x, y, z = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
     length = math.sqrt(x * x + y * y + z * z)
     if length > 1e-9 * math.sqrt(_dot(u, u) * _dot(v, v)) and length > 0.0:
@@ -178,7 +178,7 @@ def _across(u: Point, v: Point) -> Point:
     if _dot(along, along) == 0.0:
         return _UP
     smallest = min(range(3), key=lambda k: abs(along[k]))
-    return _across(along, (float(smallest == 0), float(smallest == 1), float(smallest == 2)))
+    return _any_normal(along, (float(smallest == 0), float(smallest == 1), float(smallest == 2)))
 
 
 def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
@@ -186,7 +186,7 @@ def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     x, y, z = point = b.to_local(centre)
     halves: Point = tuple(b.solid.core[7].tolist())
     nearest = [min(max(c, -h), h) for c, h in zip(point, halves, strict=True)]
-    offset = _minus((x, y, z), (nearest[0], nearest[1], nearest[2]))
+    offset = _difference((x, y, z), (nearest[0], nearest[1], nearest[2]))
     length = math.sqrt(_dot(offset, offset))
     if length > CONTACT_TOLERANCE:
         normal = b.direction_to_world(offset[0] / length, offset[1] / length, offset[2] / length)
@@ -203,26 +203,26 @@ def _sphere_box(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
 def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     centre = _ends(a)[0]
     x, y, z = b.to_local(centre)
-    off, wide, half = math.hypot(x, y), b.solid.disc_radius, b.solid.half_length
-    ux, uy = (x / off, y / off) if off > 0.0 else (1.0, 0.0)
-    side, top = off - wide, abs(z) - half
+    axis_distance, radius, half = math.hypot(x, y), b.solid.disc_radius, b.solid.half_length
+    ux, uy = (x / axis_distance, y / axis_distance) if axis_distance > 0.0 else (1.0, 0.0)
+    side, top = axis_distance - radius, abs(z) - half
     up = math.copysign(1.0, z)
     if max(side, top) > CONTACT_TOLERANCE:
-        r, h = min(off, wide), min(max(z, -half), half)
+        r, h = min(axis_distance, radius), min(max(z, -half), half)
         length = math.hypot(max(side, 0.0), max(top, 0.0))
         offset = (max(side, 0.0) / length * ux, max(side, 0.0) / length * uy, (z - h) / length)
         return offset_by_radii(
             length, centre, b.to_world(r * ux, r * uy, h), b.direction_to_world(*offset), a, b
         )
     if side >= top:
-        nearest, normal, gap = (wide * ux, wide * uy, z), (ux, uy, 0.0), side
+        nearest, normal, gap = (radius * ux, radius * uy, z), (ux, uy, 0.0), side
     else:
         nearest, normal, gap = (x, y, up * half), (0.0, 0.0, up), top
     return offset_by_radii(gap, centre, b.to_world(*nearest), b.direction_to_world(*normal), a, b)
 
 
-def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
-    """Any solid a and the half-space b: the point of a that is deepest."""
+def _against_plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    """Compares any solid a with the half-space b, by the deepest point of a."""
     normal = b.normals[0]
     heights = (a.points - b.position) @ normal
     lowest = float(heights.min())
@@ -237,8 +237,8 @@ def _plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     return offset_by_radii(lowest, deepest, deepest - lowest * normal, normal, a, b)
 
 
-def _planes(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
-    """Two half-spaces, which are separate only if they face away from each other."""
+def _two_planes(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    """Returns two half-spaces, which are separate only if they face away from each other."""
     n, m = a.normals[0], b.normals[0]
     p, q = np.array(a.position), np.array(b.position)
     if float(np.linalg.norm(n + m)) <= CONTACT_TOLERANCE:
@@ -260,11 +260,11 @@ _RULES: dict[tuple[str, str], Rule] = {
     ("capsule", "capsule"): _segments,
     ("sphere", "box"): _sphere_box,
     ("sphere", "cylinder"): _sphere_cylinder,
-    ("plane", "plane"): _planes,
+    ("plane", "plane"): _two_planes,
 }
 
 
-def _minus(p: Point, q: Point) -> Point:
+def _difference(p: Point, q: Point) -> Point:
     return p[0] - q[0], p[1] - q[1], p[2] - q[2]
 
 
@@ -272,8 +272,8 @@ def _dot(p: Point, q: Point) -> float:
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-def _within(share: float) -> float:
-    return min(max(share, 0.0), 1.0)
+def _clamp(value: float) -> float:
+    return min(max(value, 0.0), 1.0)
 
 
 # -- convex cores -----------------------------------------------------------------------------
@@ -296,15 +296,15 @@ def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
     distance, p, q = surface_distance(a.fcl_object, b.fcl_object, calls)
     is_round = bool(a.solid.disc_radius or b.solid.disc_radius)
     if distance > CONTACT_TOLERANCE:
-        p, q = _onto(a, q, p), _onto(b, p, q)
-        core = _certified(a, b, p, q, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
+        p, q = _move_to_cylinder(a, q, p), _move_to_cylinder(b, p, q)
+        core = _certify(a, b, p, q, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
         if core is not None:
             return core
-    deep = _deepest(a, b, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
-    return deep or _nearest(a, b, p, q)
+    overlap = _overlap_depth(a, b, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
+    return overlap or _nearest(a, b, p, q)
 
 
-def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
+def _move_to_cylinder(a: PlacedSolid, towards: Array, point: Array) -> Array:
     """Moves a point of a cylinder's prism to the point of the cylinder nearest to another point."""
     if not a.solid.disc_radius:
         return point
@@ -314,23 +314,23 @@ def _onto(a: PlacedSolid, towards: Array, point: Array) -> Array:
     return np.array(a.to_world(x * shrink, y * shrink, min(max(z, -half), half)))
 
 
-def _certified(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: float) -> Core | None:
-    """The distance if the direction from q to p separates the cores by it."""
+def _certify(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array, tolerance: float) -> Core | None:
+    """Returns the distance if the direction from q to p separates the cores by it."""
     offset = p - q
     length = math.sqrt(float(offset @ offset))
     if length <= CONTACT_TOLERANCE:
         return None
     normal = offset / length
-    apart = -float((a.support_heights(-normal[None]) + b.support_heights(normal[None]))[0])
+    gap = -float((a.support_heights(-normal[None]) + b.support_heights(normal[None]))[0])
     scale = a.solid.bounding_radius + b.solid.bounding_radius
-    if length - apart > max(tolerance, 1e-12 * scale):
+    if length - gap > max(tolerance, 1e-12 * scale):
         return None
     return length, p, q, normal
 
 
-def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
-    """Minus the depth, the least overlap in any direction; None if a direction separates them."""
-    directions = _ways(a, b)
+def _overlap_depth(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
+    """Returns minus the depth (the least overlap in any direction); None if the cores are apart."""
+    directions = _candidate_directions(a, b)
     overlaps = b.support_heights(directions) + a.support_heights(-directions)
     smallest = int(overlaps.argmin())
     if overlaps[smallest] < -CONTACT_TOLERANCE:
@@ -343,36 +343,39 @@ def _deepest(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | None:
                 return -depth, corner, corner + depth * normal, normal
             return -depth, corner - depth * normal, corner, normal
     if not a.solid.type == b.solid.type == "box":
-        expanded = _expanded(a, b, directions, normal, float(overlaps[smallest]), tolerance)
+        expanded = _expand_polytope(a, b, directions, normal, float(overlaps[smallest]), tolerance)
         if expanded is None:
             return None
         depth, normal = expanded
-    flush = FACE_TOLERANCE
+    face_tolerance = FACE_TOLERANCE
     if a.solid.disc_radius or b.solid.disc_radius:
         # The depth has the error of the tolerance, and so has the direction relative to the sizes.
-        flush = max(
+        face_tolerance = max(
             FACE_TOLERANCE,
             _CYLINDER_FACE_TOLERANCE * (a.solid.bounding_radius + b.solid.bounding_radius),
         )
     return _witnesses(
-        depth, normal, a.extreme_points(-normal, flush), b.extreme_points(normal, flush)
+        depth,
+        normal,
+        a.extreme_points(-normal, face_tolerance),
+        b.extreme_points(normal, face_tolerance),
     )
 
 
-def _ways(a: PlacedSolid, b: PlacedSolid) -> Array:
-    """Directions that may have the least overlap: all of two boxes (Gottschalk 1996), else some."""
+def _candidate_directions(a: PlacedSolid, b: PlacedSolid) -> Array:
+    """Returns directions that may have the least overlap; for boxes all (Gottschalk 1996)."""
     if a.solid.type == b.solid.type == "box":
         pairs = np.repeat(a.matrix.T, 3, axis=0), np.tile(b.matrix.T, (3, 1))
         edges = cross(*pairs)
         length = np.sqrt((edges * edges).sum(axis=1))
-        sound = length > 1e-6
-        edges = edges[sound] / length[sound, None]
+        has_length = length > 1e-6
+        edges = edges[has_length] / length[has_length, None]
         return np.concatenate((b.normals, -a.normals, edges, -edges))
-    return np.concatenate((b.normals, -a.normals, _AROUND))
+    return np.concatenate((b.normals, -a.normals, _NEIGHBOUR_DIRECTIONS))
 
 
 def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | None:
-    """A point of a that is as deep in b as the overlap in some direction, if there is one.
+    """Returns a point of a that is as deep in b as the overlap in some direction, if there is one.
 
     The depth of this point bounds the depth of a from below, the overlap bounds it from above.
     """
@@ -380,17 +383,17 @@ def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | Non
         return None
     points = a.support_points(-b.normals) if a.solid.disc_radius else a.points
     depths = (b.offsets - points @ b.normals.T).min(axis=1)
-    deepest = depths >= depth - CONTACT_TOLERANCE
-    if not deepest.any():
+    is_deepest = depths >= depth - CONTACT_TOLERANCE
+    if not is_deepest.any():
         return None
-    middle: Array = points[deepest].mean(axis=0)
-    return middle
+    centre: Array = points[is_deepest].mean(axis=0)
+    return centre
 
 
-def _expanded(
+def _expand_polytope(
     a: PlacedSolid, b: PlacedSolid, directions: Array, normal: Array, depth: float, tolerance: float
 ) -> tuple[float, Array] | None:
-    """The depth and its direction, by a polytope that grows in the difference where it is thin.
+    """Computes the depth and its direction with a polytope that grows in the difference.
 
     Args:
         a: a core.
@@ -402,70 +405,76 @@ def _expanded(
     """
     from scipy.spatial import ConvexHull, QhullError
 
-    of_a, of_b = a.support_points(-directions), b.support_points(directions)
+    points_a, points_b = a.support_points(-directions), b.support_points(directions)
     for _ in range(MAX_EXPANSIONS):
         try:
-            hull = ConvexHull(of_a - of_b)
+            hull = ConvexHull(points_a - points_b)
         except QhullError:  # a flat difference: they only touch
-            across = np.linalg.svd((of_a - of_b) - (of_a - of_b)[0])[2][2:]
-            across = np.concatenate((across, -across))
-            overlaps = b.support_heights(across) + a.support_heights(-across)
+            differences = points_a - points_b
+            normals = np.linalg.svd(differences - differences[0])[2][2:]
+            normals = np.concatenate((normals, -normals))
+            overlaps = b.support_heights(normals) + a.support_heights(-normals)
             if overlaps.min() < depth:
-                depth, normal = float(overlaps.min()), across[int(overlaps.argmin())]
+                depth, normal = float(overlaps.min()), normals[int(overlaps.argmin())]
             break
         outward, inside = hull.equations[:, :3], -hull.equations[:, 3]
-        thin = np.unique(outward[inside < depth - tolerance], axis=0)
-        if not len(thin):
+        thin_directions = np.unique(outward[inside < depth - tolerance], axis=0)
+        if not len(thin_directions):
             break
-        more_a, more_b = a.support_points(thin), b.support_points(-thin)
-        overlaps = np.einsum("ij,ij->i", thin, more_a - more_b)
+        new_a, new_b = a.support_points(thin_directions), b.support_points(-thin_directions)
+        overlaps = np.einsum("ij,ij->i", thin_directions, new_a - new_b)
         best = int(overlaps.argmin())
         if overlaps[best] < depth:
-            depth, normal = float(overlaps[best]), -thin[best]
+            depth, normal = float(overlaps[best]), -thin_directions[best]
         if depth < -CONTACT_TOLERANCE:
             return None
-        reached = np.einsum("ij,kj->ik", thin, of_a - of_b).max(axis=1)
-        new = overlaps > reached + tolerance / 4
+        extents = np.einsum("ij,kj->ik", thin_directions, points_a - points_b).max(axis=1)
+        is_new = overlaps > extents + tolerance / 4
         # If all sides are equally thin, as for coaxial cylinders, any of many directions is as
         # good as the best one.
-        if not new.any() or len(of_a) > MAX_POLYTOPE_POINTS:
+        if not is_new.any() or len(points_a) > MAX_POLYTOPE_POINTS:
             break
-        of_a, of_b = np.concatenate((of_a, more_a[new])), np.concatenate((of_b, more_b[new]))
+        points_a, points_b = (
+            np.concatenate((points_a, new_a[is_new])),
+            np.concatenate((points_b, new_b[is_new])),
+        )
     return None if depth < -CONTACT_TOLERANCE else (max(0.0, depth), normal)
 
 
-def _witnesses(depth: float, normal: Array, of_a: Array, of_b: Array) -> Core:
-    """A point of each core at a depth: combinations of deepest points, opposite to each other."""
+def _witnesses(depth: float, normal: Array, points_a: Array, points_b: Array) -> Core:
+    """Returns a point of each core at a depth: opposite combinations of deepest points."""
     from scipy.optimize import nnls
 
-    middle = (of_a.mean(axis=0) + of_b.mean(axis=0)) / 2
+    midpoint = (points_a.mean(axis=0) + points_b.mean(axis=0)) / 2
     scale = max(
-        float(np.abs(of_a - middle).max()), float(np.abs(of_b - middle).max()), CONTACT_TOLERANCE
+        float(np.abs(points_a - midpoint).max()),
+        float(np.abs(points_b - midpoint).max()),
+        CONTACT_TOLERANCE,
     )
-    count = len(of_a)
-    system = np.zeros((5, count + len(of_b)))
-    system[:3, :count] = ((of_a - middle) / scale).T
-    system[:3, count:] = (-(of_b - middle) / scale).T
+    count = len(points_a)
+    system = np.zeros((5, count + len(points_b)))
+    system[:3, :count] = ((points_a - midpoint) / scale).T
+    system[:3, count:] = (-(points_b - midpoint) / scale).T
     system[3, :count] = system[4, count:] = 1.0
     weights, _ = nnls(system, np.concatenate((-depth / scale * normal, (1.0, 1.0))))
-    p, q = weights[:count] @ of_a / weights[:count].sum(), weights[count:] @ of_b
+    p, q = weights[:count] @ points_a / weights[:count].sum(), weights[count:] @ points_b
     q /= weights[count:].sum()
     # Each point takes half of the rounding error, so that their distance is exactly the depth.
-    middle = (p + q) / 2
-    return -depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal
+    midpoint = (p + q) / 2
+    return -depth, midpoint - depth / 2 * normal, midpoint + depth / 2 * normal, normal
 
 
 def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
-    """The nearest points of separate cores: Wolfe's point of least norm (1976)."""
-    of_a, of_b = a.support_points((q - p)[None]), b.support_points((p - q)[None])
+    """Returns the nearest points of separate cores: Wolfe's point of least norm (1976)."""
+    points_a, points_b = a.support_points((q - p)[None]), b.support_points((p - q)[None])
     if float(np.linalg.norm(p - q)) > CONTACT_TOLERANCE:
-        of_a, of_b = np.vstack((p, of_a)), np.vstack((q, of_b))
-    weights = np.zeros(len(of_a))
+        points_a, points_b = np.vstack((p, points_a)), np.vstack((q, points_b))
+    weights = np.zeros(len(points_a))
     weights[0] = 1.0
-    normal, before = np.array(_UP), math.inf
+    normal, last_length = np.array(_UP), math.inf
     for _ in range(MAX_STEPS):
-        weights, of_a, of_b = _least(weights, of_a, of_b)
-        p, q = weights @ of_a, weights @ of_b
+        weights, points_a, points_b = _least_norm_combination(weights, points_a, points_b)
+        p, q = weights @ points_a, weights @ points_b
         offset = p - q
         length = float(np.linalg.norm(offset))
         if length <= CONTACT_TOLERANCE:
@@ -474,34 +483,42 @@ def _nearest(a: PlacedSolid, b: PlacedSolid, p: Array, q: Array) -> Core:
         new_a, new_b = a.support_points(-normal[None]), b.support_points(normal[None])
         if length - float((new_a - new_b)[0] @ normal) <= CYLINDER_TOLERANCE / 10:
             break
-        if length > before - CONTACT_TOLERANCE / 1e4:
+        if length > last_length - CONTACT_TOLERANCE / 1e4:
             # Points that nearly coincide are replaced by their combination.
-            of_a, of_b, weights = p[None], q[None], np.ones(1)
-        before = length
-        of_a, of_b = np.vstack((of_a, new_a)), np.vstack((of_b, new_b))
+            points_a, points_b, weights = p[None], q[None], np.ones(1)
+        last_length = length
+        points_a, points_b = np.vstack((points_a, new_a)), np.vstack((points_b, new_b))
         weights = np.append(weights, 0.0)
     return length, p, q, normal
 
 
-def _least(weights: Array, of_a: Array, of_b: Array) -> tuple[Array, Array, Array]:
-    """The convex combination of least norm: steps to the affine one, and drops points outside."""
+def _least_norm_combination(
+    weights: Array, points_a: Array, points_b: Array
+) -> tuple[Array, Array, Array]:
+    """Returns the convex combination of least norm, by steps to the affine one."""
     while True:
-        points = of_a - of_b
+        points = points_a - points_b
         # Relative to the first point: the normal equations would square the rounding errors of
         # points that are close together.
         directions = (points[1:] - points[0]).T
         length = np.maximum(np.sqrt((directions * directions).sum(axis=0)), 1e-300)
-        shares = -np.linalg.lstsq(directions / length, points[0], rcond=1e-12)[0] / length
-        aim = np.concatenate(([1.0 - shares.sum()], shares))
-        if aim.min() > 1e-14:
-            return aim, of_a, of_b
-        falling = aim <= 1e-14
-        drops = weights[falling] / np.maximum(weights[falling] - aim[falling], 1e-300)
-        step = min(1.0, float(drops.min()))
-        weights = weights + step * (aim - weights)
+        coefficients = -np.linalg.lstsq(directions / length, points[0], rcond=1e-12)[0] / length
+        affine = np.concatenate(([1.0 - coefficients.sum()], coefficients))
+        if affine.min() > 1e-14:
+            return affine, points_a, points_b
+        is_negative = affine <= 1e-14
+        fractions = weights[is_negative] / np.maximum(
+            weights[is_negative] - affine[is_negative], 1e-300
+        )
+        step = min(1.0, float(fractions.min()))
+        weights = weights + step * (affine - weights)
         keep = weights > 1e-14
         if keep.all():
             keep[int(weights.argmin())] = False
         if not keep.any():
             keep[int(weights.argmax())] = True
-        weights, of_a, of_b = weights[keep] / weights[keep].sum(), of_a[keep], of_b[keep]
+        weights, points_a, points_b = (
+            weights[keep] / weights[keep].sum(),
+            points_a[keep],
+            points_b[keep],
+        )

@@ -1,4 +1,4 @@
-"""Height fields as meshes."""
+"""Builds the meshes of height fields."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ssduck.geometry.arrays import Array, Triangles
 def height_field(
     heights: npt.ArrayLike, rows: int, columns: int, scale: Sequence[float] = (1.0, 1.0, 1.0)
 ) -> tuple[Array, Triangles]:
-    """The surface of a height field as PyBullet builds it, to be passed as one of `shapes`.
+    """Returns the surface of a height field as PyBullet builds it, to be passed as one of `shapes`.
 
     PyBullet puts the centre of the field's box at the origin of the body.
 
@@ -42,19 +42,19 @@ def height_field(
     # PyBullet stores heights in single precision.
     z = values.astype(np.float32).astype(np.float64)
     y, x = np.divmod(np.arange(rows * columns), rows)
-    middle = (rows - 1) / 2, (columns - 1) / 2, (z.min() + z.max()) / 2
-    vertices = (np.column_stack((x, y, z)) - middle) * size
+    centre = (rows - 1) / 2, (columns - 1) / 2, (z.min() + z.max()) / 2
+    vertices = (np.column_stack((x, y, z)) - centre) * size
     first = (np.arange(columns - 1)[:, None] * rows + np.arange(rows - 1)).reshape(-1)
-    ahead, beside, across = first + 1, first + rows, first + rows + 1
-    lower, upper = np.array((first, ahead, beside)), np.array((ahead, across, beside))
+    next_x, next_y, diagonal = first + 1, first + rows, first + rows + 1
+    lower, upper = np.array((first, next_x, next_y)), np.array((next_x, diagonal, next_y))
     return vertices, np.hstack((lower, upper)).T.astype(np.int32)
 
 
-def _numbers(values: npt.ArrayLike, count: int, wanted: str) -> Array:
+def _numbers(values: npt.ArrayLike, count: int, rule: str) -> Array:
     try:
         numbers = np.asarray(values, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{wanted} finite numbers") from error
+        raise ArgumentError(f"{rule} finite numbers") from error
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ArgumentError(f"{wanted} finite numbers")
+        raise ArgumentError(f"{rule} finite numbers")
     return numbers

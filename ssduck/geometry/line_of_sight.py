@@ -18,7 +18,7 @@ PAIRS_AT_ONCE = 1_000_000
 
 
 def are_blocked(placed: PlacedSolids, start: Array, ends: Array) -> Flags:
-    """Whether a shape blocks the line of sight from a point to each of some others.
+    """Checks whether a shape blocks the line of sight from a point to each of some others.
 
     Args:
         placed: the shapes.
@@ -40,25 +40,29 @@ def are_blocked(placed: PlacedSolids, start: Array, ends: Array) -> Flags:
         for first in range(0, len(open_rays), count):
             indices = open_rays[first : first + count]
             local_start = (start - position) @ matrix
-            blocked[indices] = _hits(solid, local_start, rays[indices] @ matrix, lengths[indices])
+            blocked[indices] = _are_hit(
+                solid, local_start, rays[indices] @ matrix, lengths[indices]
+            )
     return blocked
 
 
 def _may_hit(solid: Solid, matrix: Array, offset: Array, rays: Array, lengths: Array) -> Flags:
-    """Whether rays hit the sphere around a solid whose frame has an offset from their start."""
+    """Checks whether rays hit the sphere around a solid at an offset from their start."""
     if solid.type == "plane":
         return np.ones(len(rays), dtype=bool)
     centre = matrix @ np.array(solid.centre) + offset
     along = rays @ centre / lengths
-    square, reach = float(centre @ centre), solid.bounding_radius + HIT_TOLERANCE
-    local_start: Flags = (
-        (square - along**2 <= reach**2) & (along >= -reach) & (along - reach <= lengths)
+    squared_distance, radius = float(centre @ centre), solid.bounding_radius + HIT_TOLERANCE
+    may_hit: Flags = (
+        (squared_distance - along**2 <= radius**2)
+        & (along >= -radius)
+        & (along - radius <= lengths)
     )
-    return local_start
+    return may_hit
 
 
-def _hits(solid: Solid, start: Array, rays: Array, lengths: Array) -> Flags:
-    """Whether rays hit a solid before they end; all in the solid's frame."""
+def _are_hit(solid: Solid, start: Array, rays: Array, lengths: Array) -> Flags:
+    """Checks whether rays hit a solid before they end; all in the solid's frame."""
     distances = first_hits(solid, start, rays) * lengths
     is_hit: Flags = (distances > HIT_TOLERANCE) & (distances < lengths - HIT_TOLERANCE)
     return is_hit

@@ -1,4 +1,4 @@
-"""The signed distance of two solids of which one is a mesh that is not convex.
+"""Computes the signed distance of two solids of which one is a mesh that is not convex.
 
 A closed mesh is the solid that it encloses, an open one a surface. FCL yields the distance of
 surfaces and the triangles that cross, but no depth. The depth here is the greatest of
@@ -37,14 +37,14 @@ from ssduck.geometry.surfaces import Surface
 
 MAX_CONTACTS = 100_000
 # This number of crossing triangles nearly always includes a pair that is deep.
-FEW_CONTACTS = 16
+FIRST_CONTACTS = 16
 # The number of corners whose depths bound the depths of the others.
 BOUNDING_CORNERS = 200
 
 
 def mesh_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance | None:
-    """The signed distance of two solids, at least one a mesh; None if their cores overlap."""
-    if _pierced(a, b) or _pierced(b, a):
+    """Returns the signed distance of a mesh and another solid; None if their cores overlap."""
+    if _pierced_triangles(a, b) or _pierced_triangles(b, a):
         return None
     distance, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
     if distance <= CONTACT_TOLERANCE or _encloses(a, b) or _encloses(b, a):
@@ -53,19 +53,19 @@ def mesh_distance(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedD
 
 
 def mesh_penetration(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> SignedDistance:
-    """The signed distance of two solids, at least one a mesh, whose cores overlap."""
-    found: list[Core] = [*_corners(a, b, calls), *_crossings(a, b, calls)]
-    found += [(gap, p, q, -normal) for gap, q, p, normal in _corners(b, a, calls)]
-    if not found:
-        found.append(_touching(a, b, calls))
-    gap, p, q, normal = min(found, key=lambda core: core[0])
+    """Returns the signed distance of two solids, at least one a mesh, whose cores overlap."""
+    cores: list[Core] = [*_deepest_corner(a, b, calls), *_deepest_crossing(a, b, calls)]
+    cores += [(gap, p, q, -normal) for gap, q, p, normal in _deepest_corner(b, a, calls)]
+    if not cores:
+        cores.append(_touching(a, b, calls))
+    gap, p, q, normal = min(cores, key=lambda core: core[0])
     if gap >= -CONTACT_TOLERANCE:
         normal = _normal_at(a, b, (p + q) / 2)
     return offset_by_radii(gap, p, q, normal, a, b)
 
 
-def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallCounter) -> bool:
-    """Whether crossing triangles show that a mesh and another solid are deeper in each other.
+def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, min_depth: float, calls: CallCounter) -> bool:
+    """Checks whether crossing triangles prove that a mesh and another solid exceed a depth.
 
     Each pair of crossing triangles bounds the depth from below. If the result is False, other pairs
     may be deeper.
@@ -73,67 +73,67 @@ def is_surely_deeper(a: PlacedSolid, b: PlacedSolid, deeper: float, calls: CallC
     Args:
         a: a solid.
         b: another one.
-        deeper: the depth to exceed, m.
+        min_depth: the depth to exceed, m.
         calls: counts the calls of FCL.
     """
-    numbers = _crossing_triangles(a, b, FEW_CONTACTS, calls)
-    if not numbers:
+    pairs = _crossing_triangles(a, b, FIRST_CONTACTS, calls)
+    if not pairs:
         return False
-    i, j = zip(*numbers, strict=True)
+    i, j = zip(*pairs, strict=True)
     depths, _ = triangle_depths(_world_triangles(a, list(i)), _world_triangles(b, list(j)))
-    return float(depths.max()) > deeper + CONTACT_TOLERANCE
+    return float(depths.max()) > min_depth + CONTACT_TOLERANCE
 
 
-def _pierced(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
-    """The triangles that a segment core passes through; FCL misses some of them."""
+def _pierced_triangles(segment: PlacedSolid, mesh: PlacedSolid) -> list[int]:
+    """Returns the triangles that a segment core passes through; FCL misses some of them."""
     ends = segment.solid.fine_surface.vertices
     if len(ends) != 2:
         return []
-    start, end = _local(mesh, _world(segment, ends))
+    start, end = _to_local(mesh, _to_world(segment, ends))
     corners = mesh.solid.fine_surface.triangles
-    way, off = end - start, start - corners[:, 0]
+    direction, offsets = end - start, start - corners[:, 0]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = cross(u, v)
-    along, square = normal @ way, np.einsum("ij,ij->i", normal, normal)
+    heights, squared_lengths = normal @ direction, np.einsum("ij,ij->i", normal, normal)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = -np.einsum("ij,ij->i", normal, off) / along
-        at = off + share[:, None] * way
-        x = np.einsum("ij,ij->i", cross(at, v), normal) / square
-        y = np.einsum("ij,ij->i", cross(u, at), normal) / square
-        hit = (share >= 0) & (share <= 1) & (x >= 0) & (y >= 0) & (x + y <= 1)
-    return [int(face) for face in np.flatnonzero(hit)]
+        fraction = -np.einsum("ij,ij->i", normal, offsets) / heights
+        crossing_points = offsets + fraction[:, None] * direction
+        x = np.einsum("ij,ij->i", cross(crossing_points, v), normal) / squared_lengths
+        y = np.einsum("ij,ij->i", cross(u, crossing_points), normal) / squared_lengths
+        is_hit = (fraction >= 0) & (fraction <= 1) & (x >= 0) & (y >= 0) & (x + y <= 1)
+    return [int(face) for face in np.flatnonzero(is_hit)]
 
 
 def _encloses(outer: PlacedSolid, inner: PlacedSolid) -> bool:
-    """Whether one solid contains a part of the other, if their surfaces do not cross."""
-    if not _has_inside(outer):
+    """Checks whether one solid contains a part of the other, if their surfaces do not cross."""
+    if not _has_interior(outer):
         return False
-    points = _local(outer, _world(inner, inner.solid.fine_surface.component_vertices))
+    points = _to_local(outer, _to_world(inner, inner.solid.fine_surface.component_vertices))
     return bool(outer.solid.fine_surface.encloses(points).any())
 
 
-def _has_inside(placed: PlacedSolid) -> bool:
-    """Whether the core has an inside."""
+def _has_interior(placed: PlacedSolid) -> bool:
+    """Checks whether the core has an inside."""
     solid = placed.solid
     return solid.is_closed and solid.volume > 0.0 and not solid.radius
 
 
-def _world(placed: PlacedSolid, points: Array) -> Array:
-    moved: Array = points @ placed.matrix.T + placed.position
-    return moved
+def _to_world(placed: PlacedSolid, points: Array) -> Array:
+    transformed: Array = points @ placed.matrix.T + placed.position
+    return transformed
 
 
-def _local(placed: PlacedSolid, points: Array) -> Array:
-    moved: Array = (points - placed.position) @ placed.matrix
-    return moved
+def _to_local(placed: PlacedSolid, points: Array) -> Array:
+    transformed: Array = (points - placed.position) @ placed.matrix
+    return transformed
 
 
-def _corners(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
-    """The corner of a that is deepest in b."""
-    if not _has_inside(b):
+def _deepest_corner(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
+    """Returns the corner of a that is deepest in b."""
+    if not _has_interior(b):
         return []
-    points = _world(a, a.solid.fine_surface.vertices)
-    points = points[b.solid.fine_surface.encloses(_local(b, points))]
+    points = _to_world(a, a.solid.fine_surface.vertices)
+    points = points[b.solid.fine_surface.encloses(_to_local(b, points))]
     if not len(points):
         return []
     if b.solid.type == "mesh":
@@ -142,7 +142,7 @@ def _corners(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
     normals, offsets = b.solid.normals, b.solid.offsets
     if offsets is None:
         normals, offsets = _planes(surface)
-    below = offsets - _local(b, points) @ normals.T
+    below = offsets - _to_local(b, points) @ normals.T
     deepest = int(below.min(axis=1).argmax())
     face = int(below[deepest].argmin())
     depth, normal = float(below[deepest, face]), b.matrix @ normals[face]
@@ -150,7 +150,7 @@ def _corners(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
 
 
 def _planes(surface: Surface) -> tuple[Array, Array]:
-    """The normals and offsets of the faces of a convex surface."""
+    """Returns the normals and offsets of the faces of a convex surface."""
     a, b, c = (surface.triangles[:, k] for k in range(3))
     normals = cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
@@ -158,30 +158,32 @@ def _planes(surface: Surface) -> tuple[Array, Array]:
 
 
 def _deepest_in_mesh(points: Array, mesh: PlacedSolid, calls: CallCounter) -> Core:
-    """The point inside a mesh that is farthest from its surface.
+    """Returns the point inside a mesh that is farthest from its surface.
 
     The depths of two points differ by at most their distance, so that most are never computed.
     """
-    most = np.full(len(points), math.inf)
+    upper_bounds = np.full(len(points), math.inf)
     depth, p, q = -1.0, points[0], points[0]
-    for asked in itertools.count():
-        number = int(most.argmax())
-        if most[number] <= depth:
+    for iteration in itertools.count():
+        index = int(upper_bounds.argmax())
+        if upper_bounds[index] <= depth:
             break
-        found = surface_distance(_at(points[number]), mesh.fine_fcl_object, calls)
-        if found[0] > depth:
-            depth, p, q = found
-        most[number] = found[0]
-        if asked < BOUNDING_CORNERS:  # if many points are equally deep, more bounds do not help
-            off = points - points[number]
-            most = np.minimum(most, found[0] + np.sqrt(np.einsum("ij,ij->i", off, off)))
+        result = surface_distance(_fcl_point(points[index]), mesh.fine_fcl_object, calls)
+        if result[0] > depth:
+            depth, p, q = result
+        upper_bounds[index] = result[0]
+        if iteration < BOUNDING_CORNERS:  # if many points are equally deep, more bounds do not help
+            offsets = points - points[index]
+            upper_bounds = np.minimum(
+                upper_bounds, result[0] + np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
+            )
     if depth <= CONTACT_TOLERANCE:
         return 0.0, p, p, _normals_at(mesh, p)[0]
     return -depth, p, q, (q - p) / depth
 
 
-def _at(point: Array) -> Any:
-    """A point as an FCL object."""
+def _fcl_point(point: Array) -> Any:
+    """Returns a point as an FCL object."""
     import fcl
 
     return fcl.CollisionObject(_point().bvh, fcl.Transform(point))
@@ -193,84 +195,89 @@ def _point() -> Surface:
 
 
 def _normals_at(placed: PlacedSolid, point: Array) -> Array:
-    """The normals (n, 3) of the faces that contain a point of the surface."""
+    """Returns the normals (n, 3) of the faces that contain a point of the surface."""
     surface = placed.solid.fine_surface
-    local = _local(placed, point[None])[0]
+    local = _to_local(placed, point[None])[0]
     corners = surface.triangles
     normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normals, axis=1)
-    full = length > 0.0
-    normals, corners = normals[full] / length[full, None], corners[full]
+    is_full = length > 0.0
+    normals, corners = normals[is_full] / length[is_full, None], corners[is_full]
     if not len(normals):
         return np.zeros((0, 3))
-    off = np.abs(np.einsum("ij,ij->i", normals, local - corners[:, 0]))
-    at: Array = normals[off <= off.min() + 10 * CONTACT_TOLERANCE]
-    turned: Array = np.einsum("ij,nj->ni", placed.matrix, at)
-    return turned
+    distances = np.abs(np.einsum("ij,ij->i", normals, local - corners[:, 0]))
+    local_normals: Array = normals[distances <= distances.min() + 10 * CONTACT_TOLERANCE]
+    normals_in_world: Array = np.einsum("ij,nj->ni", placed.matrix, local_normals)
+    return normals_in_world
 
 
-def _crossings(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
-    """The deepest pair of crossing triangles."""
-    both = _crossing_triangles(a, b, MAX_CONTACTS, calls)
-    both |= {(0, face) for face in _pierced(a, b)} | {(face, 0) for face in _pierced(b, a)}
-    if not both:
+def _deepest_crossing(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> list[Core]:
+    """Returns the deepest pair of crossing triangles."""
+    pairs = _crossing_triangles(a, b, MAX_CONTACTS, calls)
+    pairs |= {(0, face) for face in _pierced_triangles(a, b)} | {
+        (face, 0) for face in _pierced_triangles(b, a)
+    }
+    if not pairs:
         return []
-    numbers = np.array(sorted(both))
-    first, second = _world_triangles(a, numbers[:, 0]), _world_triangles(b, numbers[:, 1])
+    indices = np.array(sorted(pairs))
+    first, second = _world_triangles(a, indices[:, 0]), _world_triangles(b, indices[:, 1])
     depths, normals = triangle_depths(first, second)
     deepest = int(depths.argmax())
     # FCL reports some coplanar triangles that lie side by side.
     if depths[deepest] < -CONTACT_TOLERANCE:
         return []
     depth, normal = max(0.0, float(depths[deepest])), normals[deepest]
-    middle = _crossing_point(first[deepest], second[deepest])
-    return [(-depth, middle - depth / 2 * normal, middle + depth / 2 * normal, normal)]
+    midpoint = _crossing_point(first[deepest], second[deepest])
+    return [(-depth, midpoint - depth / 2 * normal, midpoint + depth / 2 * normal, normal)]
 
 
 def _crossing_triangles(
-    a: PlacedSolid, b: PlacedSolid, most: int, calls: CallCounter
+    a: PlacedSolid, b: PlacedSolid, max_contacts: int, calls: CallCounter
 ) -> set[tuple[int, int]]:
-    """The pairs of triangles that cross, according to FCL."""
+    """Returns the pairs of triangles that cross, according to FCL."""
     import fcl
 
     calls.calls += 1
     result = fcl.CollisionResult()
-    request = fcl.CollisionRequest(num_max_contacts=most, enable_contact=True)
+    request = fcl.CollisionRequest(num_max_contacts=max_contacts, enable_contact=True)
     fcl.collide(a.fine_fcl_object, b.fine_fcl_object, request, result)
     return {(contact.b1, contact.b2) for contact in result.contacts}
 
 
 def _crossing_point(first: Array, second: Array) -> Array:
-    """The centre of the points where edges of one triangle cross the other; else of their boxes."""
-    found = []
+    """Returns the centre of the points where two triangles cross; else of their boxes."""
+    points = []
     for edges, other in ((first, second), (second, first)):
         normal = np.cross(other[1] - other[0], other[2] - other[0])
-        square = float(normal @ normal)
+        squared_length = float(normal @ normal)
         for start, end in zip(edges, np.roll(edges, -1, axis=0), strict=True):
-            along = float((end - start) @ normal)
-            if along == 0.0 or square == 0.0:
+            height = float((end - start) @ normal)
+            if height == 0.0 or squared_length == 0.0:
                 continue
-            at = start + float((other[0] - start) @ normal) / along * (end - start)
-            sides = np.cross(np.roll(other, -1, axis=0) - other, at - other) @ normal
-            inside = sides.min() >= -1e-9 * square
-            if inside and float((at - start) @ (at - end)) <= CONTACT_TOLERANCE * CONTACT_TOLERANCE:
-                found.append(at)
-    if found:
-        mean: Array = np.array(found).mean(axis=0)
+            point = start + float((other[0] - start) @ normal) / height * (end - start)
+            sides = np.cross(np.roll(other, -1, axis=0) - other, point - other) @ normal
+            inside = sides.min() >= -1e-9 * squared_length
+            between = (
+                float((point - start) @ (point - end)) <= CONTACT_TOLERANCE * CONTACT_TOLERANCE
+            )
+            if inside and between:
+                points.append(point)
+    if points:
+        mean: Array = np.array(points).mean(axis=0)
         return mean
     low = np.maximum(first.min(axis=0), second.min(axis=0))
     high = np.minimum(first.max(axis=0), second.max(axis=0))
-    middle: Array = (low + high) / 2
-    return middle
+    centre: Array = (low + high) / 2
+    return centre
 
 
 def _world_triangles(placed: PlacedSolid, numbers: list[int] | Array) -> Array:
     surface = placed.solid.fine_surface
-    return _world(placed, surface.vertices)[surface.faces[numbers]]
+    return _to_world(placed, surface.vertices)[surface.faces[numbers]]
 
 
 def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
-    """The least overlap of pairs of triangles (k, 3, 3) in any direction, and the direction.
+    """Returns the least overlaps of pairs of triangles (k, 3, 3), and their directions.
 
     The overlap is negative if the direction separates the triangles. The directions are the
     triangles' normals and the cross products of their edges: the face normals of their difference.
@@ -278,11 +285,11 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
     """
     edges_a, edges_b = np.roll(first, -1, 1) - first, np.roll(second, -1, 1) - second
     pairs = np.repeat(edges_a, 3, axis=1), np.tile(edges_b, (1, 3, 1))
-    own = (edges_a[:, 0], edges_a[:, 1]), (edges_b[:, 0], edges_b[:, 1])
+    side_pairs = (edges_a[:, 0], edges_a[:, 1]), (edges_b[:, 0], edges_b[:, 1])
     directions = np.concatenate(
         (
-            cross(own[0][0], own[0][1])[:, None],
-            cross(own[1][0], own[1][1])[:, None],
+            cross(side_pairs[0][0], side_pairs[0][1])[:, None],
+            cross(side_pairs[1][0], side_pairs[1][1])[:, None],
             cross(pairs[0].reshape(-1, 3), pairs[1].reshape(-1, 3)).reshape(-1, 9, 3),
         ),
         axis=1,
@@ -291,12 +298,12 @@ def triangle_depths(first: Array, second: Array) -> tuple[Array, Array]:
     longest = np.linalg.norm(edges_a, axis=2).max(1) * np.linalg.norm(edges_b, axis=2).max(1)
     longest = np.maximum(longest[:, None], 1e-300)
     directions = directions / np.maximum(length, 1e-300)[:, :, None]
-    of_a, of_b = (
+    extents_a, extents_b = (
         np.einsum("kwi,kci->kwc", directions, first),
         np.einsum("kwi,kci->kwc", directions, second),
     )
-    up = of_b.max(2) - of_a.min(2)  # a moves along the direction,
-    down = of_a.max(2) - of_b.min(2)  # or in the opposite direction
+    up = extents_b.max(2) - extents_a.min(2)  # a moves along the direction,
+    down = extents_a.max(2) - extents_b.min(2)  # or in the opposite direction
     overlap = np.where(length > 1e-9 * longest, np.minimum(up, down), math.inf)
     best = overlap.argmin(axis=1)
     rows = np.arange(len(first))
@@ -313,8 +320,8 @@ def _touching(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
     The direction is the normal of a face there along which the shapes overlap least.
     """
     _, p, q = surface_distance(a.fine_fcl_object, b.fine_fcl_object, calls)
-    middle = (p + q) / 2
-    return 0.0, middle, middle, _normal_at(a, b, middle)
+    midpoint = (p + q) / 2
+    return 0.0, midpoint, midpoint, _normal_at(a, b, midpoint)
 
 
 def _normal_at(a: PlacedSolid, b: PlacedSolid, point: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Geometries that are read from mesh files."""
+"""Reads geometries from mesh files."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def load_mesh(path: Path, scale: tuple[float, ...]) -> Geometry:
         scale: a factor for each axis.
 
     Raises:
-        ValueError: the file cannot be read, or holds no triangles.
+        ValueError: the file cannot be read, or has no triangles.
     """
-    return _mesh(path, scale, _stamp(path))
+    return _cached_mesh(path, scale, _version(path))
 
 
 def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
@@ -38,13 +38,13 @@ def load_hulls(path: Path, scale: tuple[float, ...]) -> tuple[Geometry, ...]:
         scale: a factor for each axis.
 
     Raises:
-        ValueError: the file cannot be read, or holds no triangles.
+        ValueError: the file cannot be read, or has no triangles.
     """
-    return _hulls(path, scale, _stamp(path))
+    return _cached_hulls(path, scale, _version(path))
 
 
-def _stamp(path: Path) -> tuple[int, int]:
-    """The time and size of a file, which change when the file is written again."""
+def _version(path: Path) -> tuple[int, int]:
+    """Returns the time and size of a file, which change when the file is written again."""
     try:
         status = path.stat()
     except OSError as error:
@@ -53,19 +53,19 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=CACHED_FILES)
-def _mesh(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> Geometry:
+def _cached_mesh(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> Geometry:
     vertices, objects = _read_triangles(path)
     return Geometry("mesh", (0.0, 0.0, 0.0), vertices * scale, np.concatenate(objects))
 
 
 @lru_cache(maxsize=CACHED_FILES)
-def _hulls(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> tuple[Geometry, ...]:
+def _cached_hulls(path: Path, scale: tuple[float, ...], _: tuple[int, int]) -> tuple[Geometry, ...]:
     vertices, objects = _read_triangles(path)
     return tuple(Geometry.hull(vertices[np.unique(faces)] * scale) for faces in objects)
 
 
 def _read_triangles(path: Path) -> tuple[Array, list[Triangles]]:
-    """The vertices of a file, and the triangles of each of its objects."""
+    """Returns the vertices of a file, and the triangles of each of its objects."""
     try:
         if path.suffix.lower() == ".obj":
             vertices, objects = _read_obj(path.read_text(encoding="utf-8", errors="replace"))
@@ -74,10 +74,10 @@ def _read_triangles(path: Path) -> tuple[Array, list[Triangles]]:
     except Exception as error:  # of any kind: trimesh lets its readers' own errors through
         raise ValueError(f"{path} cannot be read as a mesh: {error}") from error
     if not objects:
-        raise ValueError(f"{path} holds no triangles")
+        raise ValueError(f"{path} has no triangles")
     used = np.concatenate(objects)
     if used.min() < 0 or used.max() >= len(vertices):
-        raise ValueError(f"{path}: a face has a vertex that is not there")
+        raise ValueError(f"{path}: a face refers to a missing vertex")
     if not np.isfinite(vertices[used]).all():
         raise ValueError(f"{path}: a vertex is no finite number")
     return vertices, objects

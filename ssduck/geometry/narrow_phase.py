@@ -114,11 +114,11 @@ class NarrowPhase:
     # -- relations ------------------------------------------------------------------------
 
     def collides(self, i: int, j: int, min_depth: float = MIN_DEPTH) -> bool | None:
-        """Whether two entities are deeper in each other than a depth, m."""
+        """Checks whether two entities are deeper in each other than a depth, m."""
         return self._holds(i, j, PairPredicate("colliding", min_depth))
 
     def touches(self, i: int, j: int, distance: float = TOUCHING_DISTANCE) -> bool | None:
-        """Whether two of their shapes are at most a distance plus both margins apart, m."""
+        """Checks whether two of their shapes are at most a distance plus both margins apart, m."""
         return self._holds(i, j, PairPredicate("touching", distance))
 
     def _holds(self, i: int, j: int, predicate: PairPredicate) -> bool | None:
@@ -131,7 +131,7 @@ class NarrowPhase:
             return self._verdicts[key]
 
     def all_pairs(self, predicate: PairPredicate, table: ShapeTable) -> PairResult:
-        """The pairs of entities for which a predicate holds.
+        """Returns the pairs of entities for which a predicate holds.
 
         Args:
             predicate: the condition.
@@ -162,13 +162,13 @@ class NarrowPhase:
         return TickShapes(table, known, self._boxes.T, self._positions, self._matrices)
 
     def satisfies(self, s: int, t: int, predicate: PairPredicate) -> bool:
-        """Whether a predicate holds for two shapes."""
+        """Checks whether a predicate holds for two shapes."""
         if predicate.kind == "colliding":
             return self._are_deeper(s, t, predicate.distance)
         return self._are_within(s, t, predicate.bound(self._margin(s, t)))
 
     def _are_deeper(self, s: int, t: int, min_depth: float) -> bool:
-        """Whether two shapes are deeper in each other than a depth, m."""
+        """Checks whether two shapes are deeper in each other than a depth, m."""
         if self._bound(s, t) > 0.0:
             return False
         # Most collisions of meshes are found without computing their depth.
@@ -181,22 +181,22 @@ class NarrowPhase:
         return self._signed_distance(s, t).distance < -min_depth
 
     def _are_within(self, s: int, t: int, max_distance: float) -> bool:
-        """Whether two shapes are at most a distance apart, m."""
+        """Checks whether two shapes are at most a distance apart, m."""
         if self._bound(s, t) > max_distance + ROUNDING:
             return False
         result = self._distance_of_shapes(s, t)
         return (0.0 if result is None else max(0.0, result.distance)) <= max_distance
 
     def _margin(self, s: int, t: int) -> float:
-        """The sum of the collision margins of two shapes, m."""
+        """Returns the sum of the collision margins of two shapes, m."""
         return self._margins[s] + self._margins[t]
 
     def _margins_of(self, i: int, j: int) -> float:
-        """The sum of the largest collision margins of two entities' shapes, m."""
+        """Returns the sum of the largest collision margins of two entities' shapes, m."""
         return self.margin(i) + self.margin(j)
 
     def shapes_touching(self, i: int, j: int, distance: float) -> list[int]:
-        """The shapes of an entity, by their indices, that touch a shape of another entity."""
+        """Returns the indices of the shapes of an entity that touch a shape of another entity."""
         predicate = PairPredicate("touching", distance)
         with self._lock:
             near = self._near_shapes(i, j, distance + self._margins_of(i, j))
@@ -204,7 +204,7 @@ class NarrowPhase:
         return sorted(s - self._starts[i] for s in touching)
 
     def clearance(self, i: int, j: int, limit: float = math.inf) -> float | None:
-        """The distance of the nearest points, m; 0 if the entities overlap.
+        """Returns the distance of the nearest points, m; 0 if the entities overlap.
 
         Args:
             i: an entity.
@@ -227,7 +227,7 @@ class NarrowPhase:
             return math.inf if clearance is not None and clearance > limit else clearance
 
     def penetration(self, i: int, j: int) -> float | None:
-        """The depth of the deepest two shapes, m; 0 if all are separate."""
+        """Returns the depth of the deepest two shapes, m; 0 if all are separate."""
         if i == j:
             return 0.0
         with self._lock:
@@ -237,7 +237,7 @@ class NarrowPhase:
             return max((0.0, *(-result.distance for result in results)))
 
     def signed_distance(self, i: int, j: int) -> SignedDistance | None:
-        """That of the deepest two shapes, or of the nearest if none overlap; None without any."""
+        """Returns that of the deepest or else the nearest two shapes; None without shapes."""
         if i == j:
             return None
         key = (i, j) if i < j else (j, i)
@@ -248,12 +248,12 @@ class NarrowPhase:
         return result if result is None or i < j else result.swapped()
 
     def nearest_points(self, i: int, j: int) -> tuple[Point, Point] | None:
-        """A point on i and one on j, in the world: the nearest, or the deepest if they overlap."""
+        """Returns the nearest points of i and j in the world; the deepest if they overlap."""
         result = self.signed_distance(i, j)
         return None if result is None else (result.point_a, result.point_b)
 
     def contact_normals(self, a: int, b: int) -> list[Point]:
-        """The contact normals, from a to b, of touching shapes (within 1 mm and both margins)."""
+        """Returns the normals, from a to b, of touching shapes (within 1 mm and both margins)."""
         with self._lock:
             near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
             results = (
@@ -266,7 +266,7 @@ class NarrowPhase:
         return [(-x, -y, -z) for x, y, z in filter(None, normals)]
 
     def on(self, a: int, b: int) -> bool | None:
-        """Whether b rests on a.
+        """Checks whether b rests on a.
 
         They are within 1 mm and the margins of both shapes, a contact normal from a to b is within
         30 degrees of up, and the centre of b's box is over the convex hull of a's footprint.
@@ -282,7 +282,7 @@ class NarrowPhase:
             return any(normal[2] >= MIN_UP for normal in self.contact_normals(a, b))
 
     def _is_over(self, a: int, b: int) -> bool:
-        """Whether the centre of b's box is over the convex hull of a's footprint."""
+        """Checks whether the centre of b's box is over the convex hull of a's footprint."""
         x, y, _ = self.box_centre(b).tolist()
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
@@ -291,7 +291,7 @@ class NarrowPhase:
         return is_over_footprint(self.shapes_of(a), self._footprints[a], x, y)
 
     def inside(self, a: int, b: int) -> float | None:
-        """The fraction of b's volume inside the convex hull of a, 0..1; None if b has no volume.
+        """Returns the fraction of b's volume inside the convex hull of a; None if b has no volume.
 
         See `ssduck.geometry.containment.fraction_inside`.
         """
@@ -303,7 +303,7 @@ class NarrowPhase:
             return self._fractions_inside[a, b]
 
     def contains(self, a: int, b: int) -> bool | None:
-        """Whether enough of b's volume is inside the convex hull of a; False if b has no volume."""
+        """Checks whether enough of b's volume is inside the convex hull of a."""
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
@@ -320,7 +320,7 @@ class NarrowPhase:
             return fraction is not None and fraction >= MIN_FRACTION_INSIDE
 
     def _is_surely_outside(self, a: int, b: int) -> bool:
-        """Whether bounds show that too little of b can be inside the hull of a; b has a volume."""
+        """Checks whether bounds prove that too little of b is inside; b has a volume."""
         if a not in self._hull_bounds:
             self._hull_bounds[a] = hull_bounds(self._solids_with_boxes(a))
         if (
@@ -342,7 +342,7 @@ class NarrowPhase:
         return [(self._solids[shape], self._corners[shape]) for shape in self._shapes[e]]
 
     def solid_volume(self, e: int) -> float | None:
-        """The sum of the volumes of the shapes, m³; parts that overlap count more than once.
+        """Returns the sum of the volumes of the shapes, m³; overlaps count more than once.
 
         Open meshes have volume 0, half-spaces are infinite.
         """
@@ -351,19 +351,19 @@ class NarrowPhase:
         return sum(self._solids[shape].volume for shape in self._shapes[e])
 
     def margin(self, e: int) -> float:
-        """The largest collision margin of the shapes of an entity, m; 0 without shapes."""
+        """Returns the largest collision margin of the shapes of an entity, m; 0 without shapes."""
         return max((self._margins[shape] for shape in self._shapes[e]), default=0.0)
 
     def is_known(self, e: int) -> bool:
-        """Whether all poses and shapes of an entity are known."""
+        """Checks whether all poses and shapes of an entity are known."""
         return self._are_known[e]
 
     def is_without_shapes(self, e: int) -> bool:
-        """Whether an entity has no shape with a point."""
+        """Checks whether an entity has no shape with a point."""
         return not self._shapes[e]
 
     def placed(self, entities: Sequence[int], ids: Sequence[int]) -> PlacedSolids:
-        """The shapes of entities that have points, in the world, owned by `ids`."""
+        """Returns the shapes of entities that have points, in the world, owned by `ids`."""
         counts = [len(self._shapes[e]) for e in entities]
         shapes = [s for e in entities for s in self._shapes[e]]
         return PlacedSolids(
@@ -418,7 +418,7 @@ class NarrowPhase:
         return best
 
     def _pairs(self, i: int, j: int) -> list[tuple[float, int, int]]:
-        """The pairs of two entities' shapes with lower bounds of their distances, nearest first."""
+        """Returns the pairs of two entities' shapes with lower bounds of distances, sorted."""
         first, second = self._shapes[i], self._shapes[j]
         bound = self._bound
         if len(first) == len(second) == 1:
@@ -427,12 +427,12 @@ class NarrowPhase:
         return sorted((bound(s, t), s, t) for s in first for t in second)
 
     def _near_shapes(self, i: int, j: int, max_distance: float) -> list[tuple[int, int]]:
-        """The pairs of shapes that may be at most a distance apart, m."""
+        """Returns the pairs of shapes that may be at most a distance apart, m."""
         limit = max(0.0, max_distance) + ROUNDING
         return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= limit]
 
     def _bound(self, s: int, t: int) -> float:
-        """A lower bound of the distance of two shapes, by their boxes and bounding spheres, m."""
+        """Returns a lower bound of the distance of two shapes, by boxes and bounding spheres, m."""
         radii = self._bounding_radii[s] + self._bounding_radii[t]
         if radii == math.inf:
             is_plane = self._bounding_radii[s] == math.inf
@@ -445,7 +445,8 @@ class NarrowPhase:
         return max(math.sqrt(x * x + y * y + z * z), spheres)
 
     def _bound_of_plane(self, plane: int, other: int) -> float:
-        """A lower bound of the distance to a half-space; far out, a tilted plane leaves its box."""
+        """Returns a lower bound of the distance to a half-space, m, by a bounding sphere."""
+        # The box of a tilted plane does not bound it: far out, the plane leaves its box.
         if self._solids[other].type == "plane":
             return 0.0
         x, y, z = self._placed_solid(plane).normals[0].tolist()
@@ -454,7 +455,7 @@ class NarrowPhase:
         return max(0.0, height - self._solids[other].bounding_radius)
 
     def _min_depth(self, s: int, t: int) -> float:
-        """A lower bound of the depth of two shapes, by the spheres in them, m.
+        """Returns a lower bound of the depth of two shapes, by the spheres in them, m.
 
         Minus infinity for shapes without a known sphere: open meshes, rings and the like.
         """
@@ -467,7 +468,7 @@ class NarrowPhase:
     # -- of two shapes --------------------------------------------------------------------
 
     def _distance_of_shapes(self, s: int, t: int) -> SignedDistance | None:
-        """The signed distance of two shapes; None for meshes that overlap."""
+        """Returns the signed distance of two shapes; None for meshes that overlap."""
         first, second = key = self._ordered(s, t)
         if key not in self._distances:
             a, b = self._placed_solid(first), self._placed_solid(second)
@@ -488,7 +489,7 @@ class NarrowPhase:
         return self._depths[key] if first == s else self._depths[key].swapped()
 
     def _ordered(self, s: int, t: int) -> tuple[int, int]:
-        """Two shapes in an order that depends on their geometries and poses, not on their indices.
+        """Returns two shapes ordered by their geometries and poses, not by their indices.
 
         So the rounding errors of a comparison do not depend on the caller.
         """
@@ -501,7 +502,7 @@ class NarrowPhase:
         return self._ranks[shape]
 
     def _is_of_mesh(self, s: int, t: int) -> bool:
-        """Whether one of two shapes is a mesh, and none a half-space."""
+        """Checks whether one of two shapes is a mesh, and none a half-space."""
         kinds = {self._solids[s].type, self._solids[t].type}
         return "mesh" in kinds and "plane" not in kinds
 
@@ -516,23 +517,23 @@ class NarrowPhase:
     # -- of one entity --------------------------------------------------------------------
 
     def shapes_of(self, e: int) -> list[PlacedSolid]:
-        """The shapes of an entity that have points, in the world."""
+        """Returns the shapes of an entity that have points, in the world."""
         return [self._placed_solid(shape) for shape in self._shapes[e]]
 
     def box(self, e: int) -> Array:
-        """The box of an entity that has shapes, (6,): lower corner, upper corner."""
+        """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
         rows = self._boxes[self._starts[e] : self._starts[e + 1]]
         return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
 
     def box_centre(self, e: int) -> Array:
-        """The centre of that box, (3,); not finite for the box of a plane."""
+        """Returns the centre of that box, (3,); not finite for the box of a plane."""
         box = self.box(e)
         with np.errstate(invalid="ignore"):
             centre: Array = (box[:3] + box[3:]) / 2
         return centre
 
     def shapes_in(self, low: Array, high: Array, excluded: Iterable[int]) -> list[PlacedSolid]:
-        """The known shapes whose boxes overlap a box, without those of some entities."""
+        """Returns the known shapes whose boxes overlap a box, without those of some entities."""
         with np.errstate(invalid="ignore"):
             overlaps = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)
         is_overlapping: Flags = np.asarray(overlaps.all(axis=1))
@@ -593,7 +594,7 @@ class NarrowPhase:
         return self._to_world([solid.inscribed_centre for solid in self._solids])
 
     def _to_world(self, points: list[Point]) -> list[list[float]]:
-        """A point of each shape, transformed to the world."""
+        """Returns a point of each shape, transformed to the world."""
         local = np.array(points, dtype=np.float64).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
             transformed: list[list[float]] = (

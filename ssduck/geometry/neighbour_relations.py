@@ -64,7 +64,7 @@ class NeighbourRelations:
         self._resting: dict[int, frozenset[int]] = {}
 
     def encloses(self, a: int, b: int, orientation: Orientation) -> bool | None:
-        """Whether b is within walls of a; see `encloses`, for the centre of b's box.
+        """Checks whether b is within walls of a; see `encloses`, for the centre of b's box.
 
         Args:
             a: the entity that may enclose.
@@ -84,7 +84,7 @@ class NeighbourRelations:
     def are_beside(
         self, a: int, b: int, orientation_a: Orientation, orientation_b: Orientation
     ) -> bool | None:
-        """Whether neither is on or in the other, and one can see the other; see `is_in_sight`.
+        """Checks whether neither is on or in the other, and one sees the other; see `is_in_sight`.
 
         The caller has tested that their heights overlap and that they are near enough.
         """
@@ -113,7 +113,7 @@ class NeighbourRelations:
     # -- what carries what, and rests on what -------------------------------------------------
 
     def supports(self, a: int, b: int) -> bool | None:
-        """Whether a carries b, alone or together with others; see `is_carried_by`."""
+        """Checks whether a carries b, alone or together with others; see `is_carried_by`."""
         if not self._are_known(a, b):
             return None
         normals = self._contact_normals(a, b) if self._have_shapes(a, b) else []
@@ -139,7 +139,7 @@ class NeighbourRelations:
         return neighbours
 
     def rests_on(self, a: int, b: int) -> bool | None:
-        """Whether b is on a, or on something that rests on a."""
+        """Checks whether b is on a, or on something that rests on a."""
         if a == b:
             return False
         if not self._are_known(a, b):
@@ -147,11 +147,11 @@ class NeighbourRelations:
         return b in self._resting_on(a)
 
     def all_resting(self) -> list[tuple[int, int]]:
-        """All pairs of which the second rests on the first."""
+        """Returns all pairs of which the second rests on the first."""
         return [(a, b) for a in self._on for b in self._resting_on(a) if a != b]
 
     def _resting_on(self, a: int) -> frozenset[int]:
-        """The entities that rest on an entity, directly or through others."""
+        """Returns the entities that rest on an entity, directly or through others."""
         if a not in self._resting:
             resting: set[int] = set()
             pending = [a]
@@ -189,7 +189,7 @@ class NeighbourRelations:
 def encloses(
     a: Sequence[PlacedSolid], axes: Array, b: Sequence[PlacedSolid], centre: Array
 ) -> bool:
-    """Whether rays from a point hit some shapes on both sides along at least two axes.
+    """Checks whether rays from a point hit some shapes on both sides along at least two axes.
 
     A convex shape that contains the point is not hit. An axis along which b extends beyond a at
     both ends does not count.
@@ -219,14 +219,14 @@ def encloses(
 
 
 def _may_be_hit(shape: PlacedSolid, axes: Array, centre: Array) -> bool:
-    """Whether a line along an axis through a point hits the bounding sphere of a shape."""
+    """Checks whether a line along an axis through a point hits the bounding sphere of a shape."""
     offsets = axes @ (np.array(shape.to_world(*shape.solid.centre)) - centre)
     squared_distances = offsets @ offsets - offsets * offsets
     return bool((squared_distances <= (shape.solid.bounding_radius + HIT_TOLERANCE) ** 2).any())
 
 
 def _support_heights(shapes: Sequence[PlacedSolid], directions: Array) -> Array:
-    """The support heights of shapes in unit directions (n, 3), m from the origin, (n,)."""
+    """Returns the support heights of shapes in unit directions (n, 3), m from the origin, (n,)."""
     heights = [
         np.full(len(directions), math.inf)
         if shape.solid.type == "plane"
@@ -258,7 +258,7 @@ def is_in_sight(
     others: Sequence[PlacedSolid],
     nearest: SignedDistance,
 ) -> bool:
-    """Whether a horizontal ray from a or b hits the other before anything else.
+    """Checks whether a horizontal ray from a or b hits the other before anything else.
 
     The rays run along the horizontal parts of the lines through the nearest points and through the
     centres. They start at the nearest points and at a grid over the common breadth and height of a
@@ -280,7 +280,7 @@ def is_in_sight(
 def _horizontal_directions(
     a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], nearest: SignedDistance
 ) -> list[Array]:
-    """Horizontal unit directions from a to b."""
+    """Returns horizontal unit directions from a to b."""
     axes = np.concatenate((np.eye(3), -np.eye(3)))
     heights_a, heights_b = _support_heights(a, axes), _support_heights(b, axes)
     between_centres = (heights_b[:3] - heights_b[3:] - heights_a[:3] + heights_a[3:]) / 2
@@ -298,7 +298,7 @@ def _horizontal_directions(
 def _lines_between(
     a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], direction: Array, nearest: SignedDistance
 ) -> _Lines:
-    """Lines in a direction, over the common breadth and height of a and b."""
+    """Returns lines in a direction, over the common breadth and height of a and b."""
     across = np.array([-direction[1], direction[0], 0.0])
     axes = np.stack((direction, across, [0.0, 0.0, 1.0]))
     heights = np.stack(
@@ -323,7 +323,7 @@ def _lines_between(
 def _is_clear(
     lines: _Lines, a: Sequence[PlacedSolid], b: Sequence[PlacedSolid], others: Sequence[PlacedSolid]
 ) -> bool:
-    """Whether nothing is between a and b on one of the lines."""
+    """Checks whether nothing is between a and b on one of the lines."""
     intervals_a, intervals_b = _line_intervals(lines, a), _line_intervals(lines, b)
     if not any(p and q for p, q in zip(intervals_a, intervals_b, strict=True)):
         return False
@@ -337,7 +337,7 @@ def _is_clear(
 
 
 def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> bool:
-    """Whether nothing is between the end of one stretch and the start of the next one."""
+    """Checks whether nothing is between the end of one stretch and the start of the next one."""
     return not any(
         leave > near + HIT_TOLERANCE and enter < far - HIT_TOLERANCE and far > near + HIT_TOLERANCE
         for enter, leave in blocks
@@ -347,7 +347,7 @@ def _is_free(far: float, near: float, blocks: Sequence[tuple[float, float]]) -> 
 def _line_intervals(
     lines: _Lines, shapes: Sequence[PlacedSolid]
 ) -> list[list[tuple[float, float]]]:
-    """The intervals of each line in shapes, m; a crossing of a triangle is a point."""
+    """Returns the intervals of each line in shapes, m; a crossing of a triangle is a point."""
     intervals: list[list[tuple[float, float]]] = [[] for _ in lines.starts]
     directions = lines.directions
     for shape in shapes:

@@ -11,13 +11,13 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.solids import Solid
 
 Point: TypeAlias = tuple[float, float, float]
-Point4: TypeAlias = tuple[float, float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
 
 
 class PlacedSolid:
     """A solid at a finite pose in the world; the quaternion is w, x, y, z, of length 1."""
 
-    def __init__(self, solid: Solid, position: Point, orientation: Point4) -> None:
+    def __init__(self, solid: Solid, position: Point, orientation: Quaternion) -> None:
         self.solid = solid
         self.position = position
         self.orientation = orientation
@@ -53,40 +53,40 @@ class PlacedSolid:
     @cached_property
     def points(self) -> Array:
         """The points of the core in the world, (n, 3)."""
-        placed: Array = self.solid.core @ self.matrix.T + self.position
-        return placed
+        points: Array = self.solid.core @ self.matrix.T + self.position
+        return points
 
     @cached_property
     def normals(self) -> Array:
         """The normals of the faces in the world, (m, 3)."""
-        direction_to_world: Array = self.solid.normals @ self.matrix.T
-        return direction_to_world
+        normals: Array = self.solid.normals @ self.matrix.T
+        return normals
 
     @cached_property
     def offsets(self) -> Array | None:
         """The offsets of the faces in the world, (m,)."""
         if self.solid.offsets is None:
             return None
-        moved: Array = self.solid.offsets + self.normals @ np.array(self.position)
-        return moved
+        offsets: Array = self.solid.offsets + self.normals @ np.array(self.position)
+        return offsets
 
     @cached_property
     def fcl_object(self) -> Any:
         """The surface of the core for FCL; a prism for a cylinder."""
-        return self._object(self.solid.surface.bvh)
+        return self._fcl_object(self.solid.surface.bvh)
 
     @cached_property
     def fine_fcl_object(self) -> Any:
         """The surface of the core for FCL; a cylinder has a finer prism."""
-        return self._object(self.solid.fine_surface.bvh)
+        return self._fcl_object(self.solid.fine_surface.bvh)
 
-    def _object(self, tree: Any) -> Any:
+    def _fcl_object(self, bvh: Any) -> Any:
         import fcl
 
-        return fcl.CollisionObject(tree, fcl.Transform(self.orientation, self.position))
+        return fcl.CollisionObject(bvh, fcl.Transform(self.orientation, self.position))
 
     def support_points(self, directions: Array) -> Array:
-        """The farthest points (k, 3) of the core in unit directions (k, 3)."""
+        """Returns the farthest points (k, 3) of the core in unit directions (k, 3)."""
         points = self.points
         farthest: Array = points[np.argmax(directions @ points.T, axis=1)]
         if self.solid.disc_radius:
@@ -98,7 +98,7 @@ class PlacedSolid:
         return farthest
 
     def extreme_points(self, direction: Array, tolerance: float) -> Array:
-        """The points (n, 3) of the core that are farthest in a unit direction.
+        """Returns the points (n, 3) of the core that are farthest in a unit direction.
 
         Args:
             direction: (3,), of length 1.
@@ -119,7 +119,7 @@ class PlacedSolid:
         return np.ascontiguousarray(farthest_points)
 
     def support_heights(self, directions: Array) -> Array:
-        """The extents (k,) of the core from the origin in unit directions (k, 3), m."""
+        """Returns the extents (k,) of the core from the origin in unit directions (k, 3), m."""
         farthest: Array = (directions @ self.points.T).max(axis=1)
         if self.solid.disc_radius:
             radial = directions @ self.matrix[:, :2]

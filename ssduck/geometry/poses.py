@@ -19,7 +19,7 @@ IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def rotation_matrices(orientations: Array) -> Array:
-    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4).
+    """Returns rotation matrices (n, 3, 3) of unit quaternions (n, 4).
 
     >>> rotation_matrices(np.array([[1.0, 0.0, 0.0, 0.0]]))[0].tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -28,7 +28,7 @@ def rotation_matrices(orientations: Array) -> Array:
 
 
 def flat_rotation_matrices(orientations: Array) -> Array:
-    """Rotation matrices (9, n) of unit quaternions (n, 4), one row for each entry of the matrix."""
+    """Returns rotation matrices of unit quaternions (n, 4) as (9, n), one row for each entry."""
     # R = (s s - u.u) 1 + 2 u u^T + 2 s [u x], e.g. Shuster 1993, eq. 102 (transposed). Few
     # operations on several rows each: in a small world, calls cost more than sums.
     columns = np.ascontiguousarray(orientations.T)
@@ -57,7 +57,7 @@ _ROW_BY_ROW = np.array([0, 3, 8, 6, 1, 4, 5, 7, 2])
 
 
 def rotate(matrices: Array, vectors: Array) -> Array:
-    """The product of each matrix of (n, 3, 3) with its vector of (n, 3)."""
+    """Returns the product of each matrix of (n, 3, 3) with its vector of (n, 3)."""
     products = matrices * vectors[:, None, :]
     rotated: Array = products[:, :, 0] + products[:, :, 1]
     rotated += products[:, :, 2]
@@ -65,7 +65,7 @@ def rotate(matrices: Array, vectors: Array) -> Array:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Cross products of the rows of two arrays (n, 3)."""
+    """Returns cross products of the rows of two arrays (n, 3)."""
     products = first.take(_CROSSED, axis=1)
     products *= second.take(_CROSSED_WITH, axis=1)
     product: Array = products[:, :3] - products[:, 3:]
@@ -77,7 +77,7 @@ _CROSSED_WITH = np.array([2, 0, 1, 1, 2, 0])
 
 
 def multiply(first: Array, second: Array) -> Array:
-    """Hamilton products of quaternions (n, 4): the rotation `second`, then `first`."""
+    """Returns Hamilton products of quaternions (n, 4): the rotation `second`, then `first`."""
     # (s, u)(t, v) = (s t - u.v, s v + t u + u x v)
     w, x, y, z = np.ascontiguousarray(first.T)
     s, i, j, k = np.ascontiguousarray(second.T)
@@ -93,7 +93,7 @@ def multiply(first: Array, second: Array) -> Array:
 
 
 def unit_quaternions(orientations: Array) -> Array:
-    """Quaternions (n, 4) scaled to length 1; NaN for a quaternion of length 0."""
+    """Returns quaternions (n, 4) scaled to length 1; NaN for a quaternion of length 0."""
     squares = orientations * orientations
     length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -104,7 +104,7 @@ def unit_quaternions(orientations: Array) -> Array:
 def compose(
     positions: Array, orientations: Array, inner_positions: Array, inner_orientations: Array
 ) -> tuple[Array, Array]:
-    """Poses of C in A, from poses of B in A and of C in B, all of n rows.
+    """Returns poses of C in A, from poses of B in A and of C in B, all of n rows.
 
     >>> position, _ = compose(np.ones((1, 3)), IDENTITY[None], np.ones((1, 3)), IDENTITY[None])
     >>> position.tolist()
@@ -118,14 +118,14 @@ def compose(
 
 
 def invert(positions: Array, orientations: Array) -> tuple[Array, Array]:
-    """Poses of A in B, from poses of B in A."""
+    """Returns poses of A in B, from poses of B in A."""
     inverse = orientations * np.array([1.0, -1.0, -1.0, -1.0])
     return -rotate(rotation_matrices(inverse), positions), inverse
 
 
 def quaternion_from_matrix(matrix: Array) -> Array:
-    """The unit quaternion of a rotation matrix (3, 3)."""
+    """Returns the unit quaternion of a rotation matrix (3, 3)."""
     from scipy.spatial.transform import Rotation
 
-    turn: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
-    return turn
+    quaternion: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
+    return quaternion

@@ -80,7 +80,7 @@ class ShapeQueries:
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
 
     def all_colliding(self, min_depth: float) -> list[int]:
-        """The pairs that are deeper in each other than a depth, m, as numbers.
+        """Returns the pairs that are deeper in each other than a depth, m, as numbers.
 
         A number is `first * ID_FACTOR + second`; each pair is there in both orders. So it is in the
         other methods.
@@ -91,15 +91,15 @@ class ShapeQueries:
         return self._pairs(PairPredicate("colliding", depth(min_depth)))
 
     def all_within(self, max_distance: float) -> list[int]:
-        """The pairs whose clearance is at most a distance, m; no pair of an entity with itself."""
+        """Returns the pairs of two entities whose clearance is at most a distance, m."""
         return self._pairs(PairPredicate("within", max_distance))
 
     def all_touching(self, max_distance: float) -> list[int]:
-        """The pairs with shapes that are at most a distance, m, plus both margins apart."""
+        """Returns the pairs with shapes that are at most a distance, m, plus both margins apart."""
         return self._pairs(PairPredicate("touching", max_distance))
 
     def _pairs(self, predicate: PairPredicate) -> list[int]:
-        """The pairs for which a predicate holds."""
+        """Returns the pairs for which a predicate holds."""
         if predicate not in self._numbers_by_predicate:
             result = self._narrow.all_pairs(predicate, self._table)
             ids = np.array(list(self._numbers), dtype=np.int64)
@@ -108,14 +108,14 @@ class ShapeQueries:
         return self._numbers_by_predicate[predicate]
 
     def all_meeting(self, max_distance: float) -> list[int]:
-        """The pairs whose boxes are at most a distance apart along every axis, m."""
+        """Returns the pairs whose boxes are at most a distance apart along every axis, m."""
         if max_distance not in self._overlapping:
             first, second = overlapping_pairs(self._boxes, max_distance + BOX_TOLERANCE)
             self._overlapping[max_distance] = _both_orders(self._ids[first], self._ids[second])
         return self._overlapping[max_distance]
 
     def all_reaching(self, max_distance: float) -> list[int]:
-        """The pairs whose boxes, grown by the largest margin of their shapes, are that near."""
+        """Returns the pairs whose boxes, grown by their largest margins, are that near."""
         if max_distance not in self._overlapping_with_margins:
             first, second = overlapping_pairs(
                 self._boxes_with_margins, max_distance + BOX_TOLERANCE
@@ -126,7 +126,7 @@ class ShapeQueries:
         return self._overlapping_with_margins[max_distance]
 
     def all_resting(self) -> list[int]:
-        """The pairs of which the second rests on the first, directly or through others."""
+        """Returns the pairs of which the second rests on the first, directly or through others."""
         ids = {number: id for id, number in self._numbers.items()}
         pairs = self._neighbours.all_resting()
         return sorted(ids[a] * ID_FACTOR + ids[b] for a, b in pairs)
@@ -139,19 +139,19 @@ class ShapeQueries:
         return grown
 
     def _near_pairs(self, max_distance: float) -> list[tuple[int, int]]:
-        """The pairs of entity numbers whose grown boxes are at most a distance apart, m."""
+        """Returns the pairs of entity numbers whose grown boxes are at most a distance apart, m."""
         numbers = np.array([self._numbers[id] for id in self._ids.tolist()], dtype=np.int64)
         first, second = overlapping_pairs(self._boxes_with_margins, max_distance)
         return list(zip(numbers[first].tolist(), numbers[second].tolist(), strict=True))
 
     def _pair(self, a: int, b: int) -> tuple[int, int]:
-        """The numbers of two ids; counts the pair once a tick."""
+        """Returns the numbers of two ids; counts the pair once a tick."""
         i, j = self._numbers[a], self._numbers[b]
         self._narrow.count_compared((pair_number(i, j),))
         return i, j
 
     def _matching_pairs(self, predicate: PairPredicate) -> frozenset[int] | None:
-        """The pairs for which a predicate holds, compared at once; None for the first few queries.
+        """Returns all pairs for which a predicate holds; None for the first few queries.
 
         If the distance is large compared to the bodies, too many pairs are candidates.
         """
@@ -179,7 +179,7 @@ class ShapeQueries:
         return False if self._narrow.is_known(i) and self._narrow.is_known(j) else None
 
     def collides(self, a: int, b: int, min_depth: float = MIN_DEPTH) -> bool | None:
-        """Whether two entities are deeper in each other than a depth, m.
+        """Checks whether two entities are deeper in each other than a depth, m.
 
         Raises:
             ArgumentError: the depth is negative or NaN.
@@ -191,18 +191,18 @@ class ShapeQueries:
         return self._contains_pair(pairs, i, j)
 
     def penetration(self, a: int, b: int) -> float | None:
-        """The depth of the deepest two shapes, m; 0 if all are separate."""
+        """Returns the depth of the deepest two shapes, m; 0 if all are separate."""
         return self._narrow.penetration(*self._pair(a, b))
 
     def clearance(self, a: int, b: int) -> float | None:
-        """The distance of the nearest points, m; infinite for an entity without shapes."""
+        """Returns the distance of the nearest points, m; infinite for an entity without shapes."""
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return math.inf
         return self._narrow.clearance(i, j)
 
     def near(self, a: int, b: int, max_distance: float) -> bool | None:
-        """Whether two entities are at most a distance apart, m; False without shapes."""
+        """Checks whether two entities are at most a distance apart, m; False without shapes."""
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return False
@@ -213,7 +213,7 @@ class ShapeQueries:
         return None if clearance is None else clearance <= max_distance
 
     def touching(self, a: int, b: int, max_distance: float) -> bool | None:
-        """Whether two of their shapes are at most a distance, m, plus both margins apart."""
+        """Checks whether two of their shapes are at most a distance, m, plus both margins apart."""
         i, j = self._pair(a, b)
         pairs = self._matching_pairs(PairPredicate("touching", max_distance))
         if pairs is None:
@@ -221,32 +221,32 @@ class ShapeQueries:
         return self._contains_pair(pairs, i, j)
 
     def shapes_touching(self, a: int, b: int, max_distance: float) -> list[int]:
-        """The indices of a's shapes that touch a shape of b."""
+        """Returns the indices of a's shapes that touch a shape of b."""
         return self._narrow.shapes_touching(*self._pair(a, b), max_distance)
 
     def points(self, a: int, b: int) -> list[list[float]] | None:
-        """The nearest points, or the deepest ones, one of each entity."""
+        """Returns the nearest points, or the deepest ones, one of each entity."""
         points = self._narrow.nearest_points(*self._pair(a, b))
         return None if points is None else [list(point) for point in points]
 
     def on(self, a: int, b: int) -> bool | None:
-        """Whether b rests on a."""
+        """Checks whether b rests on a."""
         return self._narrow.on(*self._pair(a, b))
 
     def supports(self, a: int, b: int) -> bool | None:
-        """Whether a carries b, alone or together with others."""
+        """Checks whether a carries b, alone or together with others."""
         return self._neighbours.supports(*self._pair(a, b))
 
     def rests_on(self, a: int, b: int) -> bool | None:
-        """Whether b is on a, or on something that rests on a."""
+        """Checks whether b is on a, or on something that rests on a."""
         return self._neighbours.rests_on(self._numbers[a], self._numbers[b])
 
     def encloses(self, a: int, b: int, *orientation: float) -> bool | None:
-        """Whether b is within walls of a, whose link frame has the given orientation."""
+        """Checks whether b is within walls of a, whose link frame has the given orientation."""
         return self._neighbours.encloses(*self._pair(a, b), _orientation(orientation))
 
     def beside(self, a: int, b: int, max_distance: float, *orientations: float) -> bool | None:
-        """Whether two entities with overlapping heights are beside each other.
+        """Checks whether two entities with overlapping heights are beside each other.
 
         Args:
             a: an entity.
@@ -262,25 +262,25 @@ class ShapeQueries:
         )
 
     def inside(self, a: int, b: int) -> float | None:
-        """The fraction of b's volume inside a's convex hull; 0 if b has no volume."""
+        """Returns the fraction of b's volume inside a's convex hull; 0 if b has no volume."""
         i, j = self._pair(a, b)
         return 0.0 if self._narrow.solid_volume(j) == 0.0 else self._narrow.inside(i, j)
 
     def contains(self, a: int, b: int) -> bool | None:
-        """Whether enough of b's volume is inside a's convex hull."""
+        """Checks whether enough of b's volume is inside a's convex hull."""
         i, j = self._pair(a, b)
         return False if self._narrow.solid_volume(j) == 0.0 else self._narrow.contains(i, j)
 
     def volume(self, entity: int) -> float | None:
-        """The sum of the volumes of an entity's shapes, m³."""
+        """Returns the sum of the volumes of an entity's shapes, m³."""
         return self._narrow.solid_volume(self._numbers[entity])
 
     def unknown(self, ids: Sequence[int]) -> list[int]:
-        """The entities whose poses are not finite, or whose shapes are not valid."""
+        """Returns the entities whose poses are not finite, or whose shapes are not valid."""
         return [id for id in ids if not self._narrow.is_known(self._numbers[id])]
 
     def placed(self, ids: Sequence[int]) -> PlacedSolids:
-        """The shapes of some entities in the world."""
+        """Returns the shapes of some entities in the world."""
         return self._narrow.placed([self._numbers[id] for id in ids], ids)
 
 
@@ -303,7 +303,7 @@ def _orientation(numbers: tuple[float, ...]) -> Orientation:
 
 
 def _both_orders(a: Ids, b: Ids) -> list[int]:
-    """Pairs of ids as sorted numbers, each pair in both orders."""
+    """Returns pairs of ids as sorted numbers, each pair in both orders."""
     numbers = np.concatenate((a * ID_FACTOR + b, b * ID_FACTOR + a))
     sorted_numbers: list[int] = np.sort(numbers).tolist()
     return sorted_numbers

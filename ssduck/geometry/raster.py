@@ -28,7 +28,7 @@ class Raster:
     shape: tuple[int, int]
 
     def centres(self, axis: int) -> Array:
-        """The coordinates of the cells' centres along x (0) or y (1).
+        """Returns the coordinates of the cells' centres along x (0) or y (1).
 
         >>> Raster((0.0, 0.0), 0.5, (3, 2)).centres(0).tolist()
         [0.25, 0.75, 1.25]
@@ -39,7 +39,7 @@ class Raster:
     def overlapped_cells(
         self, low: Array, high: Array, min_overlap: float, axis: int
     ) -> tuple[Indices, Indices]:
-        """The first and the last cell along an axis that intervals overlap.
+        """Returns the first and the last cell along an axis that intervals overlap.
 
         Args:
             low: the starts of the intervals.

@@ -65,8 +65,8 @@ class Rasterizer:
             elif len(solid.core):
                 surface = solid.surface
                 corners = (surface.vertices @ matrix.T + position)[surface.faces]
-                apart = np.arange(len(corners)) if not _is_full_hull(solid) else 0
-                groups.append(np.zeros(len(corners), np.intp) + apart + count)
+                separate_groups = np.arange(len(corners)) if not _is_solid_hull(solid) else 0
+                groups.append(np.zeros(len(corners), np.intp) + separate_groups + count)
                 count = int(groups[-1][-1]) + 1
                 triangles.append(corners)
                 thin.append(np.full(len(corners), solid.volume == 0.0))
@@ -79,83 +79,85 @@ class Rasterizer:
         self._low, self._high = heights.min(axis=1), heights.max(axis=1)
 
     def cells(
-        self, raster: Raster, low: float, high: float, *, reach: float = -CELL_TOLERANCE
+        self, raster: Raster, low: float, high: float, *, min_overlap: float = -CELL_TOLERANCE
     ) -> npt.NDArray[np.bool_]:
-        """The cells that the shapes occupy anywhere between two heights.
+        """Returns the cells that the shapes occupy anywhere between two heights.
 
         Args:
             raster: the cells.
             low: m.
             high: m; equal to `low` for a slice.
-            reach: how far a solid has to reach between the heights, m.
+            min_overlap: the length by which a solid has to extend between the heights, m.
 
         Returns:
             Booleans, (along x, along y).
         """
         changes = np.zeros((raster.shape[0], raster.shape[1] + 1), dtype=np.int32)
-        for spans in self._spans(raster, low, high, reach):
-            spans.count(raster, changes)
+        for intervals in self._intervals(raster, low, high, min_overlap):
+            intervals.count(raster, changes)
         occupied = np.cumsum(changes, axis=1, out=changes)[:, :-1] > 0
-        if low + reach <= high - reach:
+        if low + min_overlap <= high - min_overlap:
             for corners in self._meshes:
-                _fill(raster, corners, (low + high) / 2, occupied)
+                _fill_interior(raster, corners, (low + high) / 2, occupied)
             for normal, offset in self._planes:
-                _add_half_space(raster, normal, offset, (low + reach, high - reach), occupied)
+                _add_half_space(
+                    raster, normal, offset, (low + min_overlap, high - min_overlap), occupied
+                )
         return occupied
 
-    def _spans(
-        self, raster: Raster, low: float, high: float, reach: float
+    def _intervals(
+        self, raster: Raster, low: float, high: float, min_overlap: float
     ) -> Iterator[StripIntervals]:
         for shape in self._round:
-            found = shape.spans(raster, low + reach, high - reach)
-            if found is not None:
-                yield found
+            intervals = shape.intervals(raster, low + min_overlap, high - min_overlap)
+            if intervals is not None:
+                yield intervals
         for thin in (False, True):
-            within = -CELL_TOLERANCE if thin else reach
-            bottom, top = low + within, high - within
-            some = np.flatnonzero(
+            margin = -CELL_TOLERANCE if thin else min_overlap
+            bottom, top = low + margin, high - margin
+            selected = np.flatnonzero(
                 (self._low <= top) & (self._high >= bottom) & (self._thin == thin)
             )
-            if len(some) and bottom <= top:
+            if len(selected) and bottom <= top:
                 polygons, rows = clip_polygons(
-                    self._triangles[some], self._triangles[some][:, :, 2] - bottom
+                    self._triangles[selected], self._triangles[selected][:, :, 2] - bottom
                 )
-                polygons, left = clip_polygons(polygons, top - polygons[:, :, 2])
-                groups = self._groups[some[rows[left]]]
-                yield from _of_polygons(
+                polygons, kept = clip_polygons(polygons, top - polygons[:, :, 2])
+                groups = self._groups[selected[rows[kept]]]
+                yield from _polygon_intervals(
                     raster, polygons, groups, -CELL_TOLERANCE if thin else CELL_TOLERANCE
                 )
 
 
-def _is_full_hull(solid: Solid) -> bool:
+def _is_solid_hull(solid: Solid) -> bool:
     return solid.is_convex and solid.volume > 0.0
 
 
 # -- polyhedra and surfaces -----------------------------------------------------------------------
 
 
-def _of_polygons(
-    raster: Raster, polygons: Array, groups: Indices, within: float
+def _polygon_intervals(
+    raster: Raster, polygons: Array, groups: Indices, min_overlap: float
 ) -> Iterator[StripIntervals]:
-    """The intervals of sets of convex polygons (n, k, 3); `groups` are the polygons' sets."""
+    """Yields the intervals of sets of convex polygons (n, k, 3); `groups` are their sets."""
     if not len(polygons):
         return
     order = np.argsort(groups, kind="stable")
     polygons, groups = polygons[order, :, :2], groups[order]
     start, end = polygons, np.roll(polygons, -1, axis=1)
-    used = (start != end).any(axis=2)
-    used[:, 0] = True  # of a point
-    start, end = start[used], end[used]
-    owners = np.repeat(groups, used.sum(axis=1))
+    is_edge = (start != end).any(axis=2)
+    is_edge[:, 0] = True  # of a point
+    start, end = start[is_edge], end[is_edge]
+    owners = np.repeat(groups, is_edge.sum(axis=1))
     left, right = np.minimum(start[:, 0], end[:, 0]), np.maximum(start[:, 0], end[:, 0])
-    first, last = raster.overlapped_cells(left, right, within, 0)
+    first, last = raster.overlapped_cells(left, right, min_overlap, 0)
     counts = np.maximum(last - first + 1, 0)
     for part in _batches(owners, counts):
-        strips = _runs(first[part], counts[part])
+        strips = _concatenated_ranges(first[part], counts[part])
         edges = np.repeat(np.arange(part.start, part.stop), counts[part])
         if not len(strips):
             continue
-        low, high = _heights(raster, start[edges], end[edges], strips, within)
+        low, high = _y_ranges(raster, start[edges], end[edges], strips, min_overlap)
         keys = (owners[edges] - owners[edges[0]]) * raster.shape[0] + strips
         order = np.argsort(keys, kind="stable")
         keys, begin = np.unique(keys[order], return_index=True)
@@ -163,45 +165,45 @@ def _of_polygons(
             keys % raster.shape[0],
             np.minimum.reduceat(low[order], begin),
             np.maximum.reduceat(high[order], begin),
-            within,
+            min_overlap,
         )
 
 
 def _batches(owners: Indices, counts: Indices) -> Iterator[slice]:
-    """Ranges of edges with about `PAIRS_AT_ONCE` strips, each set of edges in one range."""
+    """Returns ranges of edges with about `PAIRS_AT_ONCE` strips, each set of edges in one range."""
     begins = np.flatnonzero(np.diff(owners, prepend=-1))
     total = np.cumsum(counts)
-    bunch = total[begins] // PAIRS_AT_ONCE
-    cuts = begins[np.flatnonzero(np.diff(bunch, prepend=-1))].tolist()
+    batch = total[begins] // PAIRS_AT_ONCE
+    cuts = begins[np.flatnonzero(np.diff(batch, prepend=-1))].tolist()
     for first, stop in itertools.pairwise([*cuts, len(owners)]):
         yield slice(first, stop)
 
 
-def _runs(first: Indices, counts: Indices) -> Indices:
-    """The concatenated ranges first, first + 1, …, each with its count."""
+def _concatenated_ranges(first: Indices, counts: Indices) -> Indices:
+    """Returns the concatenated ranges first, first + 1, …, each with its count."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
-    found: Indices = np.arange(total) + np.repeat(first - (ends - counts), counts)
-    return found
+    indices: Indices = np.arange(total) + np.repeat(first - (ends - counts), counts)
+    return indices
 
 
-def _heights(
-    raster: Raster, start: Array, end: Array, strips: Indices, within: float
+def _y_ranges(
+    raster: Raster, start: Array, end: Array, strips: Indices, min_overlap: float
 ) -> tuple[Array, Array]:
-    """The least and the greatest y of edges (n, 2) in strips (n,) that they reach."""
+    """Returns the least and the greatest y of edges (n, 2) in strips (n,) that they reach."""
     side = raster.origin[0] + strips * raster.size
-    run = end[:, 0] - start[:, 0]
-    is_across = run == 0.0
-    slope = np.where(is_across, 1.0, run)
-    at = [
+    widths = end[:, 0] - start[:, 0]
+    is_across = widths == 0.0
+    slope = np.where(is_across, 1.0, widths)
+    ends = [
         start[:, 1] + np.clip((x - start[:, 0]) / slope, 0.0, 1.0) * (end[:, 1] - start[:, 1])
-        for x in (side + within, side + raster.size - within)
+        for x in (side + min_overlap, side + raster.size - min_overlap)
     ]
-    at[0][is_across], at[1][is_across] = start[is_across, 1], end[is_across, 1]
-    return np.minimum(*at), np.maximum(*at)
+    ends[0][is_across], ends[1][is_across] = start[is_across, 1], end[is_across, 1]
+    return np.minimum(*ends), np.maximum(*ends)
 
 
-def _fill(raster: Raster, corners: Array, height: float, occupied: Flags) -> None:
+def _fill_interior(raster: Raster, corners: Array, height: float, occupied: Flags) -> None:
     """Occupies the cells whose centres a closed surface winds around at a height.
 
     Cells that the surface reaches are occupied already. All others are inside or outside, as their
@@ -211,45 +213,47 @@ def _fill(raster: Raster, corners: Array, height: float, occupied: Flags) -> Non
     corners = corners[above.any(axis=1) & ~above.all(axis=1)]
     above = corners[:, :, 2] > height
     rows = np.arange(len(corners))
-    met = []
+    crossings = []
     for rising in (True, False):
         # the edge behind corner k goes up, or down, through the height
-        after = np.roll(above, -1, axis=1)
-        k = ((~above & after) if rising else (above & ~after)).argmax(axis=1)
-        one, two = corners[rows, k], corners[rows, (k + 1) % 3]
-        lower, upper = (one, two) if rising else (two, one)
-        share = (height - lower[:, 2]) / (upper[:, 2] - lower[:, 2])
-        met.append(lower[:, :2] + share[:, None] * (upper[:, :2] - lower[:, :2]))
-    up, down = met
-    way = np.where(down[:, 0] > up[:, 0], 1, -1)  # seen from within, y runs out of it, or in
+        is_next_above = np.roll(above, -1, axis=1)
+        k = ((~above & is_next_above) if rising else (above & ~is_next_above)).argmax(axis=1)
+        starts, ends = corners[rows, k], corners[rows, (k + 1) % 3]
+        lower, upper = (starts, ends) if rising else (ends, starts)
+        fraction = (height - lower[:, 2]) / (upper[:, 2] - lower[:, 2])
+        crossings.append(lower[:, :2] + fraction[:, None] * (upper[:, :2] - lower[:, :2]))
+    up, down = crossings
+    sign = np.where(down[:, 0] > up[:, 0], 1, -1)  # seen from within, y runs out of it, or in
     left, right = np.minimum(up[:, 0], down[:, 0]), np.maximum(up[:, 0], down[:, 0])
     # strips with left <= centre < right
     centre = raster.origin[0] + raster.size / 2
     first = np.clip(np.ceil((left - centre) / raster.size), 0, raster.shape[0]).astype(np.intp)
     stop = np.clip(np.ceil((right - centre) / raster.size), 0, raster.shape[0]).astype(np.intp)
     counts = np.maximum(stop - first, 0)
-    strips, edges = _runs(first, counts), np.repeat(rows, counts)
+    strips, edges = _concatenated_ranges(first, counts), np.repeat(rows, counts)
     if not len(strips):
         return
-    begin, run = up[edges], down[edges] - up[edges]
-    share = (centre + strips * raster.size - begin[:, 0]) / run[:, 0]
-    y = begin[:, 1] + share * run[:, 1]
+    begin, vectors = up[edges], down[edges] - up[edges]
+    fraction = (centre + strips * raster.size - begin[:, 0]) / vectors[:, 0]
+    y = begin[:, 1] + fraction * vectors[:, 1]
     below = np.ceil((y - raster.origin[1]) / raster.size - 0.5)
     below = np.clip(below, 0, raster.shape[1]).astype(np.intp)
-    near = slice(int(strips.min()), int(strips.max()) + 1), slice(0, int(below.max(initial=0)))
-    turns = np.zeros((near[0].stop - near[0].start, near[1].stop + 1), dtype=np.int32)
-    np.add.at(turns, (strips - near[0].start, below), way[edges])
-    winding = turns[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
-    occupied[near] |= winding > 0
+    window = slice(int(strips.min()), int(strips.max()) + 1), slice(0, int(below.max(initial=0)))
+    winding_changes = np.zeros(
+        (window[0].stop - window[0].start, window[1].stop + 1), dtype=np.int32
+    )
+    np.add.at(winding_changes, (strips - window[0].start, below), sign[edges])
+    winding = winding_changes[:, ::-1].cumsum(axis=1)[:, ::-1][:, 1:]
+    occupied[window] |= winding > 0
 
 
 def _add_half_space(
     raster: Raster, normal: Array, offset: float, heights: tuple[float, float], occupied: Flags
 ) -> None:
     """Occupies the cells that a half-space `normal @ x <= offset` reaches into."""
-    least = min(normal[2] * height for height in heights)
+    lowest = min(normal[2] * height for height in heights)
     sums = [np.zeros(0), np.zeros(0)]
     for axis in (0, 1):
-        near = raster.origin[axis] + np.arange(raster.shape[axis]) * raster.size + CELL_TOLERANCE
-        sums[axis] = np.minimum(normal[axis] * near, normal[axis] * (near + raster.size - 2e-9))
-    occupied |= sums[0][:, None] + sums[1] + least <= offset
+        starts = raster.origin[axis] + np.arange(raster.shape[axis]) * raster.size + CELL_TOLERANCE
+        sums[axis] = np.minimum(normal[axis] * starts, normal[axis] * (starts + raster.size - 2e-9))
+    occupied |= sums[0][:, None] + sums[1] + lowest <= offset

@@ -31,36 +31,38 @@ class RoundShape:
     position: Array
     matrix: Array
 
-    def spans(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
-        """The interval in each strip that it reaches between two heights; None if there is none."""
+    def intervals(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
+        """Returns the occupied intervals of strips between two heights; None without any."""
         across = np.hypot(self.matrix[:, 0], self.matrix[:, 1])
-        reach = self.radius * across + abs(self.matrix[:, 2]) * self.half
+        extents = self.radius * across + abs(self.matrix[:, 2]) * self.half
         if self.half < 0.0:
-            reach = np.full(3, self.radius)
-        start, end = self.position - reach, self.position + reach
+            extents = np.full(3, self.radius)
+        start, end = self.position - extents, self.position + extents
         if start[2] > high or end[2] < low or low > high:
             return None
-        within = -CELL_TOLERANCE if self.half == 0.0 else CELL_TOLERANCE
-        first, last = raster.overlapped_cells(start[:1], end[:1], within, 0)
+        min_overlap = -CELL_TOLERANCE if self.half == 0.0 else CELL_TOLERANCE
+        first, last = raster.overlapped_cells(start[:1], end[:1], min_overlap, 0)
         strips = np.arange(first[0], last[0] + 1)
-        left = raster.origin[0] + strips * raster.size + within
-        right = left + raster.size - 2 * within
-        bounds = self._of_sphere if self.half < 0.0 else self._of_cylinder
+        left = raster.origin[0] + strips * raster.size + min_overlap
+        right = left + raster.size - 2 * min_overlap
+        bounds = self._sphere_bounds if self.half < 0.0 else self._cylinder_bounds
         bottom, top = bounds(left, right, low, high)
-        some = bottom <= top
-        return StripIntervals(strips[some], bottom[some], top[some], within)
+        is_reached = bottom <= top
+        return StripIntervals(strips[is_reached], bottom[is_reached], top[is_reached], min_overlap)
 
-    def _of_sphere(self, left: Array, right: Array, low: float, high: float) -> tuple[Array, Array]:
-        x, y, z = self.position
-        aside = x - np.clip(x, left, right)
-        square = self.radius**2 - aside**2 - (z - np.clip(z, low, high)) ** 2
-        reach = np.where(square >= 0.0, np.sqrt(np.maximum(square, 0.0)), -np.inf)
-        return y - reach, y + reach
-
-    def _of_cylinder(
+    def _sphere_bounds(
         self, left: Array, right: Array, low: float, high: float
     ) -> tuple[Array, Array]:
-        """The least and the greatest y of points of the cylinder, in strips (n,).
+        x, y, z = self.position
+        offset_x = x - np.clip(x, left, right)
+        squared = self.radius**2 - offset_x**2 - (z - np.clip(z, low, high)) ** 2
+        half_width = np.where(squared >= 0.0, np.sqrt(np.maximum(squared, 0.0)), -np.inf)
+        return y - half_width, y + half_width
+
+    def _cylinder_bounds(
+        self, left: Array, right: Array, low: float, high: float
+    ) -> tuple[Array, Array]:
+        """Returns the least and the greatest y of points of the cylinder, in strips (n,).
 
         Three pairs of planes bound the points: the caps, the sides of the strip, the heights. y is
         least where three planes intersect, where two planes intersect the round side, or on the
@@ -68,72 +70,76 @@ class RoundShape:
         """
         (x, y, z), count = self.position, len(left)
         axis = np.array([0.0, 0.0, 1.0])
-        along = np.broadcast_to
+        repeat = np.broadcast_to
         pairs = (
-            (axis, [along(-self.half, count), along(self.half, count)]),
+            (axis, [repeat(-self.half, count), repeat(self.half, count)]),
             (self.matrix[0], [left - x, right - x]),
-            (self.matrix[2], [along(low - z, count), along(high - z, count)]),
+            (self.matrix[2], [repeat(low - z, count), repeat(high - z, count)]),
         )
         points = [np.zeros((count, 0, 3))]
         points += [_corners(pairs)]
-        points += [self._on_lines(*two) for two in itertools.combinations(pairs, 2)]
-        points += [self._on_ellipses(*one) for one in pairs]
-        found = np.concatenate(points, axis=1)
-        fits = np.hypot(found[:, :, 0], found[:, :, 1]) <= self.radius + _POINT_ERROR
-        for normal, (least, most) in pairs:
-            value = found @ normal
-            fits &= (value >= least[:, None] - _POINT_ERROR) & (
-                value <= most[:, None] + _POINT_ERROR
+        points += [self._on_lines(*two_pairs) for two_pairs in itertools.combinations(pairs, 2)]
+        points += [self._on_ellipses(*pair) for pair in pairs]
+        candidates = np.concatenate(points, axis=1)
+        is_valid = np.hypot(candidates[:, :, 0], candidates[:, :, 1]) <= self.radius + _POINT_ERROR
+        for normal, (lower, upper) in pairs:
+            values = candidates @ normal
+            is_valid &= (values >= lower[:, None] - _POINT_ERROR) & (
+                values <= upper[:, None] + _POINT_ERROR
             )
-        value = found @ self.matrix[1] + y
+        values = candidates @ self.matrix[1] + y
         return (
-            np.where(fits, value, np.inf).min(axis=1, initial=np.inf),
-            np.where(fits, value, -np.inf).max(axis=1, initial=-np.inf),
+            np.where(is_valid, values, np.inf).min(axis=1, initial=np.inf),
+            np.where(is_valid, values, -np.inf).max(axis=1, initial=-np.inf),
         )
 
     def _on_lines(self, one: tuple[Array, list[Array]], two: tuple[Array, list[Array]]) -> Array:
-        """The points where lines of two planes intersect the round side: (n, 8, 3) at most."""
-        way = np.cross(one[0], two[0])
-        square, flat = float(way @ way), float(way[:2] @ way[:2])
-        first, second = np.cross(two[0], way), np.cross(way, one[0])
-        found = []
-        if flat > 1e-24:
+        """Returns the points where lines of two planes intersect the side: (n, 8, 3) at most."""
+        direction = np.cross(one[0], two[0])
+        squared_length = float(direction @ direction)
+        horizontal = float(direction[:2] @ direction[:2])
+        first, second = np.cross(two[0], direction), np.cross(direction, one[0])
+        points = []
+        if horizontal > 1e-24:
             for c, d in itertools.product(one[1], two[1]):
-                base = (np.outer(c, first) + np.outer(d, second)) / square
-                middle = -(base[:, :2] @ way[:2]) / flat
-                base = base + middle[:, None] * way
-                room = self.radius**2 - np.einsum("ni,ni->n", base[:, :2], base[:, :2])
-                step = np.sqrt(np.where(room >= 0.0, room, np.nan) / flat)[:, None] * way
-                found += [base - step, base + step]
-        return np.stack(found, axis=1) if found else np.zeros((len(one[1][0]), 0, 3))
+                base = (np.outer(c, first) + np.outer(d, second)) / squared_length
+                nearest = -(base[:, :2] @ direction[:2]) / horizontal
+                base = base + nearest[:, None] * direction
+                squared = self.radius**2 - np.einsum("ni,ni->n", base[:, :2], base[:, :2])
+                half_chord = np.sqrt(np.where(squared >= 0.0, squared, np.nan) / horizontal)
+                step = half_chord[:, None] * direction
+                points += [base - step, base + step]
+        return np.stack(points, axis=1) if points else np.zeros((len(one[1][0]), 0, 3))
 
     def _on_ellipses(self, normal: Array, offsets: list[Array]) -> Array:
-        """The points of extreme y where planes cut the round side: (n, 4, 3) at most."""
+        """Returns the points of extreme y where planes cut the round side: (n, 4, 3) at most."""
         if abs(normal[2]) < 1e-12:
             return np.zeros((len(offsets[0]), 0, 3))
         steep = self.matrix[1] - self.matrix[1, 2] / normal[2] * normal
         length = float(np.hypot(steep[0], steep[1]))
-        flat = steep[:2] * (self.radius / length) if length > 1e-12 else np.array([self.radius, 0])
-        found = []
-        for offset, side in itertools.product(offsets, (flat, -flat)):
+        offset_xy = (
+            steep[:2] * (self.radius / length) if length > 1e-12 else np.array([self.radius, 0])
+        )
+        points = []
+        for offset, side in itertools.product(offsets, (offset_xy, -offset_xy)):
             height = (offset - normal[:2] @ side) / normal[2]
-            found.append(np.column_stack((np.tile(side, (len(height), 1)), height)))
-        return np.stack(found, axis=1)
+            points.append(np.column_stack((np.tile(side, (len(height), 1)), height)))
+        return np.stack(points, axis=1)
 
 
 def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
-    """The intersections of three planes, one of each pair: (n, 8, 3); none if there are none."""
+    """Returns the intersections of three planes, one of each pair: (n, 8, 3) or (n, 0, 3)."""
     normals = np.array([normal for normal, _ in pairs])
     if abs(np.linalg.det(normals)) < 1e-12:
         return np.zeros((len(pairs[0][1][0]), 0, 3))
     inverse = np.linalg.inv(normals)
-    offsets = [np.stack(three, axis=1) for three in itertools.product(*(c for _, c in pairs))]
-    found: Array = np.stack(offsets, axis=1) @ inverse.T
-    return found
+    offsets = [np.stack(planes, axis=1) for planes in itertools.product(*(c for _, c in pairs))]
+    corners: Array = np.stack(offsets, axis=1) @ inverse.T
+    return corners
 
 
 def round_parts(solid: Solid, position: Array, matrix: Array) -> list[RoundShape]:
-    """The spheres and cylinders that make up a sphere, a cylinder or a capsule."""
+    """Returns the spheres and cylinders that make up a sphere, a cylinder or a capsule."""
     if solid.type == "cylinder":
         return [RoundShape(solid.disc_radius, solid.half_length, position, matrix)]
     parts = [

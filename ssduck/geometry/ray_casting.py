@@ -1,4 +1,4 @@
-"""Intersections of rays with shapes: by formulas for convex solids, by triangles for all others.
+"""Intersects rays with shapes: by formulas for convex solids, by triangles for all others.
 
 Rays begin at one common point, or each at its own point. A distance along a ray is a fraction of
 its length vector. Points and rays are in the frame of the solid.
@@ -36,13 +36,13 @@ class RayChords(NamedTuple):
 
 
 def is_triangle_surface(solid: Solid) -> bool:
-    """Whether rays hit the triangles of a solid from either side, rather than its volume."""
+    """Checks whether rays hit the triangles of a solid from either side, rather than its volume."""
     is_round = solid.type in ("sphere", "capsule", "cylinder")
     return solid.is_shell or (solid.offsets is None and not is_round)
 
 
 def first_hits(solid: Solid, start: Array, rays: Array) -> Array:
-    """The fraction of each ray at which it first hits a solid, (n,); inf for no hit.
+    """Returns the fraction of each ray at which it first hits a solid, (n,); inf for no hit.
 
     A convex solid that contains the start is not hit. The triangles of a mesh are hit from either
     side.
@@ -57,12 +57,12 @@ def first_hits(solid: Solid, start: Array, rays: Array) -> Array:
         nearest: Array = np.where(fractions > 0.0, fractions, np.inf).min(axis=1, initial=np.inf)
         return nearest
     chords = ray_chords(solid, start, rays)
-    is_met: Array = np.where(chords.contains | (chords.enter < 0.0), np.inf, chords.enter)
-    return is_met
+    hits: Array = np.where(chords.contains | (chords.enter < 0.0), np.inf, chords.enter)
+    return hits
 
 
 def ray_chords(solid: Solid, starts: Array, rays: Array) -> RayChords:
-    """The parts of rays that are in a convex solid.
+    """Returns the parts of rays that are in a convex solid.
 
     Args:
         solid: a convex solid.
@@ -72,18 +72,18 @@ def ray_chords(solid: Solid, starts: Array, rays: Array) -> RayChords:
     parts = _parts(solid, starts, rays)
     contains = np.any([part.contains for part in parts], axis=0)
     is_hit = [part.enter <= part.leave for part in parts]
-    enter = [np.where(one, part.enter, np.inf) for one, part in zip(is_hit, parts, strict=True)]
-    leave = [np.where(one, part.leave, -np.inf) for one, part in zip(is_hit, parts, strict=True)]
+    enter = [np.where(hit, part.enter, np.inf) for hit, part in zip(is_hit, parts, strict=True)]
+    leave = [np.where(hit, part.leave, -np.inf) for hit, part in zip(is_hit, parts, strict=True)]
     return RayChords(contains, np.min(enter, axis=0), np.max(leave, axis=0))
 
 
 def _parts(solid: Solid, starts: Array, rays: Array) -> list[RayChords]:
     match solid.type:
         case "sphere" | "capsule":
-            found = [_quadratic(rays, starts - point, solid.radius) for point in solid.core]
+            chords = [_quadratic(rays, starts - point, solid.radius) for point in solid.core]
             if solid.type == "capsule":
-                found.append(_cylinder(solid.radius, solid.half_length, starts, rays))
-            return found
+                chords.append(_cylinder(solid.radius, solid.half_length, starts, rays))
+            return chords
         case "cylinder":
             return [_cylinder(solid.disc_radius, solid.half_length, starts, rays)]
     assert solid.offsets is not None
@@ -91,13 +91,13 @@ def _parts(solid: Solid, starts: Array, rays: Array) -> list[RayChords]:
 
 
 def _half_spaces(normals: Array, offsets: Array, starts: Array, rays: Array) -> RayChords:
-    clearance, rate = offsets - starts @ normals.T, rays @ normals.T
+    heights, rates = offsets - starts @ normals.T, rays @ normals.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        fraction = clearance / rate
-    enter = np.where(rate < 0.0, fraction, -np.inf)
-    enter[(rate == 0.0) & (clearance < 0.0)] = np.inf  # parallel to a face and outside
-    leave = np.where(rate > 0.0, fraction, np.inf)
-    contains = np.asarray((clearance >= -HIT_TOLERANCE).all(axis=-1))
+        fractions = heights / rates
+    enter = np.where(rates < 0.0, fractions, -np.inf)
+    enter[(rates == 0.0) & (heights < 0.0)] = np.inf  # parallel to a face and outside
+    leave = np.where(rates > 0.0, fractions, np.inf)
+    contains = np.asarray((heights >= -HIT_TOLERANCE).all(axis=-1))
     return RayChords(contains, enter.max(axis=1), leave.min(axis=1))
 
 
@@ -113,22 +113,22 @@ def _cylinder(radius: float, half: float, starts: Array, rays: Array) -> RayChor
 
 
 def _quadratic(rays: Array, offset: Array, radius: float) -> RayChords:
-    """The chord in which |off + fraction * ray| is at most a radius."""
+    """Returns the chord in which |off + fraction * ray| is at most a radius."""
     a, b = (rays * rays).sum(axis=1), (rays * offset).sum(axis=1)
     c = (offset * offset).sum(axis=-1) - radius**2
-    clearance = b**2 - a * c
+    discriminant = b**2 - a * c
     with np.errstate(divide="ignore", invalid="ignore"):
-        root = np.sqrt(np.maximum(clearance, 0.0))
+        root = np.sqrt(np.maximum(discriminant, 0.0))
         enter, leave = (-b - root) / a, (-b + root) / a
     is_parallel, is_within = a == 0.0, c <= 0.0
     enter = np.where(is_parallel, np.where(is_within, -np.inf, np.inf), enter)
     leave = np.where(is_parallel, np.where(is_within, np.inf, -np.inf), leave)
-    enter[clearance < 0.0] = np.inf
+    enter[discriminant < 0.0] = np.inf
     return RayChords(np.asarray(c <= 2.0 * radius * HIT_TOLERANCE), enter, leave)
 
 
 def crossings(solid: Solid, starts: Array, rays: Array) -> Array:
-    """The fractions at which rays cross the triangles of a solid's surface.
+    """Returns the fractions at which rays cross the triangles of a solid's surface.
 
     By T. Möller and B. Trumbore, Fast, Minimum Storage Ray-Triangle Intersection, 1997.
 
@@ -145,28 +145,28 @@ def crossings(solid: Solid, starts: Array, rays: Array) -> Array:
     offset = starts[..., None, :] - corners[:, 0]
     normal = cross(u, v)
     with np.errstate(divide="ignore", invalid="ignore"):
-        below = -(rays @ normal.T)
-        first = -_along(_cross(offset, v), rays) / below
-        second = _along(_cross(offset, u), rays) / below
-        fraction = (offset * normal).sum(axis=-1) / below
-        is_met = (
+        denominator = -(rays @ normal.T)
+        first = -_dot_products(_cross(offset, v), rays) / denominator
+        second = _dot_products(_cross(offset, u), rays) / denominator
+        fraction = (offset * normal).sum(axis=-1) / denominator
+        is_crossed = (
             (first >= -EDGE_TOLERANCE)
             & (second >= -EDGE_TOLERANCE)
             & (first + second <= 1.0 + EDGE_TOLERANCE)
         )
-    fractions: Array = np.where(is_met, fraction, np.inf)
+    fractions: Array = np.where(is_crossed, fraction, np.inf)
     return fractions
 
 
 def _cross(vectors: Array, others: Array) -> Array:
-    """Cross products of vectors (m, 3) or (n, m, 3) with others (m, 3)."""
+    """Returns cross products of vectors (m, 3) or (n, m, 3) with others (m, 3)."""
     flat = np.broadcast_to(others, vectors.shape).reshape(-1, 3)
     products: Array = cross(vectors.reshape(-1, 3), flat).reshape(vectors.shape)
     return products
 
 
-def _along(vectors: Array, rays: Array) -> Array:
-    """Dot products of vectors (m, 3) or (n, m, 3) with rays (n, 3), (n, m)."""
+def _dot_products(vectors: Array, rays: Array) -> Array:
+    """Returns dot products of vectors (m, 3) or (n, m, 3) with rays (n, 3), (n, m)."""
     if vectors.ndim == 2:
         return rays @ vectors.T
     products: Array = np.einsum("nmi,ni->nm", vectors, rays)

@@ -36,7 +36,7 @@ class Geometry:
 
     @classmethod
     def primitive(cls, type: GeometryType, size: Sequence[float]) -> Geometry:
-        """A box, sphere, cylinder, capsule or plane of a size.
+        """Returns a box, sphere, cylinder, capsule or plane of a size.
 
         >>> Geometry.primitive("box", (0.1, 0.2, 0.3)).size
         (0.1, 0.2, 0.3)
@@ -46,7 +46,7 @@ class Geometry:
 
     @classmethod
     def hull(cls, vertices: npt.ArrayLike) -> Geometry:
-        """The convex hull of points, (n, 3).
+        """Returns the convex hull of points, (n, 3).
 
         >>> Geometry.hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]).vertices.shape
         (4, 3)

@@ -113,9 +113,9 @@ class Solid:
     def _equal_volume_surface(self) -> Surface:
         """The triangles of the core; those of a prism of equal volume for a cylinder."""
         if self.type == "cylinder":
-            turn = 2.0 * math.pi / FINE_SIDES
+            angle = 2.0 * math.pi / FINE_SIDES
             return prism(
-                self.disc_radius * math.sqrt(turn / math.sin(turn)), self.half_length, FINE_SIDES
+                self.disc_radius * math.sqrt(angle / math.sin(angle)), self.half_length, FINE_SIDES
             )
         return self.surface
 
@@ -132,8 +132,8 @@ class Solid:
             return placed
         upper = ball[:, 2] > 0
         lower = ~upper
-        found: Array = np.concatenate((ball[upper] + self.core[1], ball[lower] + self.core[0]))
-        return found
+        points: Array = np.concatenate((ball[upper] + self.core[1], ball[lower] + self.core[0]))
+        return points
 
     @cached_property
     def closed_surface(self) -> Surface:
@@ -167,43 +167,45 @@ class PlacedSolids:
         return len(self.solids)
 
     def __iter__(self) -> Iterator[tuple[Solid, Array, Array]]:
-        """Each solid with its position and its rotation matrix."""
+        """Returns each solid with its position and its rotation matrix."""
         return zip(self.solids, self.positions, self.matrices, strict=True)
 
-    def of(self, some: Flags) -> PlacedSolids:
-        """The solids that are flagged."""
-        solids = [solid for solid, is_one in zip(self.solids, some, strict=True) if is_one]
+    def select(self, flags: Flags) -> PlacedSolids:
+        """Returns the solids that are flagged."""
+        solids = [
+            solid for solid, is_selected in zip(self.solids, flags, strict=True) if is_selected
+        ]
         return PlacedSolids(
             solids,
-            self.positions[some],
-            self.matrices[some],
-            self.boxes[some],
-            self.owners[some],
+            self.positions[flags],
+            self.matrices[flags],
+            self.boxes[flags],
+            self.owners[flags],
         )
 
     @classmethod
-    def none(cls) -> PlacedSolids:
-        """No solids."""
+    def empty(cls) -> PlacedSolids:
+        """Makes an empty set of solids."""
         points = np.zeros((0, 3))
         return cls([], points, np.zeros((0, 3, 3)), np.zeros((0, 6)), np.zeros(0, np.intp))
 
 
 def solid_of(geometry: Geometry) -> Solid:
-    """The solid of a geometry; equal geometries share one.
+    """Returns the solid of a geometry; equal geometries share one.
 
     >>> solid_of(Geometry.primitive("box", (1, 2, 3))).volume
     6.0
     """
     key = geometry.key
     with _LOCK:
-        found = _CACHE.get(key)
-        if found is None:
-            found = _CACHE[key] = replace(_build(geometry), key=key)
+        solid = _CACHE.get(key)
+        if solid is None:
+            solid = _CACHE[key] = replace(_build(geometry), key=key)
             if len(_CACHE) > CACHED_SOLIDS:
                 _CACHE.popitem(last=False)
         else:
             _CACHE.move_to_end(key)
-    return found
+    return solid
 
 
 _CACHE: OrderedDict[str, Solid] = OrderedDict()
@@ -211,7 +213,7 @@ _LOCK = RLock()
 
 
 def _build(geometry: Geometry) -> Solid:
-    if not _is_sound(geometry):
+    if not _is_valid(geometry):
         return Solid(geometry.type, np.zeros((0, 3)), is_known=False)
     a, b, c = geometry.size
     match geometry.type:
@@ -239,8 +241,8 @@ def _build(geometry: Geometry) -> Solid:
             return _mesh(geometry)
 
 
-def _is_sound(geometry: Geometry) -> bool:
-    """Whether the numbers make a shape. FCL accepts any numbers and may crash."""
+def _is_valid(geometry: Geometry) -> bool:
+    """Checks whether the numbers make a shape. FCL accepts any numbers and may crash."""
     size, faces = geometry.size, geometry.faces
     if not (np.isfinite(size).all() and np.isfinite(geometry.vertices).all()):
         return False
@@ -293,35 +295,35 @@ def _box(a: float, b: float, c: float) -> Solid:
 
 
 def hull_solid(points: Array) -> Solid:
-    """The convex hull of points (n, 3), which may be flat, straight or a single point."""
+    """Returns the convex hull of points (n, 3), which may be flat, straight or a single point."""
     points = unique_points(points)
     if len(points) == 0:
         return Solid("hull", points)
-    middle = points.mean(axis=0)
+    centroid = points.mean(axis=0)
     # The spread along the principal axes tells flat and straight sets.
-    _, spread, axes = np.linalg.svd(points - middle, full_matrices=False)
+    _, spread, axes = np.linalg.svd(points - centroid, full_matrices=False)
     rank = int((spread > FLAT * max(spread[0], 1e-300)).sum()) if spread[0] > 0 else 0
     if rank < 3:
-        return _flat_hull(points, middle, axes, rank)
+        return _flat_hull(points, centroid, axes, rank)
     from scipy.spatial import ConvexHull, QhullError
 
     try:
-        found = ConvexHull(points)
+        hull = ConvexHull(points)
     except QhullError:
-        return _flat_hull(points, middle, axes, 2)
-    used, faces = found.vertices, found.simplices
-    number = np.zeros(len(points), np.int32)
-    number[used] = np.arange(len(used))
-    corners = points[used]
-    inside = corners.mean(axis=0)
-    planes = np.unique(found.equations.round(12), axis=0)
-    faces = _facing_outward(number[faces], corners, inside)
+        return _flat_hull(points, centroid, axes, 2)
+    hull_vertices, faces = hull.vertices, hull.simplices
+    new_numbers = np.zeros(len(points), np.int32)
+    new_numbers[hull_vertices] = np.arange(len(hull_vertices))
+    corners = points[hull_vertices]
+    interior_point = corners.mean(axis=0)
+    planes = np.unique(hull.equations.round(12), axis=0)
+    faces = _orient_outward(new_numbers[faces], corners, interior_point)
     low, high = corners.min(axis=0), corners.max(axis=0)
     centre = (low + high) / 2
     # qhull's planes before it merges them, which are exact up to rounding
-    normals, offsets = found.equations[:, :3], -found.equations[:, 3]
+    normals, offsets = hull.equations[:, :3], -hull.equations[:, 3]
     if len(planes) < len(normals):
-        _, first = np.unique(found.equations.round(12), axis=0, return_index=True)
+        _, first = np.unique(hull.equations.round(12), axis=0, return_index=True)
         normals, offsets = normals[first], offsets[first]
     return Solid(
         "hull",
@@ -329,49 +331,49 @@ def hull_solid(points: Array) -> Solid:
         normals=normals,
         offsets=offsets,
         faces=faces,
-        volume=float(found.volume),
+        volume=float(hull.volume),
         centre=_point(centre),
         bounding_radius=float(np.linalg.norm(corners - centre, axis=1).max()),
-        inscribed_centre=_point(inside),
-        inscribed_radius=max(0.0, float((offsets - normals @ inside).min())),
+        inscribed_centre=_point(interior_point),
+        inscribed_radius=max(0.0, float((offsets - normals @ interior_point).min())),
     )
 
 
-def _flat_hull(points: Array, middle: Array, axes: Array, rank: int) -> Solid:
-    """A hull without an inside: a polygon, a segment or a point."""
+def _flat_hull(points: Array, centroid: Array, axes: Array, rank: int) -> Solid:
+    """Returns a hull without an inside: a polygon, a segment or a point."""
     if rank == 0:
-        return Solid("sphere", middle[None], centre=_point(middle))
+        return Solid("sphere", centroid[None], centre=_point(centroid))
     if rank == 1:
-        along = (points - middle) @ axes[0]
-        corners = points[[int(along.argmin()), int(along.argmax())]]
+        positions = (points - centroid) @ axes[0]
+        corners = points[[int(positions.argmin()), int(positions.argmax())]]
         faces = np.array([[0, 1, 1]], np.int32)
         normals = np.zeros((0, 3))
     else:
         from scipy.spatial import ConvexHull, QhullError
 
         try:
-            hull_corners = ConvexHull((points - middle) @ axes[:2].T).vertices
+            hull_corners = ConvexHull((points - centroid) @ axes[:2].T).vertices
         except QhullError:
-            return _flat_hull(points, middle, axes, 1)
+            return _flat_hull(points, centroid, axes, 1)
         corners = points[hull_corners]
         faces = np.array([[0, n, n + 1] for n in range(1, len(hull_corners) - 1)], np.int32)
         edges = np.roll(corners, -1, axis=0) - corners
         up = np.cross(axes[0], axes[1])
         sides = cross(edges, np.repeat(up[None], len(edges), axis=0))
         normals = np.concatenate(([up, -up], _unit_vectors(sides)))
-    bounding_radius = float(np.linalg.norm(corners - middle, axis=1).max())
+    bounding_radius = float(np.linalg.norm(corners - centroid, axis=1).max())
     return Solid(
         "hull",
         corners,
         normals=normals,
         faces=faces,
-        centre=_point(middle),
+        centre=_point(centroid),
         bounding_radius=bounding_radius,
     )
 
 
 def _mesh(geometry: Geometry) -> Solid:
-    surface = Surface(*_merged(geometry.vertices, geometry.faces)).oriented()
+    surface = Surface(*_merge_vertices(geometry.vertices, geometry.faces)).oriented()
     if not len(surface.faces):
         return Solid("mesh", np.zeros((0, 3)), is_closed=False)
     vertices = surface.vertices
@@ -391,25 +393,28 @@ def _mesh(geometry: Geometry) -> Solid:
     )
 
 
-def _merged(vertices: Array, faces: Triangles) -> tuple[Array, Triangles]:
+def _merge_vertices(vertices: Array, faces: Triangles) -> tuple[Array, Triangles]:
     """Removes duplicate vertices, vertices of no face, and faces without an area."""
     if not len(faces):
         return np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-    used, number = np.unique(vertices[faces.reshape(-1)] + 0.0, axis=0, return_inverse=True)
-    merged = number.reshape(-1, 3).astype(np.int32)
+    unique, indices = np.unique(vertices[faces.reshape(-1)] + 0.0, axis=0, return_inverse=True)
+    merged = indices.reshape(-1, 3).astype(np.int32)
     a, b, c = merged.T
-    return used, merged[(a != b) & (b != c) & (c != a)]
+    return unique, merged[(a != b) & (b != c) & (c != a)]
 
 
 def prism(radius: float, half_length: float, sides: int) -> Surface:
-    """A regular prism along z whose corners are at a radius."""
+    """Returns a regular prism along z whose corners are at a radius."""
     angles = np.arange(sides) * (2.0 * math.pi / sides)
     ring = np.stack((np.cos(angles), np.sin(angles)), axis=1) * radius
     heights = np.repeat([-half_length, half_length], sides)
     vertices = np.column_stack((np.tile(ring, (2, 1)), heights))
-    at, after = np.arange(sides), np.roll(np.arange(sides), -1)
+    corners, next_corners = np.arange(sides), np.roll(np.arange(sides), -1)
     walls = np.concatenate(
-        (np.stack((at, after, after + sides), 1), np.stack((at, after + sides, at + sides), 1))
+        (
+            np.stack((corners, next_corners, next_corners + sides), 1),
+            np.stack((corners, next_corners + sides, corners + sides), 1),
+        )
     )
     fan = np.arange(1, sides - 1)
     bottom = np.stack((np.zeros_like(fan), fan + 1, fan), 1)
@@ -421,7 +426,7 @@ _UNIT_BALL: list[Array] = []
 
 
 def _unit_ball(count: int = 1000) -> Array:
-    """Evenly distributed points whose hull has the volume of the unit ball."""
+    """Returns evenly distributed points whose hull has the volume of the unit ball."""
     if not _UNIT_BALL:
         from scipy.spatial import ConvexHull
 
@@ -433,13 +438,13 @@ def _unit_ball(count: int = 1000) -> Array:
     return _UNIT_BALL[0]
 
 
-def _facing_outward(faces: Triangles, corners: Array, inside: Array) -> Triangles:
-    """Faces whose normals point away from a point inside."""
+def _orient_outward(faces: Triangles, corners: Array, interior_point: Array) -> Triangles:
+    """Returns faces whose normals point away from a point inside."""
     a, b, c = (corners[faces[:, k]] for k in range(3))
-    inward = np.einsum("ij,ij->i", cross(b - a, c - a), a - inside) < 0
-    turned = faces.astype(np.int32)
-    turned[inward] = turned[inward][:, ::-1]
-    return turned
+    is_inward = np.einsum("ij,ij->i", cross(b - a, c - a), a - interior_point) < 0
+    oriented = faces.astype(np.int32)
+    oriented[is_inward] = oriented[is_inward][:, ::-1]
+    return oriented
 
 
 def _unit_vectors(vectors: Array) -> Array:

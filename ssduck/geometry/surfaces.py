@@ -45,8 +45,8 @@ class Surface:
     def is_closed(self) -> bool:
         """Whether every edge is traversed equally often in both directions."""
         edges = self._edges.tolist()
-        ways = Multiset((a, b) for a, b in edges)
-        return bool(edges) and all(ways[b, a] == count for (a, b), count in ways.items())
+        counts = Multiset((a, b) for a, b in edges)
+        return bool(edges) and all(counts[b, a] == count for (a, b), count in counts.items())
 
     @cached_property
     def volume(self) -> float:
@@ -59,7 +59,7 @@ class Surface:
         return edges
 
     def oriented(self) -> Surface:
-        """The surface with its faces outward, if it can be closed in that way."""
+        """Returns the surface with its faces outward, if it can be closed in that way."""
         if not len(self.faces):
             return self
         surface = self if self.is_closed else Surface(self.vertices, self._consistent_faces())
@@ -70,28 +70,28 @@ class Surface:
         return surface
 
     def _consistent_faces(self) -> Triangles:
-        """Faces that agree with their neighbours, if each edge has two faces."""
+        """Returns faces that agree with their neighbours, if each edge has two faces."""
         owners: dict[tuple[int, int], list[int]] = {}
         faces: list[list[int]] = self.faces.tolist()
         for number, (a, b, c) in enumerate(faces):
             for u, v in ((a, b), (b, c), (c, a)):
                 owners.setdefault((min(u, v), max(u, v)), []).append(number)
-        if any(len(two) != 2 for two in owners.values()):
+        if any(len(faces_of_edge) != 2 for faces_of_edge in owners.values()):
             return self.faces
-        seen: set[int] = set()
+        visited: set[int] = set()
         for first in range(len(faces)):
-            pending = [] if first in seen else [first]
+            pending = [] if first in visited else [first]
             while pending:
                 number = pending.pop()
-                seen.add(number)
+                visited.add(number)
                 a, b, c = faces[number]
                 for u, v in ((a, b), (b, c), (c, a)):
                     for other in owners[min(u, v), max(u, v)]:
-                        if other not in seen:
+                        if other not in visited:
                             x, y, z = faces[other]
                             if (u, v) in ((x, y), (y, z), (z, x)):
                                 faces[other] = [z, y, x]
-                            seen.add(other)
+                            visited.add(other)
                             pending.append(other)
         return np.array(faces, np.int32)
 
@@ -104,10 +104,10 @@ class Surface:
         a, b = self._edges.T
         count = len(self.vertices)
         graph = coo_array((np.ones(len(a)), (a, b)), shape=(count, count))
-        _, part = connected_components(graph, directed=False)
-        used = np.unique(self.faces)
-        _, first = np.unique(part[used], return_index=True)
-        return self.vertices[used[first]]
+        _, components = connected_components(graph, directed=False)
+        used_vertices = np.unique(self.faces)
+        _, first = np.unique(components[used_vertices], return_index=True)
+        return self.vertices[used_vertices[first]]
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
@@ -115,43 +115,43 @@ class Surface:
         return self.vertices.min(axis=0), self.vertices.max(axis=0)
 
     def encloses(self, points: Array) -> Any:
-        """Which of some points (n, 3) the closed surface winds around, (n,)."""
+        """Checks which of some points (n, 3) the closed surface winds around, (n,)."""
         low, high = self.box
-        near = ((points > low) & (points < high)).all(axis=1)
-        found = np.zeros(len(points), bool)
-        found[near] = _winding_numbers(points[near], self.triangles) > 0
-        return found
+        in_box = ((points > low) & (points < high)).all(axis=1)
+        is_enclosed = np.zeros(len(points), bool)
+        is_enclosed[in_box] = _winding_numbers(points[in_box], self.triangles) > 0
+        return is_enclosed
 
 
 def _winding_numbers(points: Array, triangles: Array) -> Indices:
-    """The winding numbers of a closed surface around points: signed crossings of a ray from each.
+    """Counts the winding numbers of a closed surface around points, by signed crossings of rays.
 
     The side on which a ray passes an edge is the same for both triangles that share the edge,
     however it is rounded. So a ray that hits an edge or a corner is counted correctly.
     """
-    points, triangles = _sheared(points), _sheared(triangles)
-    found = np.zeros(len(points), np.intp)
+    points, triangles = _shear(points), _shear(triangles)
+    windings = np.zeros(len(points), np.intp)
     start, end = points.T.copy(), points.T.copy()
     end[2] = math.inf
     boxes = triangles.min(axis=1).T.copy(), triangles.max(axis=1).T.copy()
     for j, i in overlapping_pairs_across(boxes, (start, end), touching=True):
-        to = triangles[j] - points[i][:, None]
-        signs = _winding_signs(to)
-        volumes = np.einsum("ni,ni->n", to[:, 0], cross(to[:, 1], to[:, 2]))
-        above = signs * volumes > 0.0
-        np.add.at(found, i[above], signs[above])
-    return found
+        corners = triangles[j] - points[i][:, None]
+        signs = _winding_signs(corners)
+        volumes = np.einsum("ni,ni->n", corners[:, 0], cross(corners[:, 1], corners[:, 2]))
+        is_above = signs * volumes > 0.0
+        np.add.at(windings, i[is_above], signs[is_above])
+    return windings
 
 
-def _sheared(points: Array) -> Array:
-    """Sheared points, so that no axis-aligned face is parallel to the rays along +z."""
+def _shear(points: Array) -> Array:
+    """Returns sheared points, so that no axis-aligned face is parallel to the rays along +z."""
     sheared = points.copy()
     sheared[..., :2] -= SLANT * points[..., 2:]
     return sheared
 
 
 def _winding_signs(triangles: Array) -> Indices:
-    """The winding numbers of triangles' projections (n, 3, 3) around the origin: 1, 0 or -1."""
+    """Returns the winding numbers of triangles' projections around the origin: 1, 0 or -1, (n,)."""
     x, y = triangles[:, :, 0], triangles[:, :, 1]
     next_x, next_y = np.roll(x, -1, axis=1), np.roll(y, -1, axis=1)
     side = x * next_y - y * next_x
@@ -162,7 +162,7 @@ def _winding_signs(triangles: Array) -> Indices:
 
 
 def enclosed_volume(triangles: Array) -> float:
-    """The signed volume of the tetrahedra over triangles; positive if these face outward."""
+    """Returns the signed volume of the tetrahedra over triangles; positive if they face outward."""
     if not len(triangles):
         return 0.0
     a, b, c = (triangles[:, k] - triangles[0, 0] for k in range(3))
@@ -170,5 +170,5 @@ def enclosed_volume(triangles: Array) -> float:
 
 
 def unique_points(points: Array) -> Array:
-    """The distinct points of (n, 3); -0 is 0."""
+    """Returns the distinct points of (n, 3); -0 is 0."""
     return np.unique(points + 0.0, axis=0) if len(points) else points

@@ -63,7 +63,7 @@ class BackgroundWriter:
         self._failure: BaseException | None = None
 
     def __len__(self) -> int:
-        """The number of batches that are not stored yet."""
+        """Returns the number of batches that are not stored yet."""
         return self._count
 
     @property

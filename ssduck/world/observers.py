@@ -80,7 +80,7 @@ class Observable(ABC):
             self._observers = tuple(ref for ref in self._observers if ref() is not follower)
 
     def reached(self, due: float) -> bool:
-        """Whether the last tick is at a simulated time or later, up to rounding."""
+        """Checks whether the last tick is at a simulated time or later, up to rounding."""
         return self.time >= due - self.slack
 
     @property

@@ -123,7 +123,7 @@ class OpenRaveEntity:
         self.enabled = enable
 
     def IsEnabled(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Whether the entity takes part in collisions."""
+        """Checks whether the entity takes part in collisions."""
         return bool(self.enabled)
 
     def SetVisible(self: Any, visible: bool) -> None:  # noqa: N802  # OpenRAVE's name
@@ -131,7 +131,7 @@ class OpenRaveEntity:
         self.visible = visible
 
     def IsVisible(self: Any) -> bool:  # noqa: N802  # OpenRAVE's name
-        """Whether the entity is drawn."""
+        """Checks whether the entity is drawn."""
         return bool(self.visible)
 
 

@@ -135,7 +135,7 @@ class SensorReader:
         return clone
 
     def is_on(self, id: int) -> bool:
-        """Whether a sensor is switched on."""
+        """Checks whether a sensor is switched on."""
         return id not in self._off
 
     def switch(self, id: int, *, on: bool) -> None:
@@ -320,7 +320,7 @@ def sensor_poses(
 
 
 def has_rays(info: EntityInfo) -> bool:
-    """Whether a sensor casts rays; otherwise it measures contacts."""
+    """Checks whether a sensor casts rays; otherwise it measures contacts."""
     assert info.sensor is not None
     return SENSOR_TYPES[info.sensor.type].rays is not None
 
@@ -337,11 +337,11 @@ def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPo
     host = _host(info, context.layout)
     spec = info.sensor
     link = info.mount[1] if spec is not None and spec.link is not None else None
-    presses = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
-    own = (contacts.bodies == host) & presses[:, None]
+    has_force = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
+    is_touching = (contacts.bodies == host) & has_force[:, None]
     if link is not None:
-        own &= contacts.links == link
-    rows, sides = np.nonzero(own)
+        is_touching &= contacts.links == link
+    rows, sides = np.nonzero(is_touching)
     return Reading(
         context.tick,
         context.time,

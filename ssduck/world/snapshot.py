@@ -347,7 +347,7 @@ class Snapshot:
         return not (requested | self.recorded) <= self._read
 
     def has(self, table: str) -> bool:
-        """Whether this tick includes a table that is read on request."""
+        """Checks whether this tick includes a table that is read on request."""
         return table in self._read and table not in self.unavailable
 
     def request_sensor(self, sensor: int, *, picture: bool) -> bool:

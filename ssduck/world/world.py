@@ -392,7 +392,7 @@ class World(ManipulableSimulation, OpenRaveWorld):
         return len(self.snapshot.entities)
 
     def __contains__(self, thing: object) -> bool:
-        """Whether the world has an entity, given by its name or its handle."""
+        """Checks whether the world has an entity, given by its name or its handle."""
         if isinstance(thing, Entity):
             return thing.world is self and thing.id in self.snapshot.rows
         return any(info.name == thing for info in self.snapshot.entities)
@@ -467,10 +467,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
                 raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
             host = self._registry.host(on, self.name)
             values = {
-                "position": _plain(position),
-                "orientation": _plain(orientation),
                 **({} if link is None else {"link": link}),
-                **{key: _plain(value) for key, value in settings.items()},
+                **_plain({"position": position, "orientation": orientation, **settings}),
             }
             info = self._registry.add_sensor(type, host, name, values)
             assert info.sensor is not None
@@ -552,5 +550,7 @@ def _plain(value: Any) -> Any:
     """Converts numpy values to Python's and sequences to lists; returns other values unchanged."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
     return [_plain(part) for part in value] if is_list else value

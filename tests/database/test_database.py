@@ -524,7 +524,7 @@ def test_tables_columns_and_functions_are_commented(sim):
     columns = (
         "SELECT comment FROM duckdb_columns() WHERE schema_name = 'sim' AND column_name = 'mass'"
     )
-    assert ("kg; 0 for what cannot move",) in sim.sql(columns).fetchall()
+    assert ("kg; 0 for a sensor and for a body that cannot move",) in sim.sql(columns).fetchall()
     views = dict(
         sim.sql(
             "SELECT view_name, comment FROM duckdb_views() WHERE schema_name = 'sim'"

@@ -179,8 +179,10 @@ def test_all_meet_that_are_boxes(apart):
 def compared(monkeypatch, boxes, apart=0.0):
     """How many candidates are compared, a part at a time."""
     counts = []
-    met = broad._met
-    monkeypatch.setattr(broad, "_met", lambda *args: (counts.append(len(args[2])), met(*args))[1])
+    overlapping = broad._overlapping
+    monkeypatch.setattr(
+        broad, "_overlapping", lambda *args: (counts.append(len(args[2])), overlapping(*args))[1]
+    )
     overlapping_pairs(boxes, apart)
     return counts
 
@@ -209,5 +211,5 @@ def test_many_candidates_are_compared_in_parts(monkeypatch):
 def test_with_too_many_cells_a_coarser_grid_finds_the_same(monkeypatch):
     boxes = with_far(scene(200, 11), 2e3, 1e9)
     monkeypatch.setattr(broad, "_MAX_CELL_NUMBER", 1000)
-    assert broad._numbered(boxes[:3], 0.4)[0].max() < 1000
+    assert broad._cell_numbers(boxes[:3], 0.4)[0].max() < 1000
     assert found(boxes) == brute(boxes)

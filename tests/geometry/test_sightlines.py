@@ -106,7 +106,10 @@ def test_a_surface_begins_at_a_point():
 
 
 def test_nothing_is_in_the_way_of_nothing():
-    assert are_blocked(PlacedSolids.none(), np.zeros(3), np.ones((2, 3))).tolist() == [False, False]
+    assert are_blocked(PlacedSolids.empty(), np.zeros(3), np.ones((2, 3))).tolist() == [
+        False,
+        False,
+    ]
     assert are_blocked(placed(SHAPES["box"]), np.ones(3), np.zeros((0, 3))).tolist() == []
 
 

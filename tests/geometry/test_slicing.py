@@ -178,7 +178,7 @@ def test_the_top_and_the_bottom(kind, low, high, reach, met):
         "mesh": prism([(-0.2, -0.2), (0.2, -0.2), (0.2, 0.0), (0, 0), (0, 0.2), (-0.2, 0.2)], 0.5),
     }
     slicer = Rasterizer(placed((shapes[kind], [0, 0, 0], Rotation.identity())))
-    assert slicer.cells(RASTER, low, high, reach=reach).any() == met
+    assert slicer.cells(RASTER, low, high, min_overlap=reach).any() == met
 
 
 # -- meshes ---------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ def test_planes_are_solid():
     slicer = Rasterizer(placed((up, [0, 0, 0.2], Rotation.identity())))
     assert slicer.cells(RASTER, 0.2, 0.2).all()
     assert not slicer.cells(RASTER, 0.2 + TINY, 0.3).any()
-    assert not slicer.cells(RASTER, 0.2, 0.3, reach=CELL_TOLERANCE).any()
+    assert not slicer.cells(RASTER, 0.2, 0.3, min_overlap=CELL_TOLERANCE).any()
     steep = Rasterizer(
         placed((Geometry.primitive("plane", (1, 0, 0)), [0.05, 0, 0], Rotation.identity()))
     )
@@ -290,7 +290,7 @@ def test_planes_are_solid():
 
 
 def test_nothing_and_points():
-    empty = Rasterizer(PlacedSolids.none())
+    empty = Rasterizer(PlacedSolids.empty())
     assert not empty.cells(RASTER, -1, 1).any()
     point = placed((Geometry.primitive("sphere", (0, 0, 0)), [0.01, 0.01, 0], Rotation.identity()))
     assert Rasterizer(point).cells(RASTER, 0, 0).sum() == 1

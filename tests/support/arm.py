@@ -1,4 +1,4 @@
-"""An arm with all kinds of joints, and the columns that say where its links are."""
+"""An arm with all kinds of joints, and the columns of its links' poses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LOW, HIGH = ["xmin", "ymin", "zmin"], ["xmax", "ymax", "zmax"]
 LIMIT = '<limit lower="{}" upper="{}" effort="{}" velocity="{}"/>'
 
 
-# Inertial frames that are shifted and turned, on the base and on links; all kinds of joints.
+# The inertial frames of the base and the links are shifted and rotated; all kinds of joints.
 ARM = robot(
     link(
         "base",
@@ -68,6 +68,7 @@ ARM = robot(
 
 
 def unsettle(client, handle, seed):
+    """Gives a body a random pose, random velocities and random joint states."""
     rng = np.random.default_rng(seed)
     turn = Rotation.random(random_state=seed).as_quat()
     pybullet.resetBasePositionAndOrientation(handle, rng.normal(size=3), turn, client)

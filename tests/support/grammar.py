@@ -1,4 +1,4 @@
-"""Whole programs of the language, made at random, and what both evaluators make of them.
+"""Random programs of the language, and the comparison of both evaluators on them.
 
 `Program` is drawn from `Choices`: numbers that come from a `random.Random`, from hypothesis, or
 from a list. The simplest choice is 0 everywhere, so that smaller numbers are smaller programs.
@@ -28,34 +28,34 @@ T = TypeVar("T")
 
 
 class Choices:
-    """Numbers below a bound; those of a list first, then those of a function.
+    """A source of choices: first the numbers of a list, then those of a function.
 
     Args:
-        draw: gives a number below its argument.
-        given: the first numbers.
+        draw: returns a number below its argument.
+        first: the first numbers.
 
     Attributes:
         taken: the numbers so far.
     """
 
-    def __init__(self, draw: Callable[[int], int], given: Sequence[int] = ()) -> None:
+    def __init__(self, draw: Callable[[int], int], first: Sequence[int] = ()) -> None:
         self._draw = draw
-        self._given = given
+        self._first = first
         self.taken: list[int] = []
 
     def below(self, bound: int) -> int:
         """Returns a number from 0 to below the bound."""
-        place = len(self.taken)
-        number = self._given[place] % bound if place < len(self._given) else self._draw(bound)
+        index = len(self.taken)
+        number = self._first[index] % bound if index < len(self._first) else self._draw(bound)
         self.taken.append(number)
         return number
 
     def pick(self, options: Sequence[T]) -> T:
-        """One of the options; the first is the simplest."""
+        """Returns one of the options; the first is the simplest."""
         return options[self.below(len(options))]
 
     def chance(self, percent: int) -> bool:
-        """True so many times in a hundred; False is simpler."""
+        """Returns True with a probability; False is simpler."""
         return self.below(100) >= 100 - percent
 
 
@@ -270,7 +270,7 @@ class Grammar:
         return " ".join(f"{statement};" for statement in (*self.before, last))
 
     def stored(self, scope: Scope) -> str:
-        """Returns a query over what a query before it has found."""
+        """Returns a query over the stored result of another query."""
         type_ = self.c.pick(SCALARS)
         self.before.append(f"found = {self.query(scope, 1, type_)}")
         alias = self.alias()
@@ -308,7 +308,7 @@ class Grammar:
     # -- queries ----------------------------------------------------------------------------
 
     def alias(self) -> str:
-        """Returns a name that no source has yet; now and then one that has been."""
+        """Returns a new name of a source; now and then a name that was used."""
         if self.aliases and self.c.chance(3):
             return "abcdefghijklmnopq"[self.c.below(min(self.aliases, 17))]
         self.aliases += 1
@@ -319,7 +319,7 @@ class Grammar:
         return f"({text})"
 
     def query(self, scope: Scope, depth: int, wanted: Type | None = None, form: str = "") -> str:
-        """Returns a query; of one column of a type, if that is wanted."""
+        """Returns a query; one with a column of a type, on request."""
         many = 1 + self.c.below(3 if depth == 0 else 2) if self.c.chance(45) else 1
         aliased = many > 1 or self.c.chance(60)
         sources = [self.source(scope, depth, aliased=aliased) for _ in range(many)]
@@ -415,7 +415,7 @@ class Grammar:
         return f"{text} HAVING {self.aggregate(inner)} {sign} {bound}"
 
     def inside(self, scope: Scope, sources: list[Source]) -> Scope:
-        """What the parts of a query may mention: its own sources, and those around by alias."""
+        """Returns the scope of a query's parts: its own sources, and the outer ones by alias."""
         outer = tuple(
             (text, type_)
             for text, type_ in (*scope.outer, *scope.own)
@@ -566,7 +566,7 @@ class Grammar:
         return self.c.pick(LITERALS[type_.kind])
 
     def expression(self, type_: Type, scope: Scope, size: int, depth: int) -> str:
-        """Returns an expression of a type; seldom of another one, if errors are wanted."""
+        """Returns an expression of a type; seldom of another one, if errors are allowed."""
         if self.wild and self.c.chance(4):
             type_ = self.c.pick((INT, TEXT, REAL, INTS, FLAG))
         if size <= 0 or not self.c.chance(95 if type_ == FLAG else 62):
@@ -642,7 +642,7 @@ class Grammar:
         return f"IF({condition}; {then}; {other})"
 
     def chain(self, type_: Type, scope: Scope) -> str:
-        """So many operands in a row that they are kept flat, or nearly so many."""
+        """Returns about as many operands in a row as are kept flat."""
         signs = {"int": ("+", "-"), "real": ("+", "-", "*"), "text": ("+",)}
         parts = [self.atom(type_, scope) for _ in range(2)]
         many = self.c.pick((31, 32, 33, 40))
@@ -659,7 +659,7 @@ class Grammar:
         return f"((tally = tally + 1) > {self.c.below(4)} AND {condition})"
 
     def divisor(self, type_: Type, scope: Scope, size: int) -> str:
-        """What is not 0, unless errors are wanted."""
+        """Returns a divisor that is not 0, unless errors are allowed."""
         if self.wild and self.c.chance(60):
             return self.expression(type_, scope, size, 9)
         if type_ == INT:
@@ -993,10 +993,10 @@ class Evaluators:
         """Checks whether nothing of a program's queries is left to Python."""
         self.refresh(self.sql)
         try:
-            told = self.sql.explain(text)
+            plan = self.sql.explain(text)
         except ssduck.SelectScriptError:
             return False
-        return "SELECT" in told and "-- left to Python" not in told and "-- row by row" not in told
+        return "SELECT" in plan and "-- left to Python" not in plan and "-- row by row" not in plan
 
     def close(self) -> None:
         """Close both."""

@@ -1,7 +1,7 @@
 """Random scenes of shapes with holes, and things in the holes; each is a list of `pairs.Shape`.
 
-Rings, tubes, cups, frames, profiles, boxes with a cavity: what is convex of them tells nothing of
-what is in the hole. Flat and straight hulls have no inside at all.
+Rings, tubes, cups, frames, profiles, boxes with a cavity: their convex hulls do not decide about
+things in the hole. Flat and straight hulls have no inside.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def mesh(vertices, faces):
 
 
 def revolved(profile, sides):
-    """Returns a closed mesh: a closed outline of (radius, height), counterclockwise, turned about z."""
+    """Returns a closed mesh: an outline of (radius, height), counterclockwise, turned about z."""
     angles = np.arange(sides) * 2 * math.pi / sides
     count = len(profile)
     vertices = [[r * math.cos(a), r * math.sin(a), z] for a in angles for r, z in profile]
@@ -78,7 +78,7 @@ def bowl(radius, sides=12):
     return mesh(vertices, faces)
 
 
-# Each of the radius of a ball around the origin that is in the hole, and how thick it is.
+# By name: functions of the radius of a ball at the origin that fits the hole, and of the thickness.
 HOLLOWS = {
     "ring": lambda r, wall: torus(r * 1.1 + wall, wall),
     "tube": lambda r, wall: tube(r * 1.1, wall, 2 * r),
@@ -116,34 +116,42 @@ def _ball(random, count):
 
 
 def kind_of(name, geometry):
-    """What `pairs` calls it."""
+    """Returns the kind of a shape in `pairs`."""
     if geometry.type == "mesh":
         return "open mesh" if name in ("bowl", "sheet") else "mesh"
     return "flat" if name in ("flat", "straight", "point", "corner") else geometry.type
 
 
-def turned(random):
+def random_orientation(random):
     turn = np.array(TURNS[random.integers(len(TURNS))], float)
     turn = turn if random.integers(2) else random.normal(size=4)
     return turn / np.linalg.norm(turn)
 
 
 def scene(seed, things=3):
-    """Something hollow, and things in its hole, in its wall, or half in either."""
+    """Returns a hollow shape, and shapes in its hole, in its wall, or half in either."""
     random = np.random.default_rng(seed)
     name = list(HOLLOWS)[seed % len(HOLLOWS)]
     r, wall = random.choice([0.25, 0.5, 1.0]), random.choice([0.02, 0.1, 0.3])
-    hollow = Shape(name, HOLLOWS[name](r, wall), np.zeros(3), turned(random))
+    hollow = Shape(name, HOLLOWS[name](r, wall), np.zeros(3), random_orientation(random))
     hollow = Shape(
-        kind_of(name, hollow.geometry), hollow.geometry, random.uniform(-1, 1, 3), turned(random)
+        kind_of(name, hollow.geometry),
+        hollow.geometry,
+        random.uniform(-1, 1, 3),
+        random_orientation(random),
     )
-    found = [hollow]
+    shapes = [hollow]
     for number in random.permutation(len(THINGS))[:things]:
-        what = list(THINGS)[number]
+        thing = list(THINGS)[number]
         size = r * random.choice([0.02, 0.3, 0.9, 1.0, 1.3])
-        geometry = THINGS[what](size, random)
+        geometry = THINGS[thing](size, random)
         off = _ball(random, 1)[0] * r * random.choice([0.0, 0.05, 0.5, 1.0])
-        found.append(
-            Shape(kind_of(what, geometry), geometry, hollow.position + off, turned(random))
+        shapes.append(
+            Shape(
+                kind_of(thing, geometry),
+                geometry,
+                hollow.position + off,
+                random_orientation(random),
+            )
         )
-    return found
+    return shapes

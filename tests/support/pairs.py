@@ -1,4 +1,4 @@
-"""Random pairs of shapes, and oracles that say what their gap is without ssduck's own geometry.
+"""Random pairs of shapes, and oracles of their gaps without ssduck's own geometry.
 
 Half of the pairs have sizes, places and turns from a few round numbers, so that edges are
 parallel and faces meet: what distance algorithms get wrong.
@@ -114,7 +114,7 @@ PATCH = np.array(
 
 
 def patch_vertices(a, b, c):
-    """Nine points of a saddle."""
+    """Returns nine points of a saddle."""
     grid = [(x, y) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5)]
     return np.array([[x * a, y * b, x * y * c] for x, y in grid])
 
@@ -128,7 +128,7 @@ def pose(random, is_round):
 
 
 def pair(kinds, seed):
-    """Two shapes of these kinds."""
+    """Returns two random shapes of some kinds."""
     random = np.random.default_rng(seed)
     is_round = bool(random.integers(2))
     return tuple(
@@ -137,7 +137,7 @@ def pair(kinds, seed):
 
 
 def gap(a, b, calls=None):
-    """What ssduck says."""
+    """Returns ssduck's signed distance of two shapes."""
     one, other = a.placed(), b.placed()
     calls = calls or CallCounter()
     kinds = {one.solid.type, other.solid.type}
@@ -150,33 +150,34 @@ def gap(a, b, calls=None):
 
 
 def bodies(shapes):
-    """Shapes for `classify_gaps`, by their numbers."""
+    """Places shapes for `classify_gaps`."""
     solids = [solid_of(one.geometry) for one in shapes]
     placed = [one.placed() for one in shapes]
     turns = np.array([one.matrix_rows for one in placed]).reshape(-1, 9).T
     places = list(zip(placed, solids, strict=True))
     centres = np.array([one.to_world(*s.centre) for one, s in places]).T
     inner = np.array([one.to_world(*s.inscribed_centre) for one, s in places]).T
-    every = np.arange(len(shapes))
+    indices = np.arange(len(shapes))
     return PlacedCores(
-        ConvexCores(solids, every), *map(np.ascontiguousarray, (turns, centres, inner))
+        ConvexCores(solids, indices), *map(np.ascontiguousarray, (turns, centres, inner))
     )
 
 
-def verdicts(two, bound):
-    """Of pairs of shapes, as they are and swapped."""
-    all_ = bodies([one for pair in two for one in pair])
-    first = np.arange(0, 2 * len(two), 2)
-    return classify_gaps(all_, first, first + 1, bound), classify_gaps(
-        all_, first + 1, first, bound
+def verdicts(shape_pairs, bound):
+    """Returns the verdicts on pairs of shapes, as they are and swapped."""
+    cores = bodies([shape for pair in shape_pairs for shape in pair])
+    first = np.arange(0, 2 * len(shape_pairs), 2)
+    return tuple(
+        classify_gaps(cores, one, other, bound)
+        for one, other in ((first, first + 1), (first + 1, first))
     )
 
 
-def wrong_verdicts(two, gaps, bound):
-    """Returns the numbers of pairs of shapes of which something is decided that their gaps are not."""
-    wrong = np.zeros(len(two), bool)
-    for found in verdicts(two, bound):
-        wrong |= ((found == BELOW) & (gaps >= bound)) | ((found == ABOVE) & (gaps <= bound))
+def wrong_verdicts(shape_pairs, gaps, bound):
+    """Returns the indices of pairs of shapes whose verdicts contradict their gaps."""
+    wrong = np.zeros(len(shape_pairs), bool)
+    for result in verdicts(shape_pairs, bound):
+        wrong |= ((result == BELOW) & (gaps >= bound)) | ((result == ABOVE) & (gaps <= bound))
     return np.flatnonzero(wrong).tolist()
 
 
@@ -184,7 +185,7 @@ def wrong_verdicts(two, gaps, bound):
 
 
 def reach(shape, direction):
-    """How far a shape reaches in a unit direction: its support function."""
+    """Returns the support function of a shape in a unit direction."""
     local = shape.matrix.T @ direction
     a, b, c = shape.geometry.size
     base = float(shape.position @ direction)
@@ -203,7 +204,7 @@ def reach(shape, direction):
 
 
 def corners(shape, sides=SIDES):
-    """Points in the world, and a radius, whose hull, grown by the radius, the shape is."""
+    """Returns points in the world and a radius: the shape is their hull, grown by the radius."""
     a, b, c = shape.geometry.size
     match shape.geometry.type:
         case "sphere":
@@ -224,7 +225,7 @@ def corners(shape, sides=SIDES):
 
 
 def is_in(shape, point, slack):
-    """Checks whether a convex shape has a point."""
+    """Checks whether a convex shape contains a point, with some slack."""
     x, y, z = shape.matrix.T @ (np.asarray(point) - shape.position)
     a, b, c = shape.geometry.size
     match shape.geometry.type:
@@ -239,45 +240,45 @@ def is_in(shape, point, slack):
         case "plane":
             return float(np.dot((x, y, z), shape.geometry.size)) <= slack
     vertices = shape.geometry.vertices
-    # A mixture of corners that is the point up to the slack: a linear program.
+    # A convex combination of corners that is the point up to the slack: a linear program.
     count = len(vertices)
-    left = np.vstack((np.hstack((vertices.T, np.eye(3), -np.eye(3))), [1.0] * count + [0.0] * 6))
+    matrix = np.vstack((np.hstack((vertices.T, np.eye(3), -np.eye(3))), [1.0] * count + [0.0] * 6))
     cost = [0.0] * count + [1.0] * 6
-    found = linprog(cost, A_eq=left, b_eq=(x, y, z, 1.0), bounds=(0, None), method="highs")
-    return found.status == 0 and found.fun <= 3 * slack + 1e-7
+    result = linprog(cost, A_eq=matrix, b_eq=(x, y, z, 1.0), bounds=(0, None), method="highs")
+    return result.status == 0 and result.fun <= 3 * slack + 1e-7
 
 
-def convex_error(a, b, found: SignedDistance, *, full=True):
-    """How far the separation of two convex shapes is from one that is proved.
+def convex_error(a, b, result: SignedDistance, *, full=True):
+    """Returns the deviation of a separation of convex shapes from proved bounds.
 
     Points in the shapes bound the distance from above, the direction bounds it from below; the
     direction bounds the depth from above, and the difference of all corners from below.
     """
-    if found.normal is None:
+    if result.normal is None:
         parallel = np.allclose(a.matrix @ a.geometry.size, -(b.matrix @ b.geometry.size), atol=1e-8)
-        return math.inf if parallel or found.distance > -math.inf else 0.0
-    normal = np.array(found.normal)
-    error = max(abs(float(normal @ normal) - 1), _identity(found))
-    error = max(error, abs(reach(b, normal) + reach(a, -normal) + found.distance))
+        return math.inf if parallel or result.distance > -math.inf else 0.0
+    normal = np.array(result.normal)
+    error = max(abs(float(normal @ normal) - 1), _identity(result))
+    error = max(error, abs(reach(b, normal) + reach(a, -normal) + result.distance))
     if full:
-        # The depth of a round side is flat where it is least: its place is not known as well.
-        slack = ROUND_POINT if found.distance < 1e-9 and "cylinder" in (a.kind, b.kind) else 1e-5
-        held = is_in(a, found.point_a, slack) and is_in(b, found.point_b, slack)
-        error = error if held else math.inf
-    if found.distance < 0 and full and "plane" not in (a.kind, b.kind):
-        error = max(error, found_depth_error(a, b, found))
+        # Near its minimum the depth of a round side hardly changes: its points are less exact.
+        slack = ROUND_POINT if result.distance < 1e-9 and "cylinder" in (a.kind, b.kind) else 1e-5
+        is_inside = is_in(a, result.point_a, slack) and is_in(b, result.point_b, slack)
+        error = error if is_inside else math.inf
+    if result.distance < 0 and full and "plane" not in (a.kind, b.kind):
+        error = max(error, depth_error(a, b, result))
     return error
 
 
-def found_depth_error(a, b, found):
+def depth_error(a, b, result):
     (p, r), (q, s) = corners(a, 48), corners(b, 48)
-    core = -found.distance - r - s
+    core = -result.distance - r - s
     if core <= 0:
-        return 0.0  # the cores are apart: proved as a distance is
-    least = least_depth(p, q)
-    if "cylinder" in (a.kind, b.kind):  # a prism inside: the depth is at least that
-        return max(0.0, least - core) if least >= 0.9 * core - 0.01 else math.inf
-    return abs(least - core)
+        return 0.0  # the cores are separate: proved like a distance
+    depth = least_depth(p, q)
+    if "cylinder" in (a.kind, b.kind):  # the depth of a prism inside is a lower bound
+        return max(0.0, depth - core) if depth >= 0.9 * core - 0.01 else math.inf
+    return abs(depth - core)
 
 
 def least_depth(p, q):
@@ -289,22 +290,22 @@ def least_depth(p, q):
         return 0.0
 
 
-def _identity(found):
-    way = np.array(found.point_a) - found.point_b - found.distance * np.array(found.normal)
+def _identity(result):
+    way = np.array(result.point_a) - result.point_b - result.distance * np.array(result.normal)
     return float(np.abs(way).max())
 
 
 def triangles(shape):
     """Returns the triangles of a shape's core in the world, and the radius around them.
 
-    Which triangles a face is cut into is ssduck's choice: depths of crossing triangles depend on it.
+    ssduck cuts faces into triangles: the depths of crossing triangles depend on how.
     """
     surface = solid_of(shape.geometry).fine_surface
     return surface.triangles @ shape.matrix.T + shape.position, corners(shape)[1]
 
 
 def points_to_triangles(p, t):
-    """Distances of points (n, 3) to triangles (m, 3, 3), (n, m)."""
+    """Returns the distances of points (n, 3) from triangles (m, 3, 3), (n, m)."""
     best = np.full((len(p), len(t)), math.inf)
     for k in range(3):
         start, way = t[:, k], t[:, (k + 1) % 3] - t[:, k]
@@ -326,7 +327,7 @@ def points_to_triangles(p, t):
 
 
 def edges_to_edges(s, t):
-    """Returns the least distance of the edges of triangles, by nearest points of lines and of ends."""
+    """Returns the least distance of the edges of triangles within both edges."""
     p, u = s.reshape(-1, 3), (np.roll(s, -1, 1) - s).reshape(-1, 3)
     q, v = t.reshape(-1, 3), (np.roll(t, -1, 1) - t).reshape(-1, 3)
     r = p[:, None] - q[None]
@@ -351,12 +352,12 @@ def surface_distance(s, t):
 
 
 def crossings(s, t):
-    """Which triangles (i, j) cross: an edge of one goes through the other."""
+    """Returns the triangles (i, j) that cross: an edge of one goes through the other."""
     return set(_pierced(s, t)) | {(i, j) for j, i in _pierced(t, s)}
 
 
 def _pierced(s, t):
-    """Triangles i of s an edge of which goes through triangle j of t."""
+    """Yields (i, j): an edge of triangle i of s goes through triangle j of t."""
     u, v = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
     normal = np.cross(u, v)
     square = (normal * normal).sum(1)
@@ -379,51 +380,46 @@ _SKEW = np.array([0.5377, 0.2219, 0.8134])
 
 
 def enclosed(points, t):
-    """Which points (n, 3) a closed surface encloses: a ray leaves it an odd number of times."""
+    """Returns which points (n, 3) a closed surface encloses: a ray crosses it an odd number of times."""
     rays = np.stack((points, points + 50 * _SKEW, points + 50 * _SKEW), 1)
     hits = np.zeros(len(points), int)
-    for i, _ in set(_pierced_by(rays, t)):
+    for i, _ in set(_pierced(rays, t)):
         hits[i] += 1
     return hits % 2 == 1
-
-
-def _pierced_by(rays, t):
-    yield from ((i, j) for i, j in _pierced(rays, t))
 
 
 def is_solid(shape):
     return shape.kind in ("box", "hull", "cylinder", "mesh")
 
 
-def mesh_error(a, b, found: SignedDistance):
-    """How far the separation from a mesh is from that by looking at all triangles."""
+def mesh_error(a, b, result: SignedDistance):
+    """Returns the deviation of a separation from a mesh from that of all its triangles."""
     (s, r), (t, q) = triangles(a), triangles(b)
-    error = max(_identity(found), abs(float(np.dot(found.normal, found.normal)) - 1))
+    error = max(_identity(result), abs(float(np.dot(result.normal, result.normal)) - 1))
     crossed = crossings(s, t)
-    corner_a = a.kind != "open mesh" or True
     depths = []
     for x, y, z in ((a, s, t), (b, t, s)):
         other = b if x is a else a
-        if is_solid(other) and corner_a:
+        if is_solid(other):
             points = y.reshape(-1, 3)
             points = points[enclosed(points, z)]
             if len(points):
                 depths.append(float(points_to_triangles(points, z).min(1).max()))
     if not crossed and not depths:
-        return max(error, abs(surface_distance(s, t) - r - q - found.distance))
+        return max(error, abs(surface_distance(s, t) - r - q - result.distance))
     depths += [least_depth(s[i], t[j]) for i, j in crossed]
-    return max(error, abs(max(depths) + r + q + found.distance))
+    return max(error, abs(max(depths) + r + q + result.distance))
 
 
 def error_of(a, b, *, full=True):
-    """Returns the worst of ssduck's answer, and the answer."""
-    found = gap(a, b)
+    """Returns the error of ssduck's result, and the result."""
+    result = gap(a, b)
     if {a.kind, b.kind} & set(MESHES) and "plane" not in (a.kind, b.kind):
-        return (mesh_error(a, b, found) if full else _identity(found)), found
+        return (mesh_error(a, b, result) if full else _identity(result)), result
     if {a.kind, b.kind} & set(MESHES):
-        normal = np.array(found.normal)
-        return abs(reach(b, normal) + reach(a, -normal) + found.distance), found
-    return convex_error(a, b, found, full=full), found
+        normal = np.array(result.normal)
+        return abs(reach(b, normal) + reach(a, -normal) + result.distance), result
+    return convex_error(a, b, result, full=full), result
 
 
 def moved(shape, shift, turn):

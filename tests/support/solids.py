@@ -1,4 +1,4 @@
-"""Shapes at places, as the narrow phase is given them."""
+"""Placed shapes for the narrow phase."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def mesh_of(geometry, *, inverted=False):
 
 
 def narrow(*entities):
-    """Returns a tick; an entity is a list of (geometry, position) or (geometry, position, orientation)."""
+    """Returns the narrow phase of entities: lists of (geometry, position[, orientation])."""
     shapes = [(*one, STRAIGHT)[:3] for entity in entities for one in entity]
     starts = np.cumsum([0] + [len(entity) for entity in entities]).tolist()
     positions = np.array([position for _, position, _ in shapes], float).reshape(-1, 3)

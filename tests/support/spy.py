@@ -1,4 +1,4 @@
-"""A simulator that counts what is read of it."""
+"""A simulator that counts its reads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ssduck.errors import SimulatorError
 
 
 class Spy:
-    """A simulator that counts what is read of another, and of how many bodies."""
+    """A simulator that counts the reads of another one, by method, and the bodies read."""
 
     def __init__(self, simulator):
         self._simulator = simulator
@@ -27,8 +27,8 @@ class Spy:
             self.read["links"] += 1
         return self._simulator.read_link_poses(bodies, with_velocities=with_velocities)
 
-    def _check(self, what):
-        if what in self.broken:
+    def _check(self, reading):
+        if reading in self.broken:
             raise SimulatorError("broken")
 
     def read_joints(self, bodies):

@@ -1,4 +1,4 @@
-"""A PyBullet client that tests fill with shapes, and how they ask about its world."""
+"""A PyBullet client that tests fill with shapes, and queries about its world."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Stage:
     def __init__(self):
         self.client = pybullet.connect(pybullet.DIRECT)
         self.names = {}
-        self.open_ones = []
+        self.interpreters_to_close = []
 
     def add(self, name, kind, position=(0, 0, 0), turn=(0, 0, 0, 1), mass=0.0, **size):
         shape = pybullet.createCollisionShape(kind, physicsClientId=self.client, **size)
@@ -41,10 +41,10 @@ class Stage:
         return ssduck.World.attach(self.client, names=self.names)
 
     def interpreters(self, **worlds):
-        """One that translates and one that runs row by row, with an entity of each name."""
+        """Yields one that uses SQL and one row by row, with a variable for each entity."""
         for row_by_row in (False, True):
             ss = ssduck.Interpreter(row_by_row=row_by_row)
-            self.open_ones.append(ss)
+            self.interpreters_to_close.append(ss)
             for name, world in worlds.items():
                 ss.add_variable(name, world)
             for entity in next(iter(worlds.values())):
@@ -52,13 +52,13 @@ class Stage:
             yield ss
 
     def close(self):
-        for ss in self.open_ones:
+        for ss in self.interpreters_to_close:
             ss.close()
         if pybullet.isConnected(self.client):
             pybullet.disconnect(self.client)
 
 
 def pairs_of(ss, condition):
-    """Returns the pairs of names of which a condition on rows p and q holds, in raw SQL."""
+    """Returns the pairs of names for which a condition on rows p and q holds, in raw SQL."""
     rows = ss.sql(f"SELECT p.name, q.name FROM entities p, entities q WHERE {condition}")
     return sorted(rows.fetchall())

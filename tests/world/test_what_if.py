@@ -544,7 +544,7 @@ POSE_AT_0 = [1, 0, 0, 0, 0, 0, 0]
         ({"can": [1, 0, 0, 0, 0, 0, math.nan]}, None, StateError, "expected 7 finite numbers"),
         ({"can": [math.inf, 0, 0, 0, 0, 0, 0]}, None, StateError, "expected 7 finite numbers"),
         ({"can": [0] * 7}, None, StateError, "can: orientation: w, x, y, z are all 0"),
-        ({"fridge_webcam": POSE_AT_0}, None, ArgumentError, "fridge_webcam is a sensor; move what"),
+        ({"fridge_webcam": POSE_AT_0}, None, ArgumentError, "fridge_webcam is a sensor; move the body"),
         (None, {"fridge_webcam": []}, ArgumentError, "fridge_webcam is a sensor"),
         (None, {"roomba_625x": {"left_whel": 1}}, UnknownNameError, "no joint 'left_whel'; did you mean 'left_wheel'"),
         (None, {"roomba_625x": {"caster_mount": 1}}, ArgumentError, "'caster_mount' is fixed; only a joint"),

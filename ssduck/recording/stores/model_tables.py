@@ -68,7 +68,7 @@ class ModelTables:
 
     @contextmanager
     def transaction(self, commit_lock: CommitLock = NO_LOCK) -> Iterator[None]:
-        """A context that stores all of what is written in it or nothing; commits under the lock."""
+        """Stores all of what is written in the context, or nothing; commits under the lock."""
         self.connection.run("BEGIN")
         try:
             yield

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
+from ssduck.errors import SelectScriptError, SimulatorError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Kind, Simulator
@@ -52,23 +52,19 @@ def attach(
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
     handles = handles_of(number)
-    for values, parameter in ((names, "names"), (kinds, "kinds")):
-        if not isinstance(values, Mapping | None):
-            raise ArgumentError(
-                f"attach: {parameter}: {short_repr(values)} is no dict by the bodies' numbers"
-            )
-    for handle in (*(names or {}), *(kinds or {})):
+    names = validation.mapping(names, "attach: names are given in a dict by body number")
+    kinds = validation.mapping(kinds, "attach: kinds are given in a dict by body number")
+    for handle in (*names, *kinds):
         if not validation.is_integer(handle) or handle not in handles:
             listed = ", ".join(map(str, handles)) or "none"
             raise SelectScriptError(
                 f"PyBullet has no body {short_repr(handle)}; its bodies: {listed}"
             )
-    for handle, kind in (kinds or {}).items():
+    for handle, kind in kinds.items():
         if kind not in ("robot", "kinbody"):
             raise SelectScriptError(f"body {handle}: {kind!r} is neither 'robot' nor 'kinbody'")
-    for handle, name in (names or {}).items():
-        if not isinstance(name, str):
-            raise ArgumentError(f"attach: names: body {handle}: {short_repr(name)} is no text")
+    for handle, name in names.items():
+        validation.text(name, f"attach: names: the name of body {handle} must be a text")
     by_body = user_shapes(number, handles, shapes)
     return PyBulletSimulator(number, owned=False, names=names, kinds=kinds, shapes=by_body)
 
