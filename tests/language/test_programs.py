@@ -584,7 +584,7 @@ def test_relations_of_values_that_they_do_not_take(wrong, name):
 
 @pytest.mark.parametrize("axis", ["-1", "3", "tick(this) - tick(this) - 1"])
 def test_an_axis_that_there_is_not(kitchen, axis):
-    with pytest.raises(ArgumentError, match="linearVelocity: axis is to be 0, 1 or 2"):
+    with pytest.raises(ArgumentError, match="linearVelocity: axis must be 0, 1 or 2"):
         kitchen.eval(f"SELECT linearVelocity(this, {axis}) FROM kitchen AS list;")
 
 

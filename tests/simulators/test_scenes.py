@@ -15,6 +15,7 @@ import pytest
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError
 from ssduck.simulators.scenes import Camera, Scene, find_scene, read_scene, shipped_scenes
+from tests.support.models import mjcf_body, mjcf_of, sdf_model, sdf_of
 from tests.support.urdf import collision, joint, link, robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -208,7 +209,7 @@ def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
 
 def test_the_manuals_example_is_a_scene(write):
     page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
-    (toml,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    toml, simple, files = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     models = re.findall(r"`(\w+\.urdf)`:\n\n```xml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     assert [name for name, _ in models] == ["stool.urdf", "cup.urdf"]
     for name, text in models:
@@ -217,6 +218,16 @@ def test_the_manuals_example_is_a_scene(write):
         room = ss.call_variable("room").step(240)
         assert [e.name for e in room] == ["watcher", "stool", "cup"]
         assert room["cup"].position == pytest.approx([0.05, 0, 0.44], abs=0.01)  # it stands
+    with ssduck.load(write("simple.toml", simple)) as ss:
+        room = ss.call_variable("simple").step(240)
+        assert [e.name for e in room] == ["floor", "crate", "ball"]
+        assert room["crate"].position == pytest.approx([0, 0, 0.2], abs=1e-3)
+        assert room["ball"].position[0] > 0.9
+    write("shelves.sdf", sdf_of(sdf_model("shelf"), sdf_model("shelf"), sdf_model("end board")))
+    write("arms.xml", mjcf_of(mjcf_body("arm"), mjcf_body("tool")))
+    with ssduck.load(write("files.toml", files)) as ss:
+        names = [e.name for e in ss.call_variable("files")]
+        assert names == ["shelf", "shelf_2", "end_board", "left_arm", "left_tool"]
 
 
 def test_the_manuals_mistake_is_told_as_it_shows(scene):

@@ -192,7 +192,7 @@ def test_of_several_worlds_sql_says_which(stage):
     assert len(ss.sql(rows.format("kitchen", "kitchen.")).fetchall()) == 2
     assert ss.sql(rows.format("maybe", "maybe.")).fetchall() == []
     for name in ("collides(p, q)", "isBox(p)", "contactForce(p, q)", "solidVolume(p)"):
-        with pytest.raises(SqlError, match=r"write the name of the world that is meant before it"):
+        with pytest.raises(SqlError, match=r"write the name of the world before it"):
             ss.sql(f"SELECT {name} FROM kitchen.entities p, kitchen.entities q")
     # One that asks only for columns is for all.
     assert len(pairs_of(ss, "overlaps(p, q)")) == 2

@@ -58,7 +58,7 @@ def test_a_run_stops_where_triggers_are_due(ss, sim):
         ({"seconds": 1, "every": 1.5}, "every: 1.5 is no number of steps"),
         ({"seconds": 1, "realtime": 0}, "realtime: 0 is no speed"),
         ({"seconds": 1, "realtime": NAN}, "realtime: nan is no speed"),
-        ({"seconds": 1, "progress": "yes"}, "progress: 'yes' is none of"),
+        ({"seconds": 1, "progress": "yes"}, "progress: 'yes' is not"),
     ],
 )
 def test_wrong_arguments_of_a_run(sim, arguments, said):

@@ -146,7 +146,7 @@ def test_help_tells_of_the_sensors_relations(mast):
         assert ss.help("sensingEnvIDs").endswith("Usage: sensingEnvIDs(s) -> list")
         with pytest.raises(ArgumentError, match="isSensing takes 2 arguments, not 1"):
             ss.eval("SELECT id FROM sim WHERE isSensing(this) AS list;")
-        with pytest.raises(ArgumentError, match="s is to be a sensor, not a number"):
+        with pytest.raises(ArgumentError, match="s must be a sensor, not a number"):
             ss.eval("SELECT id FROM sim WHERE isSensing(3, this) AS list;")
 
 
@@ -182,7 +182,7 @@ def test_two_worlds_do_not_see_each_other(mast):
 def test_without_a_world_sql_says_so():
     with (
         ssduck.Interpreter() as ss,
-        pytest.raises(SelectScriptError, match="isSensing: in SQL it is for one world"),
+        pytest.raises(SelectScriptError, match="isSensing: in SQL it needs one world"),
     ):
         ss.sql("SELECT isSensing({'id': 1}, {'id': 2})")
 
