@@ -187,7 +187,7 @@ def test_a_sensor_brings_what_it_sits_on() -> None:
         (Recording(ticks=100), 100, 151),
         (Recording(seconds=0.5), 121, 182),
         (Recording(seconds=0.5, ticks=50), 50, 76),
-        (Recording(ticks=1), 1, 3),
+        (Recording(ticks=1, max_bytes=10**9), 1, 3),
         (Recording(ticks=2000), 2000, 3001),
     ],
     every=3,
@@ -218,6 +218,7 @@ def test_old_ticks_are_dropped(
         ({"every": 0}, "every is to be a whole number above 0"),
         ({"every": 1.5}, "every is to be a whole number above 0"),
         ({"ticks": 0}, "ticks is to be a whole number above 0"),
+        ({"max_bytes": 0}, "max_bytes is to be a whole number above 0"),
         ({"seconds": 0.0}, "seconds is to be a number above 0"),
         ({"seconds": float("nan")}, "seconds is to be a number above 0"),
     ],
@@ -234,9 +235,88 @@ def test_entities_that_are_recorded_are_there(falling: ssduck.Interpreter) -> No
 
 
 @sampled("table", ["links", "joints", "shapes", "contacts", "sensings"], every=3)
-def test_what_is_not_recorded_is_said_to_be_so(falling: ssduck.Interpreter, table: str) -> None:
-    with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded"):
+def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, table: str) -> None:
+    falling.record("lab", Recording(tables=("entities",)))
+    with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded") as raised:
         falling.sql(f"SELECT * FROM {table}_history")
+    call = re.search(r"ss\.record\(.*\)\)", str(raised.value))
+    assert call is not None
+    eval(call.group(), {"ss": falling, "ssduck": ssduck})  # noqa: S307  # the advice as it stands
+    _step(falling, 100)
+    assert falling.sql(f"SELECT count(*) FROM {table}_history").fetchone() != (0,) or (
+        table in ("joints", "sensings")  # there are none in this world
+    )
+
+
+def test_entities_links_and_contacts_are_recorded_by_default(
+    falling: ssduck.Interpreter, tmp_path: Any
+) -> None:
+    client = falling.call_variable("lab").simulator.client
+    rows = []
+    for step in range(1, 241):
+        _step(falling, 1)
+        points = pybullet.getContactPoints(physicsClientId=client)
+        rows += [(step + 1, point[9]) for point in points if point[8] <= 0]  # the shapes meet
+    kept = falling.sql("SELECT tick, force FROM contacts_history").fetchall()
+    assert sorted(kept) == sorted(rows) != []
+    assert falling.sql("SELECT count(*) FROM links_history").fetchall() == [(241 * 3,)]
+    falling.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        kept = record.sql("SELECT tick, force FROM contacts_history").fetchall()
+        assert sorted(kept) == sorted(rows)
+    world = falling.call_variable("lab")
+    with ssduck.Interpreter(tmp_path / "run.duckdb") as file:
+        file.add_variable("lab", world)
+        world.step(1)
+    with ssduck.open(tmp_path / "run.duckdb") as record:
+        tables = ssduck.episodes(tmp_path / "run.duckdb")[0].tables
+        assert set(tables) == {"entities", "links", "contacts"}
+        assert record.sql("SELECT count(*) FROM contacts_history").fetchone() != (0,)
+
+
+@pytest.mark.parametrize("changed", [False, True], ids=["memory", "tables"])
+def test_the_size_of_what_is_kept_is_bounded(falling: ssduck.Interpreter, changed: bool) -> None:
+    limit = 400_000
+    falling.record("lab", Recording(max_bytes=limit, changed=changed))
+    world, history = falling.call_variable("lab"), falling._database._worlds.bound[0].history
+    assert history is not None
+    assert history.recorder is not None
+    for _ in range(20):
+        _step(falling, 100)
+        rows = [
+            falling.sql(f"FROM {table}_history").arrow()
+            for table in ("entities", "links", "contacts")
+        ]
+        buffers = [buffer.row_bytes * buffer.count for buffer in history.recorder.buffers.values()]
+        if not changed:
+            assert history.store.nbytes + sum(buffers) <= limit
+        times = falling.past("lab").times
+        assert times[-1] == world.time
+        assert len(times) == len(set(rows[0]["tick"].to_pylist()))
+    assert 50 < len(times) < 2000
+    falling.past("lab", times[0])
+    with pytest.raises(
+        EvaluationError, match=r"recorded from .*ssduck.Recording\(.*max_bytes=800000\)"
+    ):
+        falling.past("lab", times[0] - 1 / 240)
+    with pytest.raises(EvaluationError, match="max_bytes=800000"):
+        falling.eval("SELECT z FROM lab{0.0} AS list;")
+
+
+def test_one_tick_is_kept_however_small_the_limit_is(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(max_bytes=1))
+    _step(falling, 20)
+    assert 1 <= len(falling.past("lab").ticks) <= 3
+    assert falling.past("lab").times[-1] == falling.call_variable("lab").time
+
+
+def test_a_size_limit_is_the_default_in_memory_only() -> None:
+    default = Recording()
+    assert default.with_size_limit(in_memory=True).max_bytes == 512 * 2**20
+    assert default.with_size_limit(in_memory=False).max_bytes is None
+    assert Recording(seconds=600).with_size_limit(in_memory=True).max_bytes is None
+    assert Recording(max_bytes=None).with_size_limit(in_memory=True).max_bytes is None
+    assert Recording(max_bytes=7).with_size_limit(in_memory=False).max_bytes == 7
 
 
 def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
