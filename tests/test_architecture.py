@@ -98,6 +98,16 @@ def test_no_module_has_more_than_600_lines():
     assert [name for name, length in lengths.items() if length > 600] == []
 
 
+def test_no_test_file_has_more_than_700_lines():
+    folder = Path(__file__).parent
+    lengths = {
+        path.relative_to(folder).as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for path in folder.rglob("*.py")
+    }
+    assert len(lengths) > 90
+    assert [name for name, length in lengths.items() if length > 700] == []
+
+
 def test_each_package_says_what_it_is_for_and_has_what_it_offers():
     packages = [path.parent for path in PACKAGE.rglob("__init__.py")]
     assert len(packages) > 10

@@ -11,7 +11,9 @@ import argparse
 import sys
 import time
 
-from tests.support.grammar import Evaluators, evaluators, program, seeded, shrunk
+from tests.support.choices import seeded
+from tests.support.evaluators import Evaluators, evaluators, shrunk
+from tests.support.grammar import program
 
 # The number of programs between two lines of progress.
 REPORT_EVERY = 500

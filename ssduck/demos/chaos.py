@@ -161,6 +161,7 @@ def energy(ss: Interpreter, scene: Scene) -> dict[int, float]:
 
     inertias: dict[str, tuple[float, Array]] = {}
     for body in scene.bodies:
+        assert isinstance(body.model, Path)
         root = ET.parse(body.model).getroot()  # noqa: S314
         mass_element, inertia_element = root.find(".//mass"), root.find(".//inertia")
         assert mass_element is not None

@@ -1,4 +1,4 @@
-"""Exact axis-aligned bounding boxes of shapes."""
+"""Computes exact axis-aligned bounding boxes of shapes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The common volume of two closed surfaces.
+"""Computes the common volume of two closed surfaces.
 
 For two polyhedra it is a sum over pairs of faces, one of each. No corners of the intersection are
 searched for: the faces above a point tell whether it is inside.

@@ -1,4 +1,4 @@
-"""The fraction of a volume inside a convex hull, and the footprint of shapes on the ground."""
+"""Computes fractions of volumes inside convex hulls, and footprints of shapes on the ground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The signed distance of two solids: their distance, or minus the depth of their overlap.
+"""Computes the signed distance of two solids: their distance, or minus the depth of their overlap.
 
 The signed distance of a and b is the distance of their nearest points. If they overlap, it is minus
 the length of the shortest translation that separates them. It comes with a point of each solid and

@@ -1,4 +1,4 @@
-"""Height fields as meshes."""
+"""Builds the meshes of height fields."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The signed distance of two solids of which one is a mesh that is not convex.
+"""Computes the signed distance of two solids of which one is a mesh that is not convex.
 
 A closed mesh is the solid that it encloses, an open one a surface. FCL yields the distance of
 surfaces and the triangles that cross, but no depth. The depth here is the greatest of

@@ -1,4 +1,4 @@
-"""Geometries that are read from mesh files."""
+"""Reads geometries from mesh files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intersections of rays with shapes: by formulas for convex solids, by triangles for all others.
+"""Intersects rays with shapes: by formulas for convex solids, by triangles for all others.
 
 Rays begin at one common point, or each at its own point. A distance along a ray is a fraction of
 its length vector. Points and rays are in the frame of the solid.

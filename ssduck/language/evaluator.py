@@ -78,7 +78,7 @@ class EvaluationScope(Protocol):
         """Returns the past value of a variable; all kept values if no age is given."""
 
     def check_call(self, node: Call) -> None:
-        """Rejects an unknown function, or a wrong number of arguments."""
+        """Checks that a function is known, and the number of its arguments."""
 
     def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: marked if a user's function replaces it."""

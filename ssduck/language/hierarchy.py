@@ -201,32 +201,32 @@ class Hierarchy:
         state = dict(outer.local)
         for name, value in self._start:
             frame = Frame(outer.scope, outer.elements, state, outer.placeholders, (), outer.cached)
-            made = value(frame)
+            initial = value(frame)
             if name is not None:
-                state[name] = resolved(made, frame) if isinstance(made, LazyList) else made
-        most_states = 0 if self._has_side_effects else MAX_STATES
-        states = _States(self._steps_of(outer, rows, cached), self._call_variables, most_states)
+                state[name] = resolved(initial, frame) if isinstance(initial, LazyList) else initial
+        max_states = 0 if self._has_side_effects else MAX_STATES
+        states = _States(self._steps_of(outer, rows, cached), self._call_variables, max_states)
         search = self._graph_paths if recursion.memorizes else self._depth_first
         paths = search(outer, states, state)
-        max_states = self._number(recursion.maximum, "MAXIMUM", outer)
+        max_paths = self._number(recursion.maximum, "MAXIMUM", outer)
         meter = outer.scope.meter
         result: list[list[PathStep]] = []
-        for path in islice(paths, max_states):
+        for path in islice(paths, max_paths):
             result.append(path)
             meter.check_rows(len(result))
         limit = self._clauses.count(outer)
 
         def formed(paths: list[list[PathStep]]) -> Paths:
-            made = []
+            results = []
             for path in paths:
                 meter.step()
-                made.append(self._distinct(path) if recursion.memorizes else self._rows(path))
-            return Paths(made)
+                results.append(self._distinct(path) if recursion.memorizes else self._rows(path))
+            return Paths(results)
 
         return self._clauses.arranged(result, lambda path: path[-1].frame, formed, limit, outer)
 
-    def _number(self, node: Node | None, what: str, outer: Frame) -> int | None:
-        return None if node is None else checked_count(self._numbers[node](outer), what, node)
+    def _number(self, node: Node | None, clause: str, outer: Frame) -> int | None:
+        return None if node is None else checked_count(self._numbers[node](outer), clause, node)
 
     def _distinct(self, path: list[PathStep]) -> Paths:
         return Paths([self._rows([step]) for step in path])
@@ -244,8 +244,8 @@ class Hierarchy:
         self, outer: Frame, rows: RowsOf, cached: dict[Node, Any]
     ) -> Callable[[dict[str, Any], Iterator[Calls]], Iterator[PathStep]]:
         """Returns a function that yields the rows of a state, without dead ends."""
-        stop_at, (stop, where) = self._recursion.stop, (self._stop, self._where)
-        found_at = stop_at if self._query.where is None else self._query.where
+        stop_node, (stop, where) = self._recursion.stop, (self._stop, self._where)
+        result_node = stop_node if self._query.where is None else self._query.where
         # Under UNIQUE, STOP WITH decides whether a result counts as visited.
         always_stops = where is None or self._recursion.unique
         scope, placeholders, count = (
@@ -255,20 +255,20 @@ class Hierarchy:
         )
 
         def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
-            of_state: dict[Node, Any] = {}
+            state_values: dict[Node, Any] = {}
             frame = None
             for elements, known in zip(rows(state), calls, strict=False):
                 count()
                 if frame is None:
-                    frame = Frame(scope, elements, state, placeholders, (), cached, of_state)
+                    frame = Frame(scope, elements, state, placeholders, (), cached, state_values)
                 frame.elements, frame.calls = elements, known
                 selection = self._selected_of(frame) if self._has_side_effects else None
                 result = False if where is None else where(frame)
                 if result is not True and result is not False:
-                    result = truth(result, found_at)
+                    result = truth(result, result_node)
                 stops = stop(frame) if always_stops or not result else True
                 if stops is not True and stops is not False:
-                    stops = truth(stops, stop_at)
+                    stops = truth(stops, stop_node)
                 if where is None:
                     result = stops
                 if result or not stops:
@@ -305,10 +305,10 @@ class Hierarchy:
         if step.successors is None:
             state = dict(step.frame.local)
             for name, value in self._next:
-                made = value(step.frame)
-                check_size(made, self._recursion.span)
+                next_value = value(step.frame)
+                check_size(next_value, self._recursion.span)
                 if name is not None:
-                    state[name] = made
+                    state[name] = next_value
             step.successors = states(state)
         return _from_start(step.successors)
 

@@ -120,8 +120,8 @@ class ValueHistory:
         begin = now - self.horizon
         oldest = max(times[recent.first], begin)
         if time < oldest - SAME_TIME:
-            kept = f"{_time_text(oldest)} to {_time_text(now)}"
-            message = f"{_time_text(time)} is before the kept values, {kept}"
+            range_text = f"{_time_text(oldest)} to {_time_text(now)}"
+            message = f"{_time_text(time)} is before the kept values, {range_text}"
             more = "; a longer horizon keeps more" if oldest == begin else ""
             raise EvaluationError(message + more)
         place = bisect_right(times, time + SAME_TIME, recent.first, recent.end)

@@ -124,10 +124,10 @@ class ValueKeys:
 
     def exact(self, values: Iterable[Any]) -> tuple[Any, ...]:
         """Returns a key of each value, equal only for values that no function can distinguish."""
-        seen = self._seen
+        numbered = self._seen
         return tuple(
             [
-                seen[id(value)][1] if id(value) in seen else self._exact_key(value)
+                numbered[id(value)][1] if id(value) in numbered else self._exact_key(value)
                 for value in values
             ]
         )
@@ -148,10 +148,10 @@ class ValueKeys:
     def _part(self, value: Any) -> Any:
         if type(value) is not list:
             return equality_key(value)
-        seen = self._seen.get(id(value))
-        if seen is None:
+        entry = self._seen.get(id(value))
+        if entry is None:
             return (list, *[part if type(part) in ATOMS else self._part(part) for part in value])
-        part = self._equal.get(seen[1])
+        part = self._equal.get(entry[1])
         if part is None:
-            part = self._equal[seen[1]] = equality_key(value)
+            part = self._equal[entry[1]] = equality_key(value)
         return part

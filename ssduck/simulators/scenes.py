@@ -6,22 +6,17 @@ starts; errors name the file, the key and the reason.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 from ssduck.errors import SceneError, UnknownNameError, nearest
+from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, read_body, read_floor
 from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
-from ssduck.simulators.toml_reader import REQUIRED, TomlTable
-
-Vector: TypeAlias = tuple[float, float, float]
-Quaternion: TypeAlias = tuple[float, float, float, float]
-
-MODEL_SUFFIXES = (".urdf", ".sdf", ".mjcf", ".xml")
+from ssduck.simulators.toml_reader import REQUIRED, Quaternion, TomlTable, Vector
 
 
 @dataclass(frozen=True)
@@ -31,45 +26,6 @@ class Camera:
     eye: Vector = (3.0, -3.0, 2.5)
     target: Vector = (0.0, 0.0, 0.5)
     fov: float = 50.0
-
-
-@dataclass(frozen=True)
-class BodySpec:
-    """A body of a scene.
-
-    Attributes:
-        name: the name; None for that of the model.
-        kind: robot or kinbody; None to decide by the joints.
-        model: the model file.
-        position: the position of the base link frame, metres.
-        orientation: the orientation of the base link frame, w, x, y, z.
-        fixed: whether the base is fixed to the world.
-        joints: initial positions by the joints' names, rad or m.
-        velocity: initial velocity of the base link frame, m/s, then angular velocity, rad/s, in the
-            world frame.
-        joint_velocities: initial velocities by the joints' names, rad/s or m/s.
-        hold: whether motors hold its joints.
-        held: the positions that motors hold, if they differ from `joints`.
-        enabled: whether it takes part in collisions.
-        visible: whether it is drawn.
-        own_inertia: whether moments of inertia are those of the model; else they follow from the
-            shapes.
-    """
-
-    name: str | None
-    kind: Literal["robot", "kinbody"] | None
-    model: Path
-    position: Vector = (0.0, 0.0, 0.0)
-    orientation: Quaternion = (1.0, 0.0, 0.0, 0.0)
-    fixed: bool = False
-    joints: dict[str, float] = field(default_factory=dict)
-    velocity: tuple[float, ...] = (0.0,) * 6
-    joint_velocities: dict[str, float] = field(default_factory=dict)
-    hold: bool = True
-    held: dict[str, float] = field(default_factory=dict)
-    enabled: bool = True
-    visible: bool = True
-    own_inertia: bool = False
 
 
 CONSTRAINT_TYPES = ("fixed", "point", "prismatic", "gear")
@@ -172,7 +128,8 @@ class Scene:
         timestep: the length of a step, s.
         time: the initial simulated time, s.
         camera: the default camera.
-        bodies: the bodies.
+        floor: the floor, if there is one; it is loaded before the bodies.
+        bodies: the bodies, and files of bodies.
         sensors: the sensors.
         elastic: whether there is neither friction nor damping, and collisions lose no energy.
         constraints: the constraints.
@@ -186,6 +143,7 @@ class Scene:
     timestep: float = 1.0 / 240.0
     time: float = 0.0
     camera: Camera = Camera()
+    floor: BodySpec | None = None
     bodies: tuple[BodySpec, ...] = ()
     sensors: tuple[SensorSpec, ...] = ()
     elastic: bool = False
@@ -263,30 +221,30 @@ def read_scene(path: Path) -> Scene:
 
 
 def _scene(table: TomlTable, path: Path) -> Scene:
-    bodies = tuple(_body(entry, path) for entry in table.tables("body"))
-    _check_unique(path, "body", [body.name for body in bodies])
-    sensors = tuple(
-        _sensor(entry, {str(body.name) for body in bodies}) for entry in table.tables("sensor")
-    )
-    _check_unique(path, "sensor", [sensor.name for sensor in sensors], bodies)
-    constraints = tuple(
-        _constraint(entry, {str(body.name) for body in bodies})
-        for entry in table.tables("constraint")
-    )
+    floor = _floor(table)
+    bodies = tuple(read_body(entry, path.parent) for entry in table.tables("body"))
+    first = () if floor is None else (floor,)
+    _check_unique(path, "body", [body.name for body in bodies], first)
+    everything = (*first, *bodies)
+    names = _names_of(everything)
+    sensors = tuple(_sensor(entry, names) for entry in table.tables("sensor"))
+    _check_unique(path, "sensor", [sensor.name for sensor in sensors], everything)
+    constraints = tuple(_constraint(entry, names) for entry in table.tables("constraint"))
     camera = table.table("camera")
     engine = table.table("engine")
     scene = Scene(
         name=table.text("name", _default_name(path)),
         path=path,
         description=table.text("description", "", empty=True),
-        gravity=_vector(table.numbers("gravity", 3, Scene.gravity)),
+        gravity=table.vector("gravity", Scene.gravity),
         timestep=table.number("timestep", Scene.timestep, above=0.0),
         time=table.number("time", Scene.time, at_least=0.0),
         camera=Camera(
-            _vector(camera.numbers("eye", 3, Camera.eye)),
-            _vector(camera.numbers("target", 3, Camera.target)),
+            camera.vector("eye", Camera.eye),
+            camera.vector("target", Camera.target),
             camera.number("fov", Camera.fov, above=0.0, below=180.0),
         ),
+        floor=floor,
         bodies=bodies,
         sensors=sensors,
         elastic=table.flag("elastic", False),
@@ -307,61 +265,56 @@ def _scene(table: TomlTable, path: Path) -> Scene:
     return scene
 
 
-def _body(table: TomlTable, path: Path) -> BodySpec:
-    kind = table.text("kind", "") or None
-    if kind not in (None, "robot", "kinbody"):
-        table.fail(
-            "kind",
-            f"{kind!r} is neither 'robot' nor 'kinbody'",
-            nearest(kind, ("robot", "kinbody")),
+def _floor(table: TomlTable) -> BodySpec | None:
+    """Returns the floor of a scene, if it has one."""
+    if isinstance(table.values.get("floor", {}), bool):
+        return read_floor(TomlTable(None, "", {})) if table.flag("floor", False) else None
+    floor = table.table("floor", "true, false or a table")
+    return read_floor(floor) if "floor" in table.values else None
+
+
+def _names_of(bodies: Sequence[BodySpec]) -> Collection[str] | None:
+    """Returns the names of bodies; None if files name some of them."""
+    names = {str(body.name) for body in bodies}
+    return names if all(body.is_named for body in bodies) else None
+
+
+def check_body(name: str, bodies: Collection[str] | None, place: str) -> None:
+    """Raises an error for a name that no body of a scene has.
+
+    Args:
+        name: the name.
+        bodies: the names of the bodies; None if they are not known yet.
+        place: the key that has the name, with its file.
+
+    Raises:
+        SceneError: there is no such body, with the nearest names.
+    """
+    if bodies is not None and name not in bodies:
+        raise SceneError(
+            f"{place}: the scene has no body {name!r}", suggestions=nearest(name, bodies)
         )
-    model = (path.parent / table.text("urdf")).resolve()
-    if not model.is_file():
-        table.fail("urdf", f"there is no file {table.text('urdf')!r} beside the scene file")
-    if model.suffix.lower() != ".urdf":
-        table.fail("urdf", f"{model.name!r} does not end in .urdf")
-    joints, velocities, held = map(table.table, ("joints", "joint_velocities", "held"))
-    spec = BodySpec(
-        name=table.text("name"),
-        kind=kind,  # type: ignore[arg-type]  # checked above
-        model=model,
-        position=_vector(table.numbers("position", 3, BodySpec.position)),
-        orientation=_unit(table, "orientation"),
-        fixed=table.flag("fixed", False),
-        joints=joints.all_numbers(),
-        velocity=table.numbers("velocity", 6, BodySpec.velocity),
-        joint_velocities=velocities.all_numbers(),
-        hold=table.flag("hold", True),
-        held=held.all_numbers(),
-        enabled=table.flag("enabled", True),
-        visible=table.flag("visible", True),
-        own_inertia=table.flag("own_inertia", False),
-    )
-    if spec.fixed and any(spec.velocity):
-        table.fail("velocity", "a fixed body does not move")
-    table.end()
-    return spec
 
 
-def _constraint(table: TomlTable, bodies: Collection[str]) -> ConstraintSpec:
+def _constraint(table: TomlTable, bodies: Collection[str] | None) -> ConstraintSpec:
     type = table.text("type")
     if type not in CONSTRAINT_TYPES:
         table.fail("type", f"no such constraint: {type!r}", nearest(type, CONSTRAINT_TYPES))
     ends = table.text("on"), table.text("to", "") or None
     for key, body in zip(("on", "to"), ends, strict=True):
-        if body is not None and body not in bodies:
-            table.fail(key, f"the scene has no body {body!r}", nearest(body, bodies))
+        if body is not None:
+            check_body(body, bodies, table.place(key))
     default = ConstraintSpec
     spec = ConstraintSpec(
         type,
         *ends,
         link=table.text("link", "") or None,
         to_link=table.text("to_link", "") or None,
-        axis=_vector(table.numbers("axis", 3, default.axis)),
-        position=_vector(table.numbers("position", 3, default.position)),
-        orientation=_unit(table, "orientation"),
-        to_position=_vector(table.numbers("to_position", 3, default.to_position)),
-        to_orientation=_unit(table, "to_orientation"),
+        axis=table.vector("axis", default.axis),
+        position=table.vector("position", default.position),
+        orientation=table.quaternion("orientation"),
+        to_position=table.vector("to_position", default.to_position),
+        to_orientation=table.quaternion("to_orientation"),
         max_force=table.number("max_force", default.max_force, at_least=0.0),
         gear_ratio=table.number("gear_ratio", default.gear_ratio),
         gear_link=table.whole("gear_link") or default.gear_link,
@@ -381,21 +334,20 @@ def read_sensor(values: Mapping[str, Any], bodies: Collection[str]) -> SensorSpe
     return _sensor(TomlTable(None, "", dict(values)), bodies)
 
 
-def _sensor(table: TomlTable, bodies: Collection[str]) -> SensorSpec:
+def _sensor(table: TomlTable, bodies: Collection[str] | None) -> SensorSpec:
     name = table.text("type")
     if name not in SENSOR_TYPES:
         table.fail("type", f"there is no sensor type {name!r}", nearest(name, SENSOR_TYPES))
     kind = SENSOR_TYPES[name]
     on = table.text("on")
-    if on not in bodies:
-        table.fail("on", f"the scene has no body {on!r}", nearest(on, bodies))
+    check_body(on, bodies, table.place("on"))
     spec = SensorSpec(
         name=table.text("name"),
         on=on,
         link=table.text("link", "") or None,
         type=name,
-        position=_vector(table.numbers("position", 3, (0.0, 0.0, 0.0))),
-        orientation=_unit(table, "orientation"),
+        position=table.vector("position", (0.0, 0.0, 0.0)),
+        orientation=table.quaternion("orientation"),
         period=table.number("period", 0.0, at_least=0.0),
         max_range=table.number("max_range", above=0.0) if kind.has_range else 0.0,
         settings=_settings(table, kind),
@@ -428,26 +380,12 @@ def _setting(table: TomlTable, setting: SensorSetting) -> float:
     return value
 
 
-def _unit(table: TomlTable, key: str) -> Quaternion:
-    """Returns a quaternion, scaled to unit length; one far from unit length is an error."""
-    w, x, y, z = table.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
-    length = math.sqrt(w * w + x * x + y * y + z * z)
-    if abs(length - 1.0) > 1e-3:
-        table.fail(key, f"not a rotation: w, x, y, z have length {length:.4g}, not 1")
-    return (w / length, x / length, y / length, z / length)
-
-
-def _vector(values: tuple[float, ...]) -> Vector:
-    x, y, z = values
-    return (x, y, z)
-
-
 def _check_unique(
     path: Path, table: str, names: Sequence[str | None], others: Sequence[BodySpec] = ()
 ) -> None:
     other_names = {body.name for body in others}
     for index, name in enumerate(names):
-        if name in other_names or name in names[:index]:
+        if name is not None and (name in other_names or name in names[:index]):
             raise SceneError(f"{path}: {table}[{index}].name: {name!r} is there already")
 
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 
 from ssduck import validation
 from ssduck.errors import SceneError, nearest
 
 # The default of required keys.
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]
+
 REQUIRED: Any = object()
 
 
@@ -25,9 +28,12 @@ class TomlTable:
 
     def fail(self, key: str, reason: str, suggestions: tuple[str, ...] = ()) -> NoReturn:
         """Raises an error about a key."""
-        place = f"{self.where}.{key}" if self.where else key
+        raise SceneError(f"{self.place(key)}: {reason}", suggestions=suggestions)
+
+    def place(self, key: str) -> str:
+        """Returns the name of a key with its tables and its file."""
         file = f"{self.path}: " if self.path else ""
-        raise SceneError(f"{file}{place}: {reason}", suggestions=suggestions)
+        return f"{file}{self.where}.{key}" if self.where else f"{file}{key}"
 
     def end(self) -> None:
         """Raises an error if there are keys that were not read."""
@@ -68,7 +74,9 @@ class TomlTable:
             self.fail(key, f"{value:g} is more than {at_most:g}")
         return value
 
-    def numbers(self, key: str, count: int, default: tuple[float, ...]) -> tuple[float, ...]:
+    def numbers(
+        self, key: str, count: int, default: tuple[float, ...] = REQUIRED
+    ) -> tuple[float, ...]:
         """Returns a tuple of `count` finite numbers."""
 
         def fits(value: object) -> bool:
@@ -79,6 +87,55 @@ class TomlTable:
             )
 
         return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
+
+    def vector(self, key: str, default: Vector = REQUIRED) -> Vector:
+        """Returns three finite numbers."""
+        x, y, z = self.numbers(key, 3, default)
+        return (x, y, z)
+
+    def unit_vector(self, key: str) -> Vector:
+        """Returns a direction, scaled to unit length."""
+        x, y, z = self.vector(key)
+        length = math.hypot(x, y, z)
+        if length < 1e-9:
+            self.fail(key, "not a direction: it has length 0")
+        return (x / length, y / length, z / length)
+
+    def quaternion(self, key: str) -> Quaternion:
+        """Returns a quaternion, scaled to unit length; one far from unit length is an error."""
+        w, x, y, z = self.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
+        length = math.sqrt(w * w + x * x + y * y + z * z)
+        if abs(length - 1.0) > 1e-3:
+            self.fail(key, f"not a rotation: w, x, y, z have length {length:.4g}, not 1")
+        return (w / length, x / length, y / length, z / length)
+
+    def colour(self, key: str, default: tuple[float, ...]) -> tuple[float, ...]:
+        """Returns red, green, blue and alpha, from 0 to 1; the alpha of three numbers is 1."""
+
+        def fits(value: object) -> bool:
+            return (
+                isinstance(value, list | tuple)
+                and len(value) in (3, 4)
+                and all(_is_number(number) and 0.0 <= number <= 1.0 for number in value)
+            )
+
+        red, green, blue, *alpha = map(
+            float, self._get(key, default, fits, "3 or 4 numbers from 0 to 1")
+        )
+        return (red, green, blue, *(alpha or [1.0]))
+
+    def one_of(self, keys: Sequence[str]) -> str:
+        """Returns the one of some keys that the table has; it must have exactly one."""
+        present = [key for key in keys if key in self.values]
+        self.read_keys.update(keys)
+        listed = f"one of {', '.join(keys)}"
+        if not present:
+            unread = set(self.values) - self.read_keys
+            found = next((match for key in keys for match in nearest(key, unread)), None)
+            self.fail(keys[0], f"missing; a body has {listed}", (found,) if found else ())
+        if len(present) > 1:
+            self.fail(present[1], f"there is {present[0]!r} already; a body has {listed}")
+        return present[0]
 
     def all_numbers(self) -> dict[str, float]:
         """Returns the numbers of all keys."""
@@ -94,9 +151,9 @@ class TomlTable:
             self.fail(key, f"{value:g} is no whole number")
         return int(value)
 
-    def table(self, key: str) -> TomlTable:
+    def table(self, key: str, expected: str = "a table") -> TomlTable:
         """Returns a table in this one."""
-        values = self._get(key, {}, lambda value: isinstance(value, dict), "a table")
+        values = self._get(key, {}, lambda value: isinstance(value, dict), expected)
         return TomlTable(self.path, f"{self.where}.{key}" if self.where else key, values)
 
     def tables(self, key: str) -> Iterator[TomlTable]:

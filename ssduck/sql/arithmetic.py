@@ -27,7 +27,7 @@ def arithmetic(
     """Returns the value of + - * / % ^ of two numbers.
 
     Raises:
-        NotSqlError: SQL has other ideas of it.
+        NotSqlError: SQL's result may differ from Python's.
     """
     sign = node.operator
     for value in (left, right):
@@ -38,7 +38,7 @@ def arithmetic(
     if kinds == {"integer"}:
         sql_type = INTEGER
     elif left.may_exceed_double or right.may_exceed_double:
-        raise NotSqlError  # rounded in another place than Python does
+        raise NotSqlError  # SQL rounds at another place than Python
     if sign in _SUMS:
         return _sum(context, _SUMS[sign], left, right, sql_type)
     if sign == "/":
@@ -60,10 +60,10 @@ def _sum(
     sql_type: SqlType,
 ) -> SqlValue:
     if sql_type == INTEGER:
-        context.note_possible_failure()  # Python's integers have no end
+        context.note_possible_failure()  # Python's integers are unbounded
     sql = kind(this=wrapped(left.sql), expression=wrapped(right.sql))
     domain = FloatDomain.FINITE if sql_type == INTEGER else _domain(kind, left, right)
-    # Copied at each term, a long sum would take time that grows with the square of its length.
+    # Without a copy, which would take quadratic time for a long sum.
     return SqlValue(
         exp.paren(sql, copy=False), sql_type, may_exceed_double=sql_type == INTEGER, domain=domain
     )
@@ -82,33 +82,33 @@ def _remainder(
 ) -> SqlValue:
     """Returns Python's remainder, which has the sign of the divisor."""
     a, b = wrapped(left.sql), wrapped(right.sql)
-    rest = exp.paren(exp.Mod(this=a, expression=b))
-    copied(rest)
+    remainder = exp.paren(exp.Mod(this=a, expression=b))
+    copied(remainder)
     zero = exp.Literal.number(0)
     if sql_type == INTEGER and isinstance(right.sql, exp.Literal) and int(right.sql.name) > 0:
-        if left.is_non_negative:  # as DuckDB's; over millions of ticks each operation counts
+        if left.is_non_negative:  # as in DuckDB; the shorter formula is faster
             return SqlValue(
-                rest, sql_type, may_exceed_double=left.may_exceed_double, is_non_negative=True
+                remainder, sql_type, may_exceed_double=left.may_exceed_double, is_non_negative=True
             )
-        negative = exp.LT(this=rest, expression=zero)
-        case = exp.case().when(negative, exp.Add(this=rest.copy(), expression=b.copy()))
+        negative = exp.LT(this=remainder, expression=zero)
+        case = exp.case().when(negative, exp.Add(this=remainder.copy(), expression=b.copy()))
         return SqlValue(
-            case.else_(rest.copy()),
+            case.else_(remainder.copy()),
             sql_type,
             may_exceed_double=left.may_exceed_double,
             domain=FloatDomain.FINITE,
         )
     signs_differ = exp.NEQ(
-        this=exp.paren(exp.LT(this=rest, expression=zero)),
+        this=exp.paren(exp.LT(this=remainder, expression=zero)),
         expression=exp.paren(exp.LT(this=b.copy(), expression=zero.copy())),
     )
-    nonzero = exp.NEQ(this=rest.copy(), expression=zero.copy())
-    shifted = exp.Add(this=rest.copy(), expression=b.copy())
+    nonzero = exp.NEQ(this=remainder.copy(), expression=zero.copy())
+    shifted = exp.Add(this=remainder.copy(), expression=b.copy())
     case = exp.case().when(exp.and_(nonzero, signs_differ), shifted)
     if sql_type != INTEGER:  # a remainder of 0 has the sign of the divisor as well
-        none = exp.Mul(this=b.copy(), expression=zero.copy())
-        case = case.when(exp.EQ(this=rest.copy(), expression=zero.copy()), none)
-    case = case.else_(rest.copy())
+        signed_zero = exp.Mul(this=b.copy(), expression=zero.copy())
+        case = case.when(exp.EQ(this=remainder.copy(), expression=zero.copy()), signed_zero)
+    case = case.else_(remainder.copy())
     domain = FloatDomain.NAN if left.domain or right.domain else FloatDomain.FINITE
     sql = _unless_zero(context, node, right, case, sql_type)
     return SqlValue(sql, sql_type, may_exceed_double=left.may_exceed_double, domain=domain)
@@ -133,21 +133,21 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: Sq
         ):
             context.note_possible_failure()
             power = exp.Pow(this=double_of(left), expression=exp.Literal.number(exponent))
-            beyond: float = EXACT if sql_type == INTEGER else 1.7976931348623157e308
+            maximum: float = EXACT if sql_type == INTEGER else 1.7976931348623157e308
             too_large = exp.GT(
-                this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(beyond))
+                this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(maximum))
             )
-            whole: exp.Expr = exp.cast(power, "BIGINT") if sql_type == INTEGER else power
-            return SqlValue(exp.case().when(too_large, failure(sql_type)).else_(whole), sql_type)
+            result: exp.Expr = exp.cast(power, "BIGINT") if sql_type == INTEGER else power
+            return SqlValue(exp.case().when(too_large, failure(sql_type)).else_(result), sql_type)
     raise NotSqlError
 
 
 def _domain(kind: type[exp.Binary], left: SqlValue, right: SqlValue) -> FloatDomain:
     """Returns the domain of a sum, a product or a quotient; the operation may overflow."""
-    extents = (left.domain, right.domain)
-    if max(extents) == FloatDomain.NAN or extents == (FloatDomain.INFINITE, FloatDomain.INFINITE):
+    domains = (left.domain, right.domain)
+    if max(domains) == FloatDomain.NAN or domains == (FloatDomain.INFINITE, FloatDomain.INFINITE):
         return FloatDomain.NAN
-    if kind is exp.Mul and max(extents) == FloatDomain.INFINITE:  # infinity times 0
+    if kind is exp.Mul and max(domains) == FloatDomain.INFINITE:  # infinity times 0
         finite = left if left.domain == FloatDomain.FINITE else right
         is_factor = isinstance(finite.sql, exp.Literal) and float(finite.sql.this) != 0
         return FloatDomain.INFINITE if is_factor else FloatDomain.NAN

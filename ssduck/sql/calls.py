@@ -28,7 +28,7 @@ from ssduck.sql.sql_values import (
 )
 from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
 
-# Functions of reals that C has, so that SQL and Python agree to the last digit.
+# Functions that SQL and Python take from C, with the same results to the last digit.
 _REAL_FUNCTIONS = ("sin", "cos", "tan", "atan")
 
 
@@ -37,7 +37,7 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
 
     Raises:
         NotSqlError: it is left to Python.
-        SelectScriptError: there is no such function, or what it is given is wrong.
+        SelectScriptError: there is no such function, or its arguments are wrong.
     """
     sql.names.check_call(node)
     if node.name in IMPURE or node.name in OVER_TIME:
@@ -75,7 +75,7 @@ def call(sql: ExpressionScope, node: Call) -> SqlValue:
 def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     count = len(node.arguments)
     if relation.may_fail and (sql.rows or sql.outer is not None):
-        sql.context.note_possible_failure()  # of rows that no condition before it has left
+        sql.context.note_possible_failure()  # for rows that an earlier condition would exclude
     values = {
         parameter.name: _argument(sql, relation, parameter, argument)
         for parameter, argument in zip(relation.parameters, node.arguments, strict=False)
@@ -114,11 +114,11 @@ def _argument(
 ) -> SqlValue:
     value = sql.value(node)
     if value.sql_type.nullable:
-        raise NotSqlError  # in SQL nothing would be unknown, in Python it is an error
+        raise NotSqlError  # NULL in SQL, but an error in Python
     if value.domain and parameter.type == "double":
         value = sql.context.nan_checked(value)  # a distance may be infinite
     elif value.domain:
-        raise NotSqlError  # of what is infinite, a formula may be no number
+        raise NotSqlError  # a formula of infinities may be NaN
     if value.may_fail:
         raise NotSqlError
     if value.sql_type.type == parameter.type or (
@@ -142,12 +142,12 @@ def _argument(
 
 
 def _argument_error(
-    sql: ExpressionScope, relation: Relation, parameter: Parameter, found: str, node: Node
+    sql: ExpressionScope, relation: Relation, parameter: Parameter, actual: str, node: Node
 ) -> Exception:
     """Returns the error for an argument; in a query it is an error only if a row reaches it."""
     if sql.rows or sql.outer is not None:
         return NotSqlError()
-    message = f"{relation.name}: {parameter.name} is to be {parameter.meaning}, not {found}"
+    message = f"{relation.name}: {parameter.name} must be {parameter.meaning}, not {actual}"
     return ArgumentError(message, span=node.span)
 
 
@@ -186,7 +186,7 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
         ]:
             zero = exp.cast(exp.Literal.number(0), "DOUBLE")
             result = exp.Coalesce(this=_list_function("sum", value), expressions=[zero])
-            # The sum of nothing is an integer.
+            # The sum of an empty list is an integer.
             domain = FloatDomain.NAN if value.domain else FloatDomain.INFINITE
             return SqlValue(result, SqlType("number"), domain=domain)
         case "min" | "max", [

@@ -8,14 +8,14 @@ from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext, wrapp
 from ssduck.sql.types import BOOLEAN, SqlType, merged
 
 COMPARISONS = {"==": exp.EQ, "!=": exp.NEQ, ">=": exp.GTE, ">": exp.GT, "<=": exp.LTE, "<": exp.LT}
-# Of these values none is equal to one of another kind.
+# Values of different kinds among these are never equal.
 _DISJOINT_KINDS = ("string", "list", "number")
 
 
 def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlValue) -> SqlValue:
-    """Returns one of the six comparisons."""
+    """Translates a comparison by one of the six operators."""
     if left.sql_type.nullable or right.sql_type.nullable:
-        raise NotSqlError  # NULL is equal to nothing, not even to NULL
+        raise NotSqlError  # NULL does not equal NULL
     kinds = tuple("number" if v.sql_type.is_number else v.sql_type.type for v in (left, right))
     equality = sign in ("==", "!=")
     if equality and kinds[0] != kinds[1] and all(kind in _DISJOINT_KINDS for kind in kinds):
@@ -37,10 +37,10 @@ def comparison(context: StatementContext, sign: str, left: SqlValue, right: SqlV
 def _may_be_equal(left: SqlType, right: SqlType) -> bool:
     if left.type == right.type == "entity" and left.schema == right.schema:
         return True
-    both = merged((left, right))
+    common = merged((left, right))
     if any(sql_type.element and sql_type.element.past for sql_type in (left, right)):
-        return False  # equal are those of one entity, their keys or not
-    return both is not None and both.type in ("entity", "boolean", "list") and both.is_sql
+        return False  # entities at different ticks are equal, their keys are not
+    return common is not None and common.type in ("entity", "boolean", "list") and common.is_sql
 
 
 def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> SqlValue:
@@ -55,11 +55,11 @@ def membership(context: StatementContext, left: SqlValue, right: SqlValue) -> Sq
         return SqlValue(exp.false(), BOOLEAN)
     if right.elements is not None:
         if right.may_fail:
-            raise NotSqlError  # behind an equal one no other would be evaluated
+            raise NotSqlError  # SQL would not evaluate the elements after an equal one
         result = [comparison(context, "==", left, element).sql for element in right.elements]
         return SqlValue(exp.paren(exp.or_(*result)), BOOLEAN)
-    both = merged((left.sql_type, right.sql_type.element))
-    if both is None or not both.is_sql or left.may_exceed_double or both.past:
+    common = merged((left.sql_type, right.sql_type.element))
+    if common is None or not common.is_sql or left.may_exceed_double or common.past:
         raise NotSqlError
     if left.sql_type.is_number != right.sql_type.element.is_number:
         raise NotSqlError

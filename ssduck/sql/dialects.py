@@ -15,7 +15,7 @@ from ssduck.language.tree import Query
 from ssduck.sql.plan import Plan
 from ssduck.sql.sql_values import with_values
 
-# What sqlglot writes for any engine, though only DuckDB, or few, have it.
+# Expressions that sqlglot writes for every engine, but that few engines other than DuckDB support.
 _DUCKDB_ONLY = (
     (exp.Array, "lists"),
     (exp.Unnest, "lists"),
@@ -34,17 +34,17 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     Args:
         query: the query.
         plan: its plan; None if it runs row by row.
-        values: those of the plan's parameters.
-        dialect: the engine, as sqlglot calls it.
+        values: the values of the plan's parameters.
+        dialect: sqlglot's name of the engine.
 
     Raises:
         UnknownNameError: sqlglot knows no such engine.
-        UnsupportedError: a part is left to Python, or is nothing that the engine has.
+        UnsupportedError: Python evaluates a part, or the engine lacks it.
     """
-    known = {name for name in sqlglot.Dialect.classes if name}
-    if not isinstance(dialect, str) or dialect not in known:
+    names = {name for name in sqlglot.Dialect.classes if name}
+    if not isinstance(dialect, str) or dialect not in names:
         raise UnknownNameError(
-            f"there is no SQL dialect {short_repr(dialect)}", suggestions=nearest(dialect, known)
+            f"there is no SQL dialect {short_repr(dialect)}", suggestions=nearest(dialect, names)
         )
     if plan is None:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)
@@ -53,8 +53,8 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     for clause in plan.python_clauses.clauses:
         raise UnsupportedError(f"{clause} is left to Python", span=query.span)
     if plan.tables or plan.signatures:
-        what = "a table of Python's" if plan.tables else "a Python function"
-        raise UnsupportedError(f"{what} is nothing that {dialect} has", span=query.span)
+        feature = "a table of Python's" if plan.tables else "a Python function"
+        raise UnsupportedError(f"{dialect} has no equivalent of {feature}", span=query.span)
     select = plan.select.transform(with_values(values))
     if dialect != "duckdb":
         select = select.transform(_without_infinity)
@@ -78,7 +78,6 @@ def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:
         for kind, words in _DUCKDB_ONLY:
             if isinstance(node, kind):
                 raise UnsupportedError(
-                    f"{dialect} has no {words} as DuckDB has them: "
-                    f"{node.sql(dialect='duckdb')[:60]}",
+                    f"{dialect} lacks {words}: {node.sql(dialect='duckdb')[:60]}",
                     span=query.span,
                 )

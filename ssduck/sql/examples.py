@@ -1,7 +1,6 @@
 """The names of worlds alone: a `TypeEnvironment` for the examples in this package.
 
-There are no variables and no users' functions; each source is a world that is called as its value
-is written.
+There are no variables and no users' functions; each source is a world with the name in FROM.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from ssduck.language.tree import Call, Name, Node, QualifiedName, Query, Unresol
 from ssduck.sql.plan import Plan
 from ssduck.sql.relations.registry import RELATIONS
 
-# By world, the entities of which boxes stand in for shapes.
+# The entities whose boxes stand in for shapes, by world.
 StandIns: TypeAlias = Mapping[str, Sequence[str]]
 PlanOf: TypeAlias = Callable[[Query], Plan | None]
 
@@ -21,8 +21,8 @@ def explained(text: str, statement: Node, plan_of: PlanOf, stand_ins: StandIns) 
     Args:
         text: the program.
         statement: the statement.
-        plan_of: the plan of a query; None for one that runs row by row.
-        stand_ins: where answers about shapes are not exact.
+        plan_of: a function that returns the plan of a query; None if it runs row by row.
+        stand_ins: the entities for which relations of shapes are not exact.
     """
     return "\n\n".join(
         _explained(text, query, plan, stand_ins)
@@ -46,12 +46,12 @@ def _plans(queries: Iterable[Query], plan_of: PlanOf) -> Iterator[tuple[Query, P
         if plan is None:
             yield from _plans(outermost(query.children()), plan_of)
             continue
-        given = [
+        evaluated = [
             source.value
             for source, source_type in zip(query.sources, plan.source_types, strict=True)
             if source_type.has_values
         ]
-        yield from _plans(outermost([*given, *plan.constants, *plan.python_constants]), plan_of)
+        yield from _plans(outermost([*evaluated, *plan.constants, *plan.python_constants]), plan_of)
 
 
 def _explained(text: str, query: Query, plan: Plan | None, stand_ins: StandIns) -> str:

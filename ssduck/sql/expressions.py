@@ -1,9 +1,9 @@
 """Translates the expressions of a query to SQL, through sqlglot.
 
-A part becomes SQL when its types are known and SQL means the same by it; for everything else
-`NotSqlError` is raised, and the part is left to Python. What SQL could fail at (an overflow, a
-division by zero, an index out of range) is SQL unless the plan is to be cautious; if it does
-fail, the query runs again by a cautious plan, and Python has the last word.
+A part becomes SQL if its types are known and SQL has the same meaning; otherwise `NotSqlError` is
+raised, and the part is left to Python. Operations that may fail in SQL (an overflow, a division by
+zero, an index out of range) become SQL unless the plan is cautious; if one fails, the query runs
+again by a cautious plan, which leaves them to Python.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from ssduck.sql import subqueries
 from ssduck.sql.arithmetic import arithmetic
 from ssduck.sql.calls import call
 from ssduck.sql.comparisons import COMPARISONS, comparison, like_match, membership, missing, truth
-from ssduck.sql.lists import concatenation, indexed, list_of
+from ssduck.sql.lists import concatenation, indexed, list_literal
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.scope import ExpressionScope
 from ssduck.sql.sql_values import (
@@ -67,7 +67,7 @@ class Expressions(ExpressionScope):
         if self.context.possible_failures == before or value.may_fail:
             return value
         if isinstance(value.expression, exp.Boolean):
-            raise NotSqlError  # what could fail would not be evaluated
+            raise NotSqlError  # SQL would not evaluate the part that may fail
         return replace(value, may_fail=True)
 
     def _value(self, node: Node) -> SqlValue:
@@ -88,7 +88,7 @@ class Expressions(ExpressionScope):
             case Query():
                 return self._query(node)
             case ListLiteral(items=items) if _is_short(items):
-                return list_of(self.context, [self.value(item) for item in items])
+                return list_literal(self.context, [self.value(item) for item in items])
         if self.is_constant(node):
             return self._constant(node)
         match node:
@@ -110,7 +110,7 @@ class Expressions(ExpressionScope):
             case Index():
                 return self._index(node)
             case ListLiteral(items=items):
-                return list_of(self.context, [self.value(item) for item in items])
+                return list_literal(self.context, [self.value(item) for item in items])
             case If(otherwise=(otherwise,)) if len(node.else_ifs) < MAX_NESTING:
                 return self._choice(node, otherwise)
         raise NotSqlError
@@ -163,12 +163,10 @@ class Expressions(ExpressionScope):
             return SqlValue(parameter, sql_type)
 
         def column(name: str) -> exp.Expr:
-            wanted = ParameterBinding("", node, name, sql_type=column_type(name))
-            return self.context.parameter(f"{stem}_{name}", wanted)
+            binding = ParameterBinding("", node, name, sql_type=column_type(name))
+            return self.context.parameter(f"{stem}_{name}", binding)
 
-        return SqlValue(
-            None, sql_type, column
-        )  # its columns become parameters as they are asked for
+        return SqlValue(None, sql_type, column)  # its columns become parameters when they are used
 
     # -- operators --------------------------------------------------------------------------
 
@@ -226,9 +224,9 @@ class Expressions(ExpressionScope):
         case = exp.case()
         for branch, value in zip(node.branches, values, strict=True):
             case = case.when(truth(self.value(branch.condition)), value.sql)
-        every = (*values, last)
-        domain = max(value.domain for value in every)
-        may_exceed_double = any(value.may_exceed_double for value in every)
+        all_values = (*values, last)
+        domain = max(value.domain for value in all_values)
+        may_exceed_double = any(value.may_exceed_double for value in all_values)
         return SqlValue(
             case.else_(last.sql), last.sql_type, may_exceed_double=may_exceed_double, domain=domain
         )
@@ -238,8 +236,8 @@ def _joined(sign: str, sides: Sequence[exp.Expr]) -> exp.Expr:
     """Conditions with AND, OR or XOR between them, nested as little as can be."""
     if len(sides) == 1:
         return sides[0]
-    middle = (len(sides) + 1) // 2
-    left, right = _joined(sign, sides[:middle]), _joined(sign, sides[middle:])
+    half = (len(sides) + 1) // 2
+    left, right = _joined(sign, sides[:half]), _joined(sign, sides[half:])
     if sign == "XOR":
         return exp.paren(exp.NEQ(this=wrapped(left), expression=wrapped(right)), copy=False)
     connect = exp.and_ if sign == "AND" else exp.or_

@@ -19,8 +19,8 @@ class FromItem:
 
     Attributes:
         value: its current element.
-        table: what stands in FROM.
-        position: the keys by which its elements are in their order.
+        table: its table in FROM.
+        position: the keys of the order of its elements.
     """
 
     value: SqlValue
@@ -99,9 +99,9 @@ def unnested(name: str, values: SqlValue) -> FromItem:
     if sql_type is None or not sql_type.is_sql or sql_type.nullable:
         raise NotSqlError
     numbers = exp.func("generate_subscripts", rows.copy(), exp.Literal.number(1))
-    what = "id" if sql_type.type == "entity" else "value"
+    column_name = "id" if sql_type.type == "entity" else "value"
     table: exp.Select = exp.select(
-        exp.alias_(exp.func("unnest", rows.copy()), what), exp.alias_(numbers, "n")
+        exp.alias_(exp.func("unnest", rows.copy()), column_name), exp.alias_(numbers, "n")
     )
     position = (ascending(column_of(name, "n")),)
     alias = exp.to_identifier(name)
@@ -117,7 +117,7 @@ def unnested(name: str, values: SqlValue) -> FromItem:
 
 @dataclass(frozen=True)
 class JoinedEntity:
-    """An entity at the tick of another row: its row, and how that is joined."""
+    """An entity at the tick of another row: its value and the join of its row."""
 
     value: SqlValue
     join: exp.Join
@@ -143,12 +143,12 @@ def pairs_over_ticks(
     """Returns whether a relation holds of two entities at the tick of a row, for all ticks at once.
 
     Args:
-        search: finds the pairs: those that collide, touch, or are within a distance.
-        distance: that distance, or the depth.
-        row: the ticks, and that of the row.
-        ids: of the entities, as far as they are the same at each tick.
-        columns: their ids at the row.
-        name: what the table of pairs is called.
+        search: the search for the pairs that collide, touch, or are within a distance.
+        distance: the distance or the depth, m.
+        row: the range of ticks, and the tick of the row.
+        ids: the ids of the entities; columns if they differ from row to row.
+        columns: the ids of the entities at the row.
+        name: the name of the table of pairs.
     """
     arguments: list[exp.Expr] = [
         exp.Literal.string(row.schema),
@@ -158,27 +158,27 @@ def pairs_over_ticks(
     ]
     if search.takes_distance:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
-    called = exp.to_identifier(search.name_over_ticks, quoted=True)
-    result = exp.Anonymous(this=called, expressions=arguments)
-    each = exp.select(exp.alias_(exp.func("unnest", result), "p")).subquery("found")
+    function = exp.to_identifier(search.name_over_ticks, quoted=True)
+    result = exp.Anonymous(this=function, expressions=arguments)
+    unnested_pairs = exp.select(exp.alias_(exp.func("unnest", result), "p")).subquery("found")
     parts = [
         exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
         for part in ("tick", "a", "b", "known")
     ]
-    table = exp.select(*parts).from_(each).subquery(exp.to_identifier(name, quoted=True))
+    table = exp.select(*parts).from_(unnested_pairs).subquery(exp.to_identifier(name, quoted=True))
     equal = zip(("tick", "a", "b"), (row.tick, *columns), strict=True)
     on = exp.and_(*(exp.EQ(this=column_of(name, c), expression=e.copy()) for c, e in equal))
     join = exp.Join(this=table, side="LEFT", on=on)
-    none = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
+    is_missing = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
     known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
-    holds = exp.case().when(none, exp.false()).when(known, exp.true())
+    holds = exp.case().when(is_missing, exp.false()).when(known, exp.true())
     return JoinedEntity(SqlValue(holds, BOOLEAN), join)
 
 
 def needed_joins(joined_entities: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
-    """Returns the joins of those followers that a SELECT, or one behind them, reads a column of.
+    """Returns the joins whose columns a SELECT or a later join reads.
 
-    None of them makes rows more or fewer.
+    The joins do not change the number of rows.
     """
     result: list[exp.Join] = []
     for entity in reversed(list(joined_entities)):
@@ -191,7 +191,7 @@ def needed_joins(joined_entities: Iterable[JoinedEntity], select: exp.Select) ->
 
 @dataclass(frozen=True)
 class TickRange:
-    """The ticks that rows of the past are of, the tick of the current one, the only id."""
+    """The ticks of a source, the tick of its current row, and its id if it is one entity."""
 
     schema: str
     first: exp.Expr
@@ -221,12 +221,12 @@ def _unnested_past(
 
 @dataclass(frozen=True)
 class PairTable:
-    """A table of pairs of ids, each pair both ways.
+    """A table of pairs of ids, each pair in both orders.
 
     Attributes:
-        table: what stands in FROM.
-        columns: the two ids.
-        position: the key by which they are in the order of both.
+        table: its table in FROM.
+        columns: the columns of the two ids.
+        position: the key of the order of both sources.
     """
 
     table: exp.Expr
@@ -236,16 +236,16 @@ class PairTable:
 
 def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
     """Returns the pairs of entities of a world that a search finds."""
-    called = exp.to_identifier(search.name, quoted=True)
+    function = exp.to_identifier(search.name, quoted=True)
     arguments: list[exp.Expr] = [exp.Literal.string(schema)]
     if search.takes_distance:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
-    numbers = exp.func("unnest", exp.Anonymous(this=called, expressions=arguments))
-    number, many = exp.column("n"), exp.Literal.number(ID_FACTOR)
+    numbers = exp.func("unnest", exp.Anonymous(this=function, expressions=arguments))
+    number, factor = exp.column("n"), exp.Literal.number(ID_FACTOR)
     table = (
         exp.select(
-            exp.alias_(exp.IntDiv(this=number.copy(), expression=many.copy()), "a"),
-            exp.alias_(exp.Mod(this=number.copy(), expression=many.copy()), "b"),
+            exp.alias_(exp.IntDiv(this=number.copy(), expression=factor.copy()), "a"),
+            exp.alias_(exp.Mod(this=number.copy(), expression=factor.copy()), "b"),
             number,
         )
         .from_(exp.select(exp.alias_(numbers, "n")).subquery("numbered"))

@@ -22,7 +22,7 @@ from ssduck.sql.sql_values import (
 from ssduck.sql.types import ANY, EXACT, SqlType, merged
 
 
-def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
+def list_literal(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
     """Returns a list that is written out."""
     sql_type = merged(value.sql_type for value in values)
     if any(value.sql_type.nullable or value.may_exceed_double for value in values):
@@ -35,7 +35,7 @@ def list_of(context: StatementContext, values: Sequence[SqlValue]) -> SqlValue:
         )
     length = 3 if len(values) == 3 else None
     if not sql_type.is_sql or sql_type.type == "record":
-        if all(value.sql_type.is_sql for value in values):  # its elements can be reached
+        if all(value.sql_type.is_sql for value in values):  # its elements are available one by one
             return SqlValue(None, SqlType("list", ANY, length), elements=elements, domain=domain)
         raise NotSqlError
     sql: exp.Expr = exp.Array(expressions=[value.sql.copy() for value in elements])
@@ -64,7 +64,7 @@ def indexed(sql: ExpressionScope, value: SqlValue, index: Node) -> SqlValue:
             return value.fields[key]
         case tree.Literal(value=number) if type(number) is int and value.elements is not None:
             if value.may_fail:
-                raise NotSqlError  # nor would be the other elements
+                raise NotSqlError  # SQL would not evaluate the other elements
             if -len(value.elements) <= number < len(value.elements):
                 return value.elements[number]
     element = value.sql_type.element
@@ -86,8 +86,8 @@ def _place(sql: ExpressionScope, index: Node) -> exp.Expr:
     if place.sql_type.type != "integer":
         raise NotSqlError
     negative = exp.LT(this=wrapped(place.sql), expression=exp.Literal.number(0))
-    behind = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
-    return exp.case().when(negative, copied(place.sql)).else_(behind)
+    shifted = exp.Add(this=wrapped(place.sql), expression=exp.Literal.number(1))
+    return exp.case().when(negative, copied(place.sql)).else_(shifted)
 
 
 def element_at(value: SqlValue, place: int) -> exp.Expr:

@@ -37,9 +37,9 @@ class ResolvedQuery:
     """A query whose bare names have been looked up.
 
     Attributes:
-        query: the query; its names are variables, and what else they were is spelled out.
-        columns: what it selects.
-        bare: the names that were looked up, and whether there was a variable of that name.
+        query: the query; its remaining names are variables.
+        columns: the selected columns.
+        bare: the resolved names, and whether there was a variable of that name.
     """
 
     query: Query
@@ -61,8 +61,8 @@ def resolve(
     Args:
         query: the query.
         source_types: what its sources are.
-        names: variables and functions.
-        outer: the state variables of hierarchical queries around it.
+        names: the variables and functions.
+        outer: the state variables of outer hierarchical queries.
 
     Raises:
         UnknownNameError: it is none of these.
@@ -165,7 +165,7 @@ class _Resolver:
         call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
             self._names.check_call(call)
-        except SelectScriptError:  # where it is evaluated, the error tells more
+        except SelectScriptError:  # the error at its evaluation is more precise
             return part
         return call
 

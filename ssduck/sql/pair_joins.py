@@ -1,8 +1,8 @@
 """Joins for conditions on two entities that hold only for near ones.
 
-The narrow phase takes its time with each pair. So the pairs of a tick of which a relation may hold
-are found at once, where two sources are one world; and what is compared with a number is asked
-only of boxes that are near enough.
+The narrow phase is slow. So, if two sources are the same world, all candidate pairs of a tick are
+found at once; and comparisons with a number, `clearance(a, b) < 0.1`, are evaluated only for boxes
+that are near enough.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class PairJoin:
     """A condition on two sources of one world.
 
     Attributes:
-        table: the pairs of which it may hold, to be joined.
-        condition: what is to hold of a row of the sources and of that table.
-        position: the key by which both sources are in their order.
+        table: the table of candidate pairs.
+        condition: the condition on a row of the sources and of the table.
+        position: the key of the order of both sources.
     """
 
     table: exp.Expr
@@ -66,17 +66,17 @@ def pair_join(
         sides: its sources, in their order.
         schema: the world that both sources are.
     """
-    relation, others = RELATIONS[node.name], node.arguments[2:]
+    relation, constants = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidate_pairs is not None
-    if not all(map(sql.is_constant, others)):
+    if not all(map(sql.is_constant, constants)):
         return None
     try:
         holds = sql.condition(node)
         names = [parameter.name for parameter in relation.parameters[2 : len(node.arguments)]]
-        known = dict(zip(names, map(sql.value, others), strict=True))
+        values = dict(zip(names, map(sql.value, constants), strict=True))
     except NotSqlError:
         return None
-    distance = expanded(relation.candidate_distance(len(node.arguments)), known)
+    distance = expanded(relation.candidate_distance(len(node.arguments)), values)
     search = relation.candidate_pairs.search
     pairs = pair_table(search, distance, schema, sql.context.alias("pairs"))
     result = [
@@ -106,7 +106,7 @@ def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
     geometry = None if relation is None else relation.geometry
     if geometry is None or not sql.is_constant(limit):
         return None
-    if not (geometry.is_at_least_gap if is_less else geometry.is_zero_apart):
+    if not (geometry.is_at_least_box_distance if is_less else geometry.is_zero_beyond_boxes):
         return None
     distance: Node = limit
     if not is_less:

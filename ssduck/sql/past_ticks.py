@@ -14,17 +14,17 @@ from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
 
 
 class QueryTicks:
-    """The ticks of the sources of one query, and of what is asked of entities beside them.
+    """The ticks of the sources of one query, and of handles in its expressions.
 
     Args:
-        context: what all expressions of the statement share.
+        context: the state that the expressions of the statement share.
         rows: the current element of each source, by alias.
-        outer: the same of the query around this one.
+        outer: the same for the outer query.
 
     Attributes:
-        joined_entities: handles at the ticks of rows of the past, by both; and pairs of entities.
-        tick_ranges: of sources that are several ticks, which ones, by the tick of the current row.
-        present: the ticks of sources that are a world at its present one, beside its past.
+        joined_entities: the joined rows of handles at ticks of other rows, and of pairs.
+        tick_ranges: the ticks of sources with several ticks, by the tick of the current row.
+        present: the ticks of sources that are a world at its current tick, beside its past.
     """
 
     def __init__(
@@ -32,16 +32,16 @@ class QueryTicks:
     ) -> None:
         self._context = context
         self._rows = rows
-        self._around = outer
+        self._outer = outer
         self.joined_entities: dict[tuple[str, ...], JoinedEntity] = {}
         self._parameters: dict[str, exp.Expr] = {}
         self.tick_ranges: dict[str, TickRange] = {}
         self.present: set[str] = set()
 
     def join_entities(self, values: dict[str, SqlValue]) -> None:
-        """Joins the rows of handles at the tick of the entities that are of a recorded one.
+        """Joins the rows of handles at the tick of the entities at recorded ticks.
 
-        A handle goes with its world; in a query of the past it goes with that.
+        A handle stands for the entity at the current tick; beside rows of the past, at their tick.
         """
         entities = {
             name: value for name, value in values.items() if value.sql_type.type == "entity"
@@ -79,19 +79,19 @@ class QueryTicks:
         candidates = relation.candidate_pairs
         if candidates is None or candidates.search.predicate is None:
             return None
-        a, b, *others = values.values()
+        a, b, *numbers = values.values()
         if not (a.sql_type.past and b.sql_type.past):
             return None
-        if a.column is None or b.column is None or self._around is not None:
+        if a.column is None or b.column is None or self._outer is not None:
             return None
-        span = self.tick_ranges.get(self._leading(a.column("tick")))
-        other = self.tick_ranges.get(self._leading(b.column("tick")))
+        span = self.tick_ranges.get(self._leading_tick(a.column("tick")))
+        other = self.tick_ranges.get(self._leading_tick(b.column("tick")))
         if span is None or other is None or span.schema != other.schema:
             return None
-        if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in others):
+        if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in numbers):
             return None
-        known = dict(zip(list(values)[2:], others, strict=True))
-        distance = expanded(relation.candidate_distance(count), known)
+        values_by_name = dict(zip(list(values)[2:], numbers, strict=True))
+        distance = expanded(relation.candidate_distance(count), values_by_name)
         ids = self._id_of(a), self._id_of(b)
         key = (relation.name, distance.sql(), span.tick.sql(), *(id.sql() for id in ids))
         if key not in self.joined_entities:
@@ -102,41 +102,41 @@ class QueryTicks:
             )
         return self.joined_entities[key].value
 
-    def note_single_entity(self, alias: str, other: Callable[[], SqlValue]) -> None:
+    def record_single_entity(self, alias: str, other: Callable[[], SqlValue]) -> None:
         """Notes that a source's element is always one entity.
 
         Args:
-            alias: of the source.
-            other: gives the entity, or its name: a constant.
+            alias: the alias of the source.
+            other: a function that returns the entity or its name, a constant.
         """
         value = self._rows.get(alias)
         if value is None or value.column is None or not value.sql_type.past:
             return
         span = self.tick_ranges.get(value.column("tick").sql())
-        known = other() if span is not None and span.id is None else None
-        if span is None or known is None:
+        value_of_id = other() if span is not None and span.id is None else None
+        if span is None or value_of_id is None:
             return
         id: exp.Expr | None = None
         if (
-            known.sql_type.type == "entity"
-            and known.sql_type.schema == span.schema
-            and known.column
+            value_of_id.sql_type.type == "entity"
+            and value_of_id.sql_type.schema == span.schema
+            and value_of_id.column
         ):
-            id = known.column("id")
-        elif known.sql_type.type == "string":
+            id = value_of_id.column("id")
+        elif value_of_id.sql_type.type == "string":
             models = exp.table_("entities_model", db=span.schema)
-            of_name = exp.EQ(this=exp.column("name"), expression=known.sql.copy())
-            # There may have been several of a name: then it may be any.
+            has_name = exp.EQ(this=exp.column("name"), expression=value_of_id.sql.copy())
+            # Several entities may have had the name; 0 stands for any of them.
             id_case = exp.case(exp.Count(this=exp.Star())).when(
                 "1", exp.func("any_value", exp.column("id"))
             )
             id_case = id_case.when("0", exp.Literal.number(-1)).else_(exp.Literal.number(0))
-            id = exp.select(id_case).from_(models).where(of_name).subquery()
+            id = exp.select(id_case).from_(models).where(has_name).subquery()
         if id is not None:
             self.tick_ranges[span.tick.sql()] = replace(span, id=id)
 
-    def _leading(self, tick: exp.Expr) -> str:
-        """Returns the tick of the source that a handle goes with; of a source its own."""
+    def _leading_tick(self, tick: exp.Expr) -> str:
+        """Returns the tick of a source, or of the source to whose tick a handle is joined."""
         for (row, *_), known in self.joined_entities.items():
             column = known.value.column
             if column is not None and column("tick").sql() == tick.sql():
@@ -155,7 +155,7 @@ class QueryTicks:
     def _id_at_row(self, value: SqlValue) -> exp.Expr:
         """Returns the id of an entity at a row, for a table of pairs of those that were there.
 
-        That of a handle is the same at each row: where it was, its own row need not be looked at.
+        The id of a handle is the same at all rows, so that its own row is not needed.
         """
         assert value.column is not None
         is_handle = any(known.value is value for known in self.joined_entities.values())
@@ -163,17 +163,17 @@ class QueryTicks:
 
     def _all_rows(self) -> list[SqlValue]:
         """Returns the current elements of all sources, those of outer queries first."""
-        outer = self._around._all_rows() if self._around is not None else []  # noqa: SLF001
+        outer = self._outer._all_rows() if self._outer is not None else []  # noqa: SLF001
         return [*outer, *self._rows.values()]
 
     def _is_of_own_row(self, tick: exp.Expr) -> bool:
         """Checks whether a tick is that of a source of this query, and not of one around it."""
-        own = {
+        ticks = {
             value.column("tick").sql()
             for value in self._rows.values()
             if value.sql_type.past and value.column
         }
-        return self._around is None and tick.sql() in own
+        return self._outer is None and tick.sql() in ticks
 
     def _joined_entity(self, schema: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
         key = tick.sql(), id.sql()

@@ -20,13 +20,12 @@ class SourceType:
     """The type of a source, and its alias.
 
     Attributes:
-        alias: what it is called.
-        schema: of a world, its schema.
-        past_kind: of a world's past, whether it is one tick, or several, or the present one beside
-            its past.
-        is_one_entity: whether that is the past of one entity.
-        sql_type: of values, what they are.
-        has_values: whether its values are known before the query runs; else it is a part of it.
+        alias: its alias.
+        schema: the schema of a world.
+        past_kind: the ticks of a world's past: one, several, or the current one beside its past.
+        is_one_entity: whether it is the past of one entity.
+        sql_type: the type of its values.
+        has_values: whether its values are known before the query runs; if not, it is a part of it.
         dicts: whether some of its elements are dicts.
         known: whether it has elements, so that names can be looked up in them.
     """
@@ -46,7 +45,7 @@ class TypeEnvironment(Protocol):
 
     @property
     def max_depth(self) -> int:
-        """The most rows that a path of a hierarchical query may have."""
+        """The largest number of rows of a path of a hierarchical query."""
 
     def has_variable(self, name: str) -> bool:
         """Checks whether there is a variable of that name."""
@@ -58,7 +57,7 @@ class TypeEnvironment(Protocol):
         """Returns the type of the value of an expression that depends on no row of this query."""
 
     def world(self, node: Node) -> str | None:
-        """Returns the schema of the world that such an expression is, None if it is none."""
+        """Returns the schema of the world that is the value of such an expression, if it is one."""
 
     def deferred(self, name: str) -> Node | None:
         """Returns the list in a variable that the query evaluates; None for other values."""
@@ -67,7 +66,7 @@ class TypeEnvironment(Protocol):
         """Returns the name that calls a function: marked if a user's function replaces it."""
 
     def check_call(self, node: Call) -> None:
-        """Rejects an unknown function, or a wrong number of arguments."""
+        """Checks that a function is known, and the number of its arguments."""
 
     def signature(self, name: str, arguments: tuple[SqlType, ...]) -> Signature | None:
         """Returns the signature of a user's function for arguments; None if SQL cannot call it."""
@@ -78,12 +77,12 @@ class ParameterBinding:
     """A parameter of the SQL.
 
     Attributes:
-        name: of the parameter.
-        node: the expression that it is the value of,
-        column: or the column of the entity that the expression is.
-        source: instead, the source that it lists the elements of,
-        end: or the past of a world that it is the first or the last tick of, or whose only entity.
-        sql_type: of the value.
+        name: the name of the parameter.
+        node: the expression whose value it is; None for a source.
+        column: the column of the entity that is the value of the expression.
+        source: the source whose elements it lists.
+        end: the number of the source's past: its first or its last tick, or the id of its entity.
+        sql_type: the type of the value.
     """
 
     name: str
@@ -104,7 +103,7 @@ class OutputColumn:
 
 @dataclass(frozen=True)
 class PathSearch:
-    """The search for paths over the edges that a statement yields: their length, their number."""
+    """The search for paths over the edges from SQL: their largest length and number."""
 
     max_length: int
     max_paths: int | None
@@ -115,24 +114,24 @@ class Plan:
     """The plan of a query.
 
     Attributes:
-        query: what it is a plan of, bare names looked up.
-        source_types: what the sources are.
+        query: the query, its bare names resolved.
+        source_types: the types of the sources.
         select: the SQL as sqlglot's tree.
-        bindings: its parameters.
-        tables: sources that SQL reads as tables of their own, by alias: the table's name.
-        constants: what does not depend on rows, with the types that the plan relies on.
-        worlds: of these, the schemas of those that are worlds.
+        bindings: the parameters of the SQL.
+        tables: the names of tables for sources that are lists of dicts, by alias.
+        constants: the parts that do not depend on rows, with the types that the plan relies on.
+        worlds: the schemas of the constants that are worlds.
         signatures: the users' functions that SQL calls.
-        known: the columns by the part of the tree that they are the value of.
+        known: the SQL column of each part of the tree that has one.
         elements: the column of each source's element, by alias.
-        python_constants: constants that are evaluated in Python.
-        python_clauses: what Python does with the rows.
+        python_constants: the constants that Python evaluates.
+        python_clauses: the clauses that Python applies to the rows.
         outputs: the selected columns, if nothing is left to Python.
-        names: what the columns are called, if all of them are texts.
+        names: the names of the columns, if all of them are texts.
         paths: whether each row of the SQL is a path, or an edge of a graph of paths.
-        graph: of a graph, which paths are wanted.
-        bare: names that were looked up, and whether there was a variable of that name.
-        deferred: lists that were put in for variables.
+        graph: the search for paths over the edges.
+        bare: the resolved names, and whether there was a variable of that name.
+        deferred: the lists in variables that the query evaluates.
         cautious: whether nothing in the SQL can fail.
     """
 
@@ -158,7 +157,7 @@ class Plan:
 
     @cached_property
     def sql(self) -> str:
-        """The text of the SQL; where values are written in, it is never asked for."""
+        """The text of the SQL."""
         return self.select.sql(dialect="duckdb")
 
     @cached_property
@@ -166,7 +165,7 @@ class Plan:
         """The types of those of its parameters that are numbers."""
         types: dict[str, Literal["double", "integer"]] = {}
         for binding in self.bindings:
-            if binding.end:  # by what is written in a statement, DuckDB leaves out what is older
+            if binding.end:  # as literals, they let DuckDB skip older rows
                 continue
             match binding.sql_type.type:
                 case "double" | "integer" as kind:

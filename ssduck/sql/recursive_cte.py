@@ -1,10 +1,10 @@
 """Translates hierarchical queries to WITH RECURSIVE.
 
-Each row of the recursive table is a path: its state, the places of its rows in the sources,
-and what was selected at each of them. Paths come in the order of their places, which is the
-depth-first order of the sources. MEMORIZE keeps a row a distinct selected row instead (USING
-KEY), and yields the edges between them. UNIQUE depends on the order of the search itself, and
-runs row by row in `ssduck.language.hierarchy`.
+Each row of the recursive table is a path: its state, the places of its rows in the sources, and
+the values selected at each of them. Paths are ordered by their places, which is the depth-first
+order of the sources. With MEMORIZE, the table has a row for each distinct selected row instead
+(USING KEY), and the statement yields the edges between them. UNIQUE depends on the order of the
+search itself, and runs row by row in `ssduck.language.hierarchy`.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from ssduck.sql.plan import PathSearch
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue, failure
 from ssduck.sql.types import BOOLEAN, INTEGER, SqlType, merged
 
-# Breadth first, a search that has more open paths than this takes too much memory; depth first
-# in Python it takes little.
+# The largest number of open paths: a breadth-first search with more needs too much memory. A
+# depth-first search in Python needs little.
 MAX_OPEN_STATES = 1_000_000
 _PATHS = "paths"
 _STEPS = "steps"
@@ -35,10 +35,10 @@ class RecursiveSearch:
     """A search in SQL.
 
     Attributes:
-        select: a row a path, a column a selected item, a list, a value a step; or a row an
-            edge of a graph: the places of its ends, whether the second is found, its items.
+        select: a row for each path, with a list of each item's values along the path; or a row for
+            each edge of a graph: the places of its ends, whether the second is a result, its items.
         sql_types: the types of the columns.
-        graph: of a graph, how long its paths may be, and how many are wanted.
+        graph: the largest length and number of paths in a graph.
     """
 
     select: exp.Select
@@ -59,7 +59,7 @@ def recursive_search(
     if recursion.unique or query.group or query.order or query.having is not None:
         raise NotSqlError
     if recursion.memorizes and recursion.memorize is None:
-        raise NotSqlError  # how many levels it takes is known once a path is found
+        raise NotSqlError  # the number of levels is unknown until a path is found
     if not all(isinstance(column.name, str) for column in columns):
         raise NotSqlError
     search = _Search(sql, query, recursion, columns, elements)
@@ -92,9 +92,10 @@ class _Search:
         self.recursion = recursion
         self.elements = elements
         self.entities: dict[str, FromItem] = {}
-        self.steps = _assigned(recursion.step)
+        self.steps = _assigned_values(recursion.step)
         self.start = {
-            name: self._started(value) for name, value in _assigned(recursion.start).items()
+            name: self._initial_value(value)
+            for name, value in _assigned_values(recursion.start).items()
         }
         self.sql_types = {name: value.sql_type for name, value in self.start.items()}
         self.names = _column_names(self.sql_types)
@@ -108,9 +109,9 @@ class _Search:
         self.stop = sql.condition(recursion.stop)
         where = query.where
         self.is_result = self.stop if where is None else sql.condition(where)
-        sql.context.note_possible_failure()  # it may be too broad
+        sql.context.note_possible_failure()  # it may have too many open paths
 
-    def _started(self, value: tree.Node) -> SqlValue:
+    def _initial_value(self, value: tree.Node) -> SqlValue:
         if not self.sql.is_constant(value):
             raise NotSqlError
         return self.sql.value(value)
@@ -162,7 +163,7 @@ class _Search:
         item_columns = [_column(_PATHS, f"item {index}") for index in range(len(self.items))]
         select = exp.select(*item_columns).from_(_table(_PATHS))
         select = select.where(_column(_PATHS, "found")).order_by(_column(_PATHS, "place"))
-        union = exp.union(self._first(), self._following(), distinct=False)
+        union = exp.union(self._initial_path(), self._next_paths(), distinct=False)
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
         path_limit = self.path_limit()
         return select if path_limit is None else select.limit(path_limit)
@@ -172,7 +173,7 @@ class _Search:
         limits = [n for n in (self.recursion.maximum, self.query.limit) if n is not None]
         return min(map(_number, limits), default=None)
 
-    def _first(self) -> exp.Select:
+    def _initial_path(self) -> exp.Select:
         return exp.select(
             *self._as_states(self.start),
             exp.alias_(_empty(SqlType("integer")), "place"),
@@ -190,8 +191,8 @@ class _Search:
             for name, value in values.items()
         ]
 
-    def _following(self) -> exp.Select:
-        """Returns the paths with a row more, of those that are open."""
+    def _next_paths(self) -> exp.Select:
+        """Returns the open paths, each extended by a row."""
         result = _column(_STEPS, "found")
         states = [
             exp.alias_(
@@ -227,7 +228,7 @@ class _Search:
             for name, value in self.next.items()
         ]
         place = exp.Anonymous(
-            this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
+            this="list_concat", expressions=[_column(_PATHS, "place"), self._place_of_row()]
         )
         items = [
             exp.alias_(
@@ -240,11 +241,11 @@ class _Search:
         select = exp.select(
             *states, *following, exp.alias_(place, "place"), *items, exp.alias_(ends, "found")
         )
-        select = self._from(select, self._open())
+        select = self._from(select, self._open_paths())
         return select.where(exp.Not(this=self._is_visited())) if self.recursion.no_cycle else select
 
     def _from(self, select: exp.Select, paths: exp.Expr) -> exp.Select:
-        """Returns each open path with each row, unless that ends it in vain."""
+        """Returns each open path with each row, without dead ends."""
         select = select.from_(paths)
         for element in (*self.entities.values(), *self.elements):
             select = select.join(element.table, join_type="cross")
@@ -254,26 +255,26 @@ class _Search:
         goes_on = exp.or_(self.is_result.copy(), exp.Not(this=exp.paren(self.stop.copy())))
         return select.where(exp.Not(this=_column(_PATHS, "found")), goes_on)
 
-    def _open(self) -> exp.Expr:
+    def _open_paths(self) -> exp.Expr:
         """Returns the paths of the last round; the statement fails if they are too many."""
         count = exp.Window(this=exp.Count(this=exp.Star()))
-        many = exp.GT(this=count, expression=exp.Literal.number(MAX_OPEN_STATES))
+        too_many = exp.GT(this=count, expression=exp.Literal.number(MAX_OPEN_STATES))
         length = exp.func("len", _column(_PATHS, "item 0"))
-        deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.max_depth))
-        endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), deep)
-        checked = exp.case().when(exp.or_(many, endless), failure(BOOLEAN)).else_(exp.true())
+        too_deep = exp.GTE(this=length, expression=exp.Literal.number(self.sql.names.max_depth))
+        is_endless = exp.and_(exp.Not(this=_column(_PATHS, "found")), too_deep)
+        checked = exp.case().when(exp.or_(too_many, is_endless), failure(BOOLEAN)).else_(exp.true())
         counted = exp.select("*", exp.alias_(checked, "counted")).from_(_table(_PATHS))
         rows = exp.select("*").from_(counted.subquery(_PATHS)).where(_column(_PATHS, "counted"))
         return rows.subquery(_PATHS)
 
-    def _place(self) -> exp.Expr:
+    def _place_of_row(self) -> exp.Expr:
         keys = [key for element in self.elements for key in element.position]
         if any(key.args.get("desc") for key in keys):
             raise NotSqlError
         return exp.Array(expressions=[exp.cast(key.this.copy(), "BIGINT") for key in keys])
 
     def _is_visited(self) -> exp.Expr:
-        """Checks whether what is selected was selected before on the path."""
+        """Checks whether the selected values occurred before on the path."""
         numbers = exp.func("generate_subscripts", _column(_PATHS, "item 0"), exp.Literal.number(1))
         steps = exp.select(exp.alias_(numbers, "i")).subquery("before")
         alike = [
@@ -310,7 +311,7 @@ class _Search:
             exp.alias_(_empty(INTEGER), "place"),
             exp.alias_(exp.false(), "found"),
         )
-        # In parentheses, for it has an order of its own.
+        # In parentheses, because it has its own order.
         union = exp.union(first, self._next_level(keys, levels).subquery(), distinct=True)
         result = [_column("ends", name) for name in ("place", "found", *keys)]
         select = exp.select(_column(_PATHS, "place"), *result)
@@ -318,35 +319,35 @@ class _Search:
         select = select.join(exp.table_(_PATHS, alias="ends"), join_type="cross")
         select = select.where(*self._are_items("ends", keys))
         places = exp.func("len", _column(_PATHS, "place"))
-        select = select.order_by(places, _column(_PATHS, "place"), self._place())
+        select = select.order_by(places, _column(_PATHS, "place"), self._place_of_row())
         select = select.with_(exp.to_identifier(_PATHS), as_=union, recursive=True)
         (table,) = select.find_all(exp.CTE)
         table.set("key_expressions", [exp.to_identifier(key, quoted=True) for key in keys])
         return select
 
     def _next_level(self, keys: Sequence[str], levels: int) -> exp.Select:
-        """Returns the rows that come after those of the last level, and that no level had."""
+        """Returns the successors of the last level's rows that occurred at no level."""
         items = [
             exp.alias_(_cast(item.sql, item.sql_type), key, quoted=True)
             for key, item in zip(keys, self.items, strict=True)
         ]
         place = exp.Anonymous(
-            this="list_concat", expressions=[_column(_PATHS, "place"), self._place()]
+            this="list_concat", expressions=[_column(_PATHS, "place"), self._place_of_row()]
         )
         result = exp.alias_(exp.paren(self.is_result.copy()), "found")
         states = self._as_states(self.next)
         select = exp.select(*states, *items, exp.alias_(place, "place"), result)
-        known = exp.select(exp.Literal.number(1)).from_(
+        visited = exp.select(exp.Literal.number(1)).from_(
             exp.table_(_PATHS, db="recurring", alias="known")
         )
-        known = known.where(*self._are_items("known", keys))
+        visited = visited.where(*self._are_items("known", keys))
         select = self._from(select, self._checked(levels))
-        select = select.where(exp.Not(this=exp.Exists(this=known)))
-        # Of rows that are alike the first one counts.
+        select = select.where(exp.Not(this=exp.Exists(this=visited)))
+        # The first one of equal rows counts.
         return select.distinct(*(item.this.copy() for item in items)).order_by(place.copy())
 
     def _checked(self, levels: int) -> exp.Expr:
-        """Returns the rows of the last level; too many levels, and Python tells so."""
+        """Returns the rows of the last level; the statement fails if there are too many levels."""
         max_depth = exp.Literal.number(self.sql.names.max_depth)
         deep = exp.GTE(this=self._level(), expression=max_depth)
         checked = exp.case().when(deep, failure(BOOLEAN)).else_(exp.true())
@@ -355,7 +356,7 @@ class _Search:
         return rows.subquery(_PATHS)
 
     def _within(self, levels: int) -> exp.Expr:
-        """Returns the rows that others may come after."""
+        """Returns the rows that may have successors."""
         is_within = exp.LT(this=self._level(), expression=exp.Literal.number(levels))
         rows = exp.select("*").from_(_table(_PATHS)).where(is_within)
         return rows.subquery(_PATHS)
@@ -382,12 +383,12 @@ def _column_names(states: Iterable[str]) -> dict[str, str]:
     return names
 
 
-def _assigned(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
+def _assigned_values(parts: Iterable[tree.Node]) -> dict[str, tree.Node]:
     """Returns the values that state variables are assigned."""
     result: dict[str, tree.Node] = {}
     for part in parts:
         if not isinstance(part, Assignment):
-            raise NotSqlError  # it is evaluated beside them, in Python
+            raise NotSqlError  # Python evaluates other expressions
         result[part.name] = part.value
     return result
 

@@ -23,16 +23,16 @@ def expanded(
     '(cup.xmax - cup.xmin) * (cup.ymax - cup.ymin) * (cup.zmax - cup.zmin)'
 
     Args:
-        formula: over columns of the parameters.
-        values: what the parameters stand for.
-        name: the column to be taken instead of `name`, for a relation that yields an entity.
+        formula: a formula over columns of the parameters.
+        values: the arguments, by parameter.
+        name: the column in place of `name`, for a relation that yields an entity.
     """
 
     def substitute(part: exp.Expr) -> exp.Expr:
         if not isinstance(part, exp.Column):
             return part
         if (part.table or part.name) not in values:
-            return part  # of a table that the formula looks things up in
+            return part  # a column of a table in the formula
         if not part.table:
             return wrapped(values[part.name].sql.copy())
         column = values[part.table].column
@@ -84,7 +84,7 @@ def _as_exists(part: exp.Expr) -> exp.Expr:
     return exp.Exists(this=rows.where(*equal))
 
 
-# What is the same at each tick is in a table of its own.
+# The tables whose values are the same at all ticks.
 _MODEL_TABLES = {name: TABLES[name].model_view for name in ("shapes", "geometries")}
 
 
@@ -101,12 +101,18 @@ def _at_ticks(formula: exp.Expr, schema: str, ticks: list[exp.Expr]) -> exp.Expr
         history = exp.table_(
             TABLES[table.name].history_view, db=schema, alias="ticks then", quoted=True
         )
-        own = exp.column("tick", table="ticks then", quoted=True)
-        rows = exp.select("*").from_(history).where(exp.EQ(this=own, expression=ticks[0].copy()))
+        tick_column = exp.column("tick", table="ticks then", quoted=True)
+        rows = (
+            exp.select("*")
+            .from_(history)
+            .where(exp.EQ(this=tick_column, expression=ticks[0].copy()))
+        )
         table.replace(rows.subquery(alias))
     result = result.transform(_as_exists)
     if not tables or len(ticks) == 1:
         return result
-    same = exp.and_(*(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:]))
-    two_ticks = exp.func("error", exp.Literal.string("entities are of two ticks"))
-    return exp.case().when(same, exp.paren(result)).else_(two_ticks)
+    is_one_tick = exp.and_(
+        *(exp.EQ(this=ticks[0].copy(), expression=tick.copy()) for tick in ticks[1:])
+    )
+    two_ticks = exp.func("error", exp.Literal.string("the entities are of two ticks"))
+    return exp.case().when(is_one_tick, exp.paren(result)).else_(two_ticks)

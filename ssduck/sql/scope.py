@@ -32,14 +32,14 @@ class ExpressionScope(ABC):
     """The scope of the expressions of one query, and their translation.
 
     Args:
-        context: what all expressions of the statement share.
-        outer: the expressions of the query around this one.
+        context: the state that the expressions of the statement share.
+        outer: the expressions of the outer query.
 
     Attributes:
         rows: the current element of each source, by alias.
-        only: the alias of the only source.
+        only: the alias of the only source; None if there are several.
         locals: the state variables of a hierarchical query.
-        ticks: at which ticks its entities are.
+        ticks: the ticks of its entities.
     """
 
     def __init__(self, context: StatementContext, outer: ExpressionScope | None = None) -> None:
@@ -56,7 +56,7 @@ class ExpressionScope(ABC):
         """Returns the expressions of a query nested in this one."""
         return type(self)(self.context, self)
 
-    # -- what does not depend on rows -------------------------------------------------------
+    # -- constants --------------------------------------------------------------------------
 
     def element(self, alias: str | None) -> SqlValue | None:
         """Returns the current element of a source of this query or of one around it in SQL."""
@@ -68,7 +68,7 @@ class ExpressionScope(ABC):
 
     def is_constant(self, node: Node) -> bool:
         """Checks whether the node has the same value for all rows of the statement."""
-        if node not in self._are_constant:  # each part is asked about, and all that it is in
+        if node not in self._are_constant:  # for each part and for all that contain it
             self._are_constant[node] = self._is_constant(node)
         return self._are_constant[node]
 
@@ -98,18 +98,18 @@ class ExpressionScope(ABC):
         return all(self.is_constant(child) for child in node.children())
 
     def _is_variable(self, node: QualifiedName) -> bool:
-        known = self.context.bare[node.alias] = self.names.has_variable(node.alias)
-        return known
+        is_variable = self.context.bare[node.alias] = self.names.has_variable(node.alias)
+        return is_variable
 
     def _is_outside(self, node: This) -> bool:
         if node.alias is None or self.element(node.alias) is not None:
             return False
         if not self.names.has_source(node.alias):
-            known = list(self.rows)
+            aliases = list(self.rows)
             raise UnknownNameError(
                 f"there is no source {short_repr(node.alias)} here",
                 span=node.span,
-                suggestions=nearest(node.alias, known) or known[:3],
+                suggestions=nearest(node.alias, aliases) or aliases[:3],
             )
         return True
 

@@ -25,7 +25,7 @@ _COLUMN_TYPES: dict[str, ValueType] = {
 ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
 
 
-# A part of more nodes than this is not written twice, or it would grow without end.
+# The largest number of nodes of a part that is written twice; longer ones would grow exponentially.
 MAX_INLINE_LENGTH = 100
 
 
@@ -36,8 +36,8 @@ class NotSqlError(Exception):
 class FloatDomain(IntEnum):
     """The reals that a value may be: finite ones; infinities as well; NaN as well.
 
-    DuckDB takes what is no number (NaN) for equal to itself and for greater than all numbers,
-    Python for neither, so that such a value must not come to be compared.
+    In DuckDB, NaN equals itself and is greater than all numbers; in Python it does neither. So NaN
+    must not be compared in SQL.
     """
 
     FINITE = 0
@@ -50,15 +50,14 @@ class SqlValue:
     """A node as SQL: its expression, its type, and its columns, elements or fields.
 
     Attributes:
-        expression: the value; of an entity its id is taken if there is none, and at a recorded tick
-            its key.
+        expression: the value; None for an entity stands for its id, or its key at a recorded tick.
         sql_type: its type.
-        column: of an entity, its columns.
-        elements: of a list that is written out, its elements.
-        fields: of a record, what its keys hold.
-        may_exceed_double: whether it may be an integer that no DOUBLE is.
-        is_non_negative: whether it is an integer that is never below 0.
-        domain: which reals it may be; of a list, which its elements may be.
+        column: a function that returns a column of an entity.
+        elements: the elements of a list literal.
+        fields: the values of a record, by key.
+        may_exceed_double: whether it may be an integer that a DOUBLE cannot represent.
+        is_non_negative: whether it is an integer that is never negative.
+        domain: the reals that it, or the elements of a list, may be.
         may_fail: whether SQL may fail at it, so that it must be evaluated where Python does.
     """
 
@@ -97,17 +96,17 @@ class StatementContext:
     """The state that the expressions of one statement share.
 
     Attributes:
-        names: variables, functions, and the types of what is constant in the query.
-        cautious: whether nothing may become SQL that could fail there.
-        changing: variables that differ from row to row.
+        names: the variables, the functions, and the types of constants.
+        cautious: whether parts that may fail are left to Python.
+        changing: the variables that differ from row to row.
         bindings: the parameters of the statement.
-        constants: what does not depend on rows, with its type.
-        worlds: of these, the schemas of those that are worlds.
+        constants: the parts that do not depend on rows, with their types.
+        worlds: the schemas of the constants that are worlds.
         signatures: the users' functions that it calls.
-        deferred: variables that were looked up for lists to be put in.
-        aliases: what sources are called in SQL, in lower case.
-        bare: bare names in nested queries, and whether there was a variable of that name.
-        possible_failures: how many parts of it could fail in SQL.
+        deferred: the lists in variables that the query evaluates.
+        aliases: the aliases in SQL, in lower case.
+        bare: the bare names in nested queries, and whether there was a variable of that name.
+        possible_failures: the number of parts that may fail in SQL.
     """
 
     names: TypeEnvironment
@@ -144,16 +143,16 @@ class StatementContext:
         self.aliases.add(alias.casefold())
         return alias
 
-    def parameter(self, stem: str, wanted: ParameterBinding) -> exp.Expr:
+    def parameter(self, stem: str, binding_key: ParameterBinding) -> exp.Expr:
         """Returns the parameter for a binding; equal bindings share one."""
         for binding in self.bindings:
-            if replace(binding, name="") == wanted:
+            if replace(binding, name="") == binding_key:
                 return exp.Parameter(this=exp.var(binding.name))
         stem = stem if stem.isidentifier() else "value"
-        taken = {binding.name.lower() for binding in self.bindings}
-        candidates = (stem if n == 1 else f"{stem}_{n}" for n in range(1, len(taken) + 2))
-        name = next(name for name in candidates if name.lower() not in taken)
-        self.bindings.append(replace(wanted, name=name))
+        names = {binding.name.lower() for binding in self.bindings}
+        candidates = (stem if n == 1 else f"{stem}_{n}" for n in range(1, len(names) + 2))
+        name = next(name for name in candidates if name.lower() not in names)
+        self.bindings.append(replace(binding_key, name=name))
         return exp.Parameter(this=exp.var(name))
 
     def list_in(self, name: str) -> Node | None:
@@ -170,7 +169,7 @@ def literal(value: Any) -> exp.Expr:
     if isinstance(value, float) and not math.isfinite(value):
         return exp.cast(exp.Literal.string(str(value)), "DOUBLE")
     if isinstance(value, float):
-        # DuckDB takes a number for a DOUBLE, and not for a DECIMAL, by its exponent.
+        # A literal with an exponent is a DOUBLE in DuckDB, and not a DECIMAL.
         text = repr(float(value))
         return exp.Literal.number(text if "e" in text else f"{text}e0")
     return exp.convert(value)

@@ -1,7 +1,7 @@
 """Translates nested queries to parts of the statement around them.
 
-A nested query whose sources are lists that are written out is unrolled: its rows are the
-elements. Any other one is a subquery, which sees the rows around it as SQL's do.
+A nested query whose sources are list literals is unrolled: its rows are the elements. Any other
+one becomes a subquery, which can use the rows of the outer query.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ _DICTS = ("dict", "dictionary")
 
 @dataclass(frozen=True)
 class Subquery:
-    """The rows of a nested query: tables, conditions, order, and what is selected.
+    """The rows of a nested query: tables, conditions, selected values, and order.
 
     Attributes:
-        may_fail: whether a part of it could fail, so that all rows are to be looked at.
+        may_fail: whether a part of it may fail, so that all rows must be evaluated.
     """
 
     elements: tuple[FromItem, ...]
@@ -83,7 +83,7 @@ class UnrolledRows:
 Rows: TypeAlias = Subquery | UnrolledRows
 
 
-# -- what a nested query is worth -----------------------------------------------------------
+# -- values of nested queries ---------------------------------------------------------------
 
 
 def value(outer: ExpressionScope, query: Query) -> SqlValue:
@@ -109,27 +109,30 @@ def counted(outer: ExpressionScope, query: Query) -> SqlValue:
     rows = _rows(outer, query)
     if rows.may_fail:
         return _counted_list(value(outer, query))
-    many = len(query.items) or len(query.sources)
-    each = many if _form(query) in _LISTS else 1
+    column_count = len(query.items) or len(query.sources)
+    elements_per_row = column_count if _form(query) in _LISTS else 1
     if isinstance(rows, UnrolledRows):
-        one, none = exp.Literal.number(each), exp.Literal.number(0)
-        cases = [exp.case().when(exists, one.copy()).else_(none.copy()) for exists, _ in rows.rows]
-        total: exp.Expr = cases[0] if cases else none
+        count_literal, zero = exp.Literal.number(elements_per_row), exp.Literal.number(0)
+        cases = [
+            exp.case().when(exists, count_literal.copy()).else_(zero.copy())
+            for exists, _ in rows.rows
+        ]
+        total: exp.Expr = cases[0] if cases else zero
         for case in cases[1:]:
             total = exp.Add(this=total, expression=case)
         return SqlValue(exp.paren(total), INTEGER)
     count: exp.Expr = exp.Count(this=exp.Star())
     if rows.limit is not None:
         count = exp.func("least", count, exp.Literal.number(rows.limit))
-    if each > 1:
-        count = exp.Mul(this=count, expression=exp.Literal.number(each))
+    if elements_per_row > 1:
+        count = exp.Mul(this=count, expression=exp.Literal.number(elements_per_row))
     return SqlValue(exp.paren(rows.select(count)), INTEGER)
 
 
-def _counted_list(found: SqlValue) -> SqlValue:
-    if found.sql_type.type != "list":
+def _counted_list(value: SqlValue) -> SqlValue:
+    if value.sql_type.type != "list":
         raise NotSqlError
-    return SqlValue(exp.func("len", found.sql.copy()), INTEGER)
+    return SqlValue(exp.func("len", value.sql.copy()), INTEGER)
 
 
 def emptiness(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
@@ -176,7 +179,7 @@ def equality(outer: ExpressionScope, node: Binary) -> exp.Expr | None:
         _value(result, missing=True) if side is queries[0] else outer.value(side) for side in sides
     ]
     if any(value.sql_type.type == "list" for value in values):
-        return None  # nothing is an empty list
+        return None  # without a row, the value is an empty list
     compared = comparison(outer.context, node.operator, *values).sql
     otherwise = exp.convert(node.operator == "!=")
     return exp.Coalesce(this=compared, expressions=[otherwise])
@@ -189,22 +192,22 @@ def membership(outer: ExpressionScope, left: Node, query: Query) -> exp.Expr | N
     rows = _rows(outer, query)
     if rows.may_fail:
         return None
-    wanted = outer.value(left)
-    if wanted.may_fail:
+    member = outer.value(left)
+    if member.may_fail:
         return None
     if isinstance(rows, UnrolledRows):
         result = [
-            exp.and_(exists.copy(), _any_equal(outer, wanted, items)) for exists, items in rows.rows
+            exp.and_(exists.copy(), _any_equal(outer, member, items)) for exists, items in rows.rows
         ]
         return exp.paren(exp.or_(*result)) if result else exp.false()
     if rows.limit is not None:
         return None
-    return _exists(rows, _any_equal(outer, wanted, rows.items))
+    return _exists(rows, _any_equal(outer, member, rows.items))
 
 
-def _any_equal(outer: ExpressionScope, wanted: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
+def _any_equal(outer: ExpressionScope, member: SqlValue, items: Sequence[SqlValue]) -> exp.Expr:
     return exp.paren(
-        exp.or_(*(comparison(outer.context, "==", wanted, item).sql.copy() for item in items))
+        exp.or_(*(comparison(outer.context, "==", member, item).sql.copy() for item in items))
     )
 
 
@@ -219,19 +222,19 @@ def _exists(rows: Rows, *where: exp.Expr) -> exp.Expr:
 def _list(rows: Subquery) -> SqlValue:
     sql_type = _common(rows.items)
     domain = _domain(rows.items)
-    listed = rows.items[0].sql.copy()
+    items = rows.items[0].sql.copy()
     if len(rows.items) > 1:
-        listed = exp.Array(expressions=[item.sql.copy() for item in rows.items])
-    result: exp.Expr = _aggregated("list", listed, rows)
+        items = exp.Array(expressions=[item.sql.copy() for item in rows.items])
+    result: exp.Expr = _aggregated("list", items, rows)
     if len(rows.items) > 1:
         result = exp.Anonymous(this="flatten", expressions=[result])
     if rows.limit is not None:
         end = exp.Literal.number(rows.limit * len(rows.items))
         result = exp.func("list_slice", result, exp.Literal.number(1), end)
     subquery = exp.paren(rows.select(result))
-    whole = SqlType("list", sql_type)
-    empty = exp.cast(exp.Array(expressions=[]), whole.duckdb_type, dialect="duckdb")
-    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), whole, domain=domain)
+    list_type = SqlType("list", sql_type)
+    empty = exp.cast(exp.Array(expressions=[]), list_type.duckdb_type, dialect="duckdb")
+    return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), list_type, domain=domain)
 
 
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
@@ -240,8 +243,8 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
     if rows.limit == 0 or item.sql_type.nullable:
         raise NotSqlError
 
-    def first(what: exp.Expr, sql_type: SqlType) -> exp.Expr:
-        result = exp.paren(rows.select(_aggregated("first", what.copy(), rows)))
+    def first(expression: exp.Expr, sql_type: SqlType) -> exp.Expr:
+        result = exp.paren(rows.select(_aggregated("first", expression.copy(), rows)))
         return result if missing else or_failure(result, sql_type)
 
     if item.sql_type.type != "entity":
@@ -260,11 +263,11 @@ def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
     return SqlValue(None, item.sql_type, lambda name: first(columns(name), column_type(name)))
 
 
-def _aggregated(function: str, what: exp.Expr, rows: Subquery) -> exp.Expr:
+def _aggregated(function: str, expression: exp.Expr, rows: Subquery) -> exp.Expr:
     """Returns an aggregate of the rows in their order."""
     if rows.order:
-        what = exp.Order(this=what, expressions=[key.copy() for key in rows.order])
-    return exp.Anonymous(this=function, expressions=[what])
+        expression = exp.Order(this=expression, expressions=[key.copy() for key in rows.order])
+    return exp.Anonymous(this=function, expressions=[expression])
 
 
 def _unrolled_list(rows: UnrolledRows) -> SqlValue:
@@ -283,7 +286,7 @@ def _unrolled_list(rows: UnrolledRows) -> SqlValue:
 
 def _unrolled_value(rows: UnrolledRows) -> SqlValue:
     if rows.may_fail:
-        raise NotSqlError  # the rows behind the first one would not be evaluated
+        raise NotSqlError  # SQL would not evaluate the rows after the first one
     firsts = [items[0] for _, items in rows.rows]
     sql_type = _common(firsts)
     if sql_type.type == "entity":
@@ -332,7 +335,7 @@ def _rows(outer: ExpressionScope, query: Query) -> Rows:
     lists = [_written_out(outer, source.value) for source in query.sources]
     if all(values is not None for values in lists) and lists:
         if outer.context.possible_failures > before:
-            raise NotSqlError  # an element that nothing mentions would not be evaluated
+            raise NotSqlError  # SQL would not evaluate an unused element
         result = list(product(*[values for values in lists if values is not None]))
         if len(result) <= MAX_UNROLLED and not query.order and query.limit is None:
             return _unrolled(outer, query, aliases, result)
@@ -345,12 +348,12 @@ def _rows(outer: ExpressionScope, query: Query) -> Rows:
     _bind(inner, aliases, [entry.value for entry in elements])
     rows = _subquery(inner, query, aliases, elements)
     if rows.limit is not None and outer.context.possible_failures > before:
-        raise NotSqlError  # nor would be a row that the limit leaves out
+        raise NotSqlError  # SQL would not evaluate rows beyond the limit
     return replace(rows, may_fail=outer.context.possible_failures > before)
 
 
 def check_sources(query: Query) -> None:
-    """Leaves to Python a product of so many sources that DuckDB would plan it for seconds."""
+    """Checks that the sources are few enough for DuckDB to plan their product quickly."""
     if len(query.sources) > MAX_SOURCES:
         raise NotSqlError
 
@@ -382,8 +385,10 @@ def _unrolled(
     aliases: Sequence[str],
     rows: Sequence[tuple[SqlValue, ...]],
 ) -> UnrolledRows:
-    made = [_unrolled_row(outer, query, aliases, elements) for elements in rows]
-    return UnrolledRows(tuple(row for row, _ in made), any(may_fail for _, may_fail in made))
+    unrolled = [_unrolled_row(outer, query, aliases, elements) for elements in rows]
+    return UnrolledRows(
+        tuple(row for row, _ in unrolled), any(may_fail for _, may_fail in unrolled)
+    )
 
 
 def _unrolled_row(
@@ -414,7 +419,7 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
     """Returns the keys of ORDER BY; those that are the same for all rows order nothing.
 
     Raises:
-        NotSqlError: Python orders such values otherwise, or not at all.
+        NotSqlError: Python orders such values differently, or not at all.
     """
     result = []
     for key in keys:
@@ -493,7 +498,7 @@ def _derived(outer: ExpressionScope, name: str, query: Query) -> FromItem:
     form = _form(query)
     rows = _rows(outer, query)
     if rows.may_fail:
-        raise NotSqlError  # what is not asked for would not be evaluated
+        raise NotSqlError  # SQL would not evaluate unused values
     if isinstance(rows, UnrolledRows):
         if form not in _LISTS:
             raise NotSqlError

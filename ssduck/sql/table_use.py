@@ -9,10 +9,10 @@ from ssduck.sql.relations.registry import RELATIONS
 
 @cached_by_node
 def tables_of(node: Node) -> frozenset[str]:
-    """Returns the tables that relations in a part look things up in, and masses."""
-    own: frozenset[str] = frozenset()
-    # A name may be a relation of the only source, a key one of a source.
+    """Returns the tables that relations in a part read, and masses if they read these."""
+    tables: frozenset[str] = frozenset()
+    # A bare name may be a relation of the only source, a key a relation of its source.
     name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
     if isinstance(node, Call | UnresolvedName | Name | QualifiedName) and name in RELATIONS:
-        own = RELATIONS[name].inputs
-    return own.union(*map(tables_of, node.children()))
+        tables = RELATIONS[name].inputs
+    return tables.union(*map(tables_of, node.children()))

@@ -1,10 +1,9 @@
 """Translates a query's tree to DuckDB SQL, through sqlglot.
 
-`translate` takes a query and the shapes of its sources, and gives a `Plan`: one SELECT whose
-columns are what SQL can do of the query, and what is left to Python. A part goes to SQL when
-its types are known and SQL means the same by it; everything else is evaluated in Python on the
-rows that the SQL leaves, over the parts of it that are columns. It knows no simulator and no
-database.
+`translate` takes a query and the types of its sources, and returns a `Plan`: one SELECT for the
+parts that SQL can evaluate, and the clauses left to Python. A part becomes SQL if its types are
+known and SQL has the same meaning. Python evaluates all other parts on the rows of the SELECT,
+whose columns are the largest parts of them that are SQL.
 """
 
 from __future__ import annotations
@@ -73,13 +72,13 @@ def translate(
 
     Args:
         query: the query.
-        source_types: what its sources are, in order.
-        names: variables, functions, and the types of what is constant in the query.
-        cautious: whether nothing may become SQL that could fail there.
+        source_types: the types of its sources, in order.
+        names: the variables, the functions, and the types of constants.
+        cautious: whether parts that may fail in SQL are left to Python.
 
     Raises:
         SelectScriptError: a name or a number of arguments is wrong.
-        NotInlineError: a source that is not given must be.
+        NotInlineError: a source in SQL must be evaluated first.
         NotSqlError: the query is hierarchical, and runs row by row.
     """
     return _Translator(query, tuple(source_types), names, cautious=cautious).plan()
@@ -112,7 +111,7 @@ class _Translator:
         self.elements = self._sources(query, source_types)
         self.columns: list[exp.Expr] = []
         self.pairs: list[exp.Expr] = []
-        # The keys by which a source and the next one are in their order, by the first of the two.
+        # The keys of the common order of a source and the next one, by the alias of the first.
         self.positions: dict[str, exp.Ordered] = {}
         self.texts: dict[str, int] = {}
         resolved = resolve(query, self._known_source_types(), names)
@@ -129,7 +128,7 @@ class _Translator:
         conditions = list(self._conditions())
         left = [n for n, c in zip(conjuncts(self.query.where), conditions, strict=True) if not c]
         if left and self._is_product_of_lists() and not any(conditions):
-            raise NotSqlError  # all of their combinations come to Python, which can make them
+            raise NotSqlError  # Python can make the combinations faster than SQL
         selected = [column.node for column in self.selected]
         names = [column.name for column in self.selected if isinstance(column.name, Node)]
         aggregated = is_aggregated(self.query, selected)
@@ -146,8 +145,8 @@ class _Translator:
         result = [condition for condition in conditions if condition is not None]
         result.extend(self._tick_joins())
         order, keys = self._order(result)
-        one_group = is_one_group(self.query)
-        limit = self._limit(left=bool(left or keys or one_group or self.query.distinct))
+        is_group = is_one_group(self.query)
+        limit = self._limit(left=bool(left or keys or is_group or self.query.distinct))
         plan.python_clauses = PythonClauses(
             self.selected,
             tuple(left),
@@ -155,7 +154,7 @@ class _Translator:
             self.query.group,
             self.query.having,
             None if limit is not None else self.query.limit,
-            one_group,
+            is_group,
             aggregated,
             self.query.distinct,
         )
@@ -251,10 +250,10 @@ class _Translator:
 
     def _conditions(self) -> Iterator[exp.Expr | None]:
         """Yields the conditions in SQL, up to the first one with side effects."""
-        happens = False
+        has_side_effects = False
         for node in conjuncts(self.query.where):
-            happens = happens or is_impure(node)
-            if happens:
+            has_side_effects = has_side_effects or is_impure(node)
+            if has_side_effects:
                 self._leave_to_python(node)
                 yield None
             else:
@@ -300,7 +299,7 @@ class _Translator:
         return result.condition
 
     def _note_single_entities(self) -> None:
-        """Notes the sources that are one entity: by `this == cup`, by `id(this) == 'cup'`."""
+        """Records the sources that `this == cup` or `id(this) == 'cup'` restricts to one entity."""
         for node in conjuncts(self.query.where):
             match node:
                 case Binary(operator="==", left=This() as row, right=other):
@@ -315,7 +314,7 @@ class _Translator:
                     continue
             if self.sql.is_constant(other):
                 alias = row.alias or self.sql.only or ""
-                self.sql.ticks.note_single_entity(alias, partial(self.sql.value, other))
+                self.sql.ticks.record_single_entity(alias, partial(self.sql.value, other))
 
     def _condition(self, node: Node) -> exp.Expr | None:
         try:
@@ -326,7 +325,7 @@ class _Translator:
         near = implied_box_condition(self.sql, node)
         if near is None:
             return holds
-        # Once for a join to go by, and once so that no other pair is compared.
+        # Once for the join, and once so that no other pair is compared.
         guarded = exp.case().when(near.copy(), holds).else_(exp.false())
         return exp.and_(near, guarded)
 
@@ -354,31 +353,31 @@ class _Translator:
         """Returns ORDER BY in SQL and in Python: the query's keys, then the sources' order."""
         ordered: list[exp.Expr] = []
         left: tuple[OrderKey, ...] = ()
-        of_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
+        orders_groups = self.query.group and any(over_rows(k.value) for k in self.query.order)
         try:
-            if of_groups or is_impure(self.query):
-                raise NotSqlError  # what happens at rows happens in the order of the sources
+            if orders_groups or is_impure(self.query):
+                raise NotSqlError  # side effects occur in the order of the sources
             ordered.extend(subqueries.ordered(self.sql, self.query.order))
         except NotSqlError:
             left = self.query.order
             for key in left:
-                if of_groups:
+                if orders_groups:
                     self._group_columns(key.value)
                 else:
                     self._add_column(key.value)
-        # A scan keeps its order; a join, and be it with the row of parameters or with what a
-        # nested query sees, need not.
+        # A scan preserves the order; a join may not, even one with the row of parameters or in a
+        # nested query.
         inline = any(not source_type.has_values for source_type in self.result.source_types)
         nested = any(part.find(exp.Select) for part in (*self.columns, *conditions))
         if len(self.elements) > 1 or ordered or self.context.bindings or inline or nested:
-            is_placed = False
+            is_ordered = False
             for source_type, element in zip(self.result.source_types, self.elements, strict=True):
                 both = self.positions.get(source_type.alias)
                 keys = element.position if both is None else (both,)
-                # To sort by a pair's number takes less time than by two ids.
-                if both is not None or not is_placed:
+                # Sorting by the number of a pair is faster than by two ids.
+                if both is not None or not is_ordered:
                     ordered.extend(key.copy() for key in keys)
-                is_placed = both is not None
+                is_ordered = both is not None
         return ordered, left
 
     def _limit(self, *, left: bool) -> int | None:
@@ -432,7 +431,7 @@ class _Translator:
         select = product_of(self.elements)
         for table in self.pairs:
             select.append("joins", exp.Join(this=table, kind="CROSS"))
-        # The tree is this one's own: what is put into it is copied, and not it each time.
+        # The parts are copied once, instead of the whole tree by each call.
         select.set("expressions", [c.copy() for c in self.columns or [exp.Literal.number(1)]])
         if conditions:
             select.where(*(condition.copy() for condition in conditions), copy=False)
@@ -445,14 +444,16 @@ class _Translator:
     def _finish(self, select: exp.Select) -> None:
         plan = self.result
         plan.select = select
-        # A part that turned out not to be SQL may have asked for parameters before it did.
+        # Parts that turned out not to be SQL may have left parameters.
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]
 
     def _output(self, value: SqlValue) -> OutputColumn:
         if not value.sql_type.comes_back:
             raise NotSqlError
-        if value.domain == FloatDomain.NAN:  # to Python, one that is no number is not another
+        if (
+            value.domain == FloatDomain.NAN
+        ):  # in Python, NaN differs from itself, so that columns are not shared
             self.columns.append(value.sql)
             return OutputColumn(len(self.columns) - 1, value.sql_type)
         return self._column(value.sql, value.sql_type)
@@ -483,7 +484,7 @@ class _Translator:
                 raise NotSqlError
             self.result.known[node] = self._output(self.sql.value(node))
         except NotSqlError:
-            # A nested query runs by itself, and sees the elements.
+            # A nested query runs separately, over the elements.
             if not isinstance(node, Query):
                 for child in _parts(node):
                     self._leave_to_python(child, but)

@@ -8,7 +8,7 @@ from functools import reduce
 
 from ssduck.sql.relations.relation import ValueType
 
-# Larger integers are not all numbers that a DOUBLE can be.
+# From this integer on, not every integer is a DOUBLE.
 EXACT = 2**53
 # The key of an entity at a recorded tick is tick * IDS + id: ids are fewer than this.
 IDS = 2**25
@@ -22,13 +22,13 @@ class SqlType:
     'DOUBLE[]'
 
     Attributes:
-        type: what it is.
-        element: of a list, what its elements are; None for a list without elements.
-        length: of a list, 3 if it may be a point.
-        schema: of an entity, the world that it is in.
-        past: of an entity, whether it is one at a recorded tick.
-        nullable: whether there may be none.
-        fields: of a record, its keys and what they hold.
+        type: the name of the type.
+        element: the type of a list's elements; None for a list without elements.
+        length: 3 for a list that may be a point.
+        schema: the schema of an entity's world.
+        past: whether it is an entity at a recorded tick.
+        nullable: whether the value may be missing.
+        fields: the keys of a record and the types of their values.
     """
 
     type: ValueType

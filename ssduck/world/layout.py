@@ -165,46 +165,46 @@ class BodyGroup:
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box.
 
-    def write_entities(self, frames: LinkPoses, block: Array) -> None:
+    def write_entities(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the bodies and of their sensors; `block` is (19, entities)."""
-        boxes = self._entity_boxer.boxes(frames.positions, frames.matrices)
-        positions = frames.positions.take(self._row_frames, axis=0)
+        boxes = self._entity_boxer.boxes(link_poses.positions, link_poses.matrices)
+        positions = link_poses.positions.take(self._row_frames, axis=0)
         first = len(self.bodies)
         if self._mounts:
             # A sensor is a point that moves with its link; its box contains only this point.
             positions[first:] = boxes[:3, first:].T
-        states = frames.states_at(positions, self._row_frames)
+        states = link_poses.states_at(positions, self._row_frames)
         if self._mounts:
             states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turn_matrices)
         block[:, self._rows] = np.concatenate((states.T, boxes))
 
-    def sensor_poses(self, frames: LinkPoses) -> tuple[Array, Array]:
+    def sensor_poses(self, link_poses: LinkPoses) -> tuple[Array, Array]:
         """Returns positions (n, 3), m, and rotation matrices (n, 3, 3) of the sensors."""
         indices = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         positions, orientations = compose(
-            frames.positions[indices],
-            frames.states[indices, 3:7],
+            link_poses.positions[indices],
+            link_poses.states[indices, 3:7],
             np.array([mount.position for mount in self._mounts]).reshape(-1, 3),
             np.array([mount.orientation for mount in self._mounts]).reshape(-1, 4),
         )
         return positions, rotation_matrices(orientations)
 
-    def write_links(self, frames: LinkPoses, block: Array) -> None:
+    def write_links(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the links; `block` is (19, links)."""
-        states = frames.states_at(frames.positions, np.arange(len(frames.positions)))
-        boxes = self._link_boxer.boxes(frames.positions, frames.matrices)
+        states = link_poses.states_at(link_poses.positions, np.arange(len(link_poses.positions)))
+        boxes = self._link_boxer.boxes(link_poses.positions, link_poses.matrices)
         block[:, self._link_rows] = np.concatenate((states.T, boxes))
 
-    def write_shapes(self, frames: LinkPoses, block: Array) -> None:
+    def write_shapes(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the shapes; `block` is (13, shapes): pose, box."""
         indices = np.array([shape.frame for shape in self._shapes], dtype=np.intp)
         positions, orientations = compose(
-            frames.positions[indices],
-            frames.states[indices, 3:7],
+            link_poses.positions[indices],
+            link_poses.states[indices, 3:7],
             np.array([shape.position for shape in self._shapes]).reshape(-1, 3),
             np.array([shape.orientation for shape in self._shapes]).reshape(-1, 4),
         )
-        boxes = self._shape_boxer.boxes(frames.positions, frames.matrices)
+        boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
         block[:, self._shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
 
     @cached_property

@@ -12,7 +12,8 @@ from typing import Any
 from ssduck.errors import SceneError
 from ssduck.simulators.backends import backend
 from ssduck.simulators.interface import Simulator
-from ssduck.simulators.scenes import BodySpec, Camera, ConstraintSpec, Engine, Scene, SensorSpec
+from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
+from ssduck.simulators.scenes import Camera, ConstraintSpec, Engine, Scene, SensorSpec
 from ssduck.world.excerpt import originals_of, sensors_of, tick_of
 from ssduck.world.snapshot import Snapshot
 
@@ -80,10 +81,21 @@ def _differences(part: Any, default: Any) -> dict[str, Any]:
 
 
 def _body(body: BodySpec, folder: Path) -> dict[str, Any]:
-    urdf = body.model.relative_to(folder).as_posix()
-    default = BodySpec(body.name, body.kind, body.model)
-    values = {"name": body.name, "kind": body.kind, "urdf": urdf, **_differences(body, default)}
+    values: dict[str, Any] = {"name": body.name, "kind": body.kind}
+    if isinstance(body.model, Primitive):
+        values |= _primitive(body.model, body.fixed)
+    else:
+        values[body.source] = body.model.relative_to(folder).as_posix()
+    values |= _differences(body, BodySpec(body.name, body.kind, body.model))
     return {name: value for name, value in values.items() if value is not None}
+
+
+def _primitive(primitive: Primitive, fixed: bool) -> dict[str, Any]:
+    size = primitive.size
+    values: dict[str, Any] = {primitive.type: size[0] if len(size) == 1 else size}
+    if not fixed:
+        values["mass"] = primitive.mass
+    return values | _differences(primitive.material, Material())
 
 
 def _sensor(sensor: SensorSpec) -> dict[str, Any]:

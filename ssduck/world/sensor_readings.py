@@ -337,11 +337,11 @@ def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPo
     host = _host(info, context.layout)
     spec = info.sensor
     link = info.mount[1] if spec is not None and spec.link is not None else None
-    presses = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
-    own = (contacts.bodies == host) & presses[:, None]
+    has_force = (contacts.forces > 0) & (contacts.bodies[:, 0] != contacts.bodies[:, 1])
+    is_touching = (contacts.bodies == host) & has_force[:, None]
     if link is not None:
-        own &= contacts.links == link
-    rows, sides = np.nonzero(own)
+        is_touching &= contacts.links == link
+    rows, sides = np.nonzero(is_touching)
     return Reading(
         context.tick,
         context.time,

@@ -91,7 +91,7 @@ def test_the_referee(one, other, apart, depth):
 
 
 def test_the_tables_of_recorded_time(capsys):
-    small = "--sizes 5 --ticks 20 --long 500 --near 50 --gigabytes 0.0005 --rounds 1"
+    small = "--sizes 5 --ticks 8 --long 200 --near 20 --gigabytes 0.0005 --rounds 1"
     assert recorded.main(small.split()) == 0
     printed = capsys.readouterr().out
     headers = (recorded.COST, recorded.BYTES, recorded.OVER, recorded.NEAR, recorded.OPENED)

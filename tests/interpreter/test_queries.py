@@ -374,7 +374,7 @@ def test_compiled_programs_and_bindings(ss):
     ss.add_variable("target", kitchen["toaster"].position)
     assert ss.eval(program) == ["toaster"]
     ss.add_variable("target", 3)
-    with pytest.raises(ssduck.SelectScriptError, match="a is to be"):
+    with pytest.raises(ssduck.SelectScriptError, match="a must be"):
         ss.eval(program)
     ss.add_variable("target", kitchen["can"])
     assert ss.eval(program) == ["can"]

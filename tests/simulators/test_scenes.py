@@ -15,6 +15,7 @@ import pytest
 import ssduck
 from ssduck.errors import SceneError, UnknownNameError
 from ssduck.simulators.scenes import Camera, Scene, find_scene, read_scene, shipped_scenes
+from tests.support.models import mjcf_body, mjcf_of, sdf_model, sdf_of
 from tests.support.urdf import collision, joint, link, robot
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -208,7 +209,7 @@ def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
 
 def test_the_manuals_example_is_a_scene(write):
     page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
-    (toml,) = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    toml, simple, files = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     models = re.findall(r"`(\w+\.urdf)`:\n\n```xml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
     assert [name for name, _ in models] == ["stool.urdf", "cup.urdf"]
     for name, text in models:
@@ -217,6 +218,16 @@ def test_the_manuals_example_is_a_scene(write):
         room = ss.call_variable("room").step(240)
         assert [e.name for e in room] == ["watcher", "stool", "cup"]
         assert room["cup"].position == pytest.approx([0.05, 0, 0.44], abs=0.01)  # it stands
+    with ssduck.load(write("simple.toml", simple)) as ss:
+        room = ss.call_variable("simple").step(240)
+        assert [e.name for e in room] == ["floor", "crate", "ball"]
+        assert room["crate"].position == pytest.approx([0, 0, 0.2], abs=1e-3)
+        assert room["ball"].position[0] > 0.9
+    write("shelves.sdf", sdf_of(sdf_model("shelf"), sdf_model("shelf"), sdf_model("end board")))
+    write("arms.xml", mjcf_of(mjcf_body("arm"), mjcf_body("tool")))
+    with ssduck.load(write("files.toml", files)) as ss:
+        names = [e.name for e in ss.call_variable("files")]
+        assert names == ["shelf", "shelf_2", "end_board", "left_arm", "left_tool"]
 
 
 def test_the_manuals_mistake_is_told_as_it_shows(scene):
@@ -577,7 +588,12 @@ def test_a_sdf_of_several_bodies(write):
 
 
 def test_a_mjcf_of_several_bodies():
-    with ssduck.load(LIBRARY / "mjcf" / "hello_mjcf.xml") as ss:
+    file = LIBRARY / "mjcf" / "hello_mjcf.xml"
+    with pytest.warns(
+        UserWarning, match=re.escape(f"{file} (body_0, body_1): PyBullet ignores <light>")
+    ):
+        ss = ssduck.load(file)
+    with ss:
         world = ss.call_variable("hello_mjcf")
         assert len(world) == 2
         boxes = [e.aabb for e in world if e.mass > 0]
@@ -585,7 +601,10 @@ def test_a_mjcf_of_several_bodies():
 
 
 def test_a_model_with_shapes_that_pybullet_does_not_tell():
-    with ssduck.load(LIBRARY / "mjcf" / "humanoid.xml") as ss:
+    words = "<joint damping> of abdomen_z, abdomen_y, abdomen_x and 6 more; .*does not fix torso, "
+    with pytest.warns(UserWarning, match=words):
+        ss = ssduck.load(LIBRARY / "mjcf" / "humanoid.xml")
+    with ss:
         assert ss.sql("SELECT DISTINCT exact FROM shapes").fetchall() == [(True,)]
         kinds = ss.eval("SELECT type FROM humanoid AS list;")
         assert sorted(kinds) == ["kinbody", "robot"]

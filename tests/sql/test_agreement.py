@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import pytest
 from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from tests.support.grammar import evaluators, program, programs, seeded, shrunk
+from tests.support.choices import Choices, seeded
+from tests.support.evaluators import evaluators, shrunk
+from tests.support.grammar import program
 
 pytestmark = pytest.mark.slow
 
@@ -13,6 +18,16 @@ SEEDS = range(625)
 BUNCH = 25
 # So many of a hundred queries run as SQL alone.
 LEAST_SQL = 40
+
+
+@cache
+def below(bound):
+    return st.integers(0, bound - 1)
+
+
+@st.composite
+def programs(draw):
+    return program(Choices(lambda bound: draw(below(bound))))
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
-"""Reading recorded ticks: rows, entities, and worlds as they were.
+"""Reads recorded ticks: rows, entities, and worlds as they were.
 
-A `record` gives access to all that is kept of one world. `restore` turns the rows of a tick into a
+A `record` provides the recorded ticks of a world. `restore` turns the rows of a tick into a
 snapshot, and `past_world` is the world at that tick. `past` is a source of queries;
 `batch_queries` compares shapes at many ticks at once.
 """

@@ -51,12 +51,12 @@ from ssduck.simulators.pybullet.introspection import (
     positions_by_link,
 )
 from ssduck.simulators.pybullet.link_frames import link_poses_of
+from ssduck.simulators.pybullet.model_loader import load_model
 from ssduck.simulators.pybullet.scene_loader import (
     LoadedBodies,
     create_constraint,
     hold_joint,
     load_body,
-    load_model,
     make_elastic,
     set_elastic,
     set_solver_settings,
@@ -64,7 +64,8 @@ from ssduck.simulators.pybullet.scene_loader import (
 )
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import write_model, zero_poses
-from ssduck.simulators.scenes import BodySpec, Scene
+from ssduck.simulators.scene_bodies import BodySpec, Primitive
+from ssduck.simulators.scenes import Scene
 
 
 def excerpt(
@@ -191,7 +192,10 @@ class _Copier:
         if self.source is None or self._description_of(body) is None:
             return None, 0
         origin = self.source.loaded.origins.get(body.handle)
-        if origin is None or not origin.spec.model.is_file():
+        if origin is None:
+            return None, 0
+        model = origin.spec.model
+        if not isinstance(model, Primitive) and not model.is_file():
             return None, 0
         return origin.spec, origin.number
 
@@ -220,7 +224,7 @@ class _Copier:
         spec = BodySpec(None, None, path, own_inertia=description is not None)
         # PyBullet caches meshes by file name, for ever; another copy may have used that name.
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self.client)
-        (handle,) = load_model(spec, "", self.client)
+        (handle,) = load_model(spec, "", self.client).handles
         if self.loaded.elastic:
             make_elastic(handle, self.client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)

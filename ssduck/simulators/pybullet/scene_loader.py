@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, cast
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from ssduck.errors import SceneError, nearest
-from ssduck.geometry.poses import compose
+from ssduck.errors import SceneError, nearest, warn
+from ssduck.formatting import joined_names
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint, Kind, MotorTarget
 from ssduck.simulators.kinematics import LIMIT_TOLERANCE
-from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of, wxyz, xyzw
-from ssduck.simulators.pybullet.console import captured, pybullet
-from ssduck.simulators.scenes import BodySpec, ConstraintSpec, Scene
+from ssduck.simulators.naming import unique_name
+from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of
+from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.model_files import ModelFile
+from ssduck.simulators.pybullet.model_loader import load_model, names_in_file
+from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, Primitive
+from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
 
 CONSTRAINTS = {
     "fixed": pybullet.JOINT_FIXED,
@@ -30,8 +32,6 @@ _ENGINE = {
     "iterations": "numSolverIterations",
     "joint_iterations": "numNonContactInnerIterations",
 }
-# The beginning of each of Bullet's messages, which do not end in a new line.
-_MESSAGE_START = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,7 @@ class LoadedBodies:
         described: the descriptions of bodies, if known already.
         disabled: bodies that begin without collisions.
         hidden: bodies that begin hidden.
+        skipped: what PyBullet says of parts of model files that it skips.
         time: the initial simulated time, s.
         elastic: whether nothing loses energy.
     """
@@ -65,6 +66,7 @@ class LoadedBodies:
     described: dict[int, BodyDescription] = field(default_factory=dict)
     disabled: set[int] = field(default_factory=set)
     hidden: set[int] = field(default_factory=set)
+    skipped: dict[Path, tuple[str, ...]] = field(default_factory=dict)
     time: float = 0.0
     elastic: bool = False
 
@@ -82,13 +84,56 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     if scene.elastic:
         set_elastic(client)
     loaded = LoadedBodies(time=scene.time, elastic=scene.elastic)
+    entries = [(scene.floor, load_body(scene.floor, "", loaded, client))] if scene.floor else []
+    # A model by itself has no entry in a scene's file.
+    is_model = scene.path.suffix.lower() in MODEL_SUFFIXES
     for index, spec in enumerate(scene.bodies):
-        # A model that is loaded by itself has no entry in a scene's file.
-        load_body(spec, f"{scene.path}: body[{index}]." if spec.name else "", loaded, client)
+        place = "" if is_model else f"{scene.path}: body[{index}]."
+        entries.append((spec, load_body(spec, place, loaded, client)))
+    loaded.names = _names(scene, entries, client)
+    _warn_of_ignored_parts(entries, loaded)
     _create_constraints(scene, loaded, client)
     # The contacts and rays of the first tick are those of the present poses.
     pybullet.performCollisionDetection(client)
     return loaded
+
+
+def _names(
+    scene: Scene, entries: Sequence[tuple[BodySpec, Sequence[int]]], client: int
+) -> dict[int, str]:
+    """Returns the unique names of the bodies of a scene by body number.
+
+    A file of several bodies names them; the name of its entry precedes their names. Names of files
+    give way to those of the scene.
+    """
+    taken = {str(spec.name) for spec, _ in entries} | {sensor.name for sensor in scene.sensors}
+    names = {}
+    for spec, handles in entries:
+        if spec.name is not None and len(handles) == 1:
+            names[handles[0]] = spec.name
+            continue
+        for handle, own_name in zip(handles, names_in_file(spec, handles, client), strict=True):
+            name = own_name if spec.name is None else f"{spec.name}_{own_name}"
+            names[handle] = unique_name(name, taken)
+            taken.add(names[handle])
+    return names
+
+
+def _warn_of_ignored_parts(
+    entries: Sequence[tuple[BodySpec, Sequence[int]]], loaded: LoadedBodies
+) -> None:
+    """Warns of each model file with parts that PyBullet ignores."""
+    names: dict[Path, list[str]] = {}
+    parts: dict[Path, list[str]] = {}
+    for spec, handles in entries:
+        if isinstance(spec.model, Path):
+            names.setdefault(spec.model, []).extend(loaded.names[handle] for handle in handles)
+            if spec.model not in parts:
+                parts[spec.model] = ModelFile.read(spec).ignored(spec.fixed)
+    for file, found in parts.items():
+        said = [f"PyBullet {part}" for part in found] + list(loaded.skipped.get(file, ()))
+        if said:
+            warn(f"{file} ({joined_names(names[file])}): {'; '.join(said)}")
 
 
 def set_elastic(client: int) -> None:
@@ -145,18 +190,20 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
     Raises:
         SceneError: the model cannot be loaded: file, key and reason.
     """
-    handles = load_model(spec, place, client)
+    handles, messages = load_model(spec, place, client)
+    if messages and isinstance(spec.model, Path):
+        loaded.skipped[spec.model] = messages
+    joints = [_joints_of(handle, client) for handle in handles]
+    _check_joints(spec, [joint for of_body in joints for joint in of_body], place)
     for number, handle in enumerate(handles):
         loaded.origins[handle] = SceneOrigin(spec, number)
-        if spec.name:
-            loaded.names[handle] = spec.name
         if spec.kind:
             loaded.kinds[handle] = spec.kind
         if not spec.enabled:
             loaded.disabled.add(handle)
         if not spec.visible:
             loaded.hidden.add(handle)
-        positions = _set_joints(handle, spec, place, client)
+        positions = _set_joints(handle, spec, joints[number], client)
         if positions:
             loaded.motor_positions[handle] = positions
         if loaded.elastic:
@@ -164,48 +211,24 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
     return handles
 
 
-def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
-    """Loads a model file; an SDF or MJCF file may hold several bodies."""
-    file = str(spec.model)
-    suffix = spec.model.suffix.lower()
-    with captured() as lines:
-        try:
-            if suffix == ".urdf":
-                return (_load_urdf(spec, file, client),)
-            load = pybullet.loadSDF if suffix == ".sdf" else pybullet.loadMJCF
-            return cast("Sequence[int]", load(file, physicsClientId=client))
-        except (pybullet.error, UnicodeEncodeError) as error:
-            failure = error
-    messages = [part.strip() for part in _MESSAGE_START.split(" ".join(lines)) if part.strip()]
-    reason = "; ".join(messages) or str(failure)
-    where = f"{place}urdf: " if place else ""
-    raise SceneError(f"{where}{file} cannot be loaded: {reason}") from failure
+def _joints_of(handle: int, client: int) -> list[Joint]:
+    count = pybullet.getNumJoints(handle, client)
+    return [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
 
 
-def _load_urdf(spec: BodySpec, file: str, client: int) -> int:
-    flags = pybullet.URDF_USE_IMPLICIT_CYLINDER  # PyBullet would make prisms of cylinders
-    if spec.own_inertia:
-        flags |= pybullet.URDF_USE_INERTIA_FROM_FILE
-    handle = int(
-        pybullet.loadURDF(file, useFixedBase=spec.fixed, flags=flags, physicsClientId=client)
-    )
-    # The flags of loadURDF decide whether its position is that of the root's centre of mass or of
-    # its link frame; so the link frame is placed here.
-    dynamics = pybullet.getDynamicsInfo(handle, -1, client)
-    link = np.array([spec.position]), np.array([spec.orientation])
-    com = np.array([dynamics[3]]), wxyz(np.array([dynamics[4]]))
-    position, orientation = compose(*link, *com)
-    pybullet.resetBasePositionAndOrientation(
-        handle, position[0].tolist(), xyzw(orientation)[0].tolist(), client
-    )
-    if any(spec.velocity):
-        linear, spin = np.array(spec.velocity[:3]), np.array(spec.velocity[3:])
-        linear = linear + np.cross(spin, position[0] - link[0][0])
-        pybullet.resetBaseVelocity(handle, linear.tolist(), spin.tolist(), client)
-    return handle
+def _check_joints(spec: BodySpec, joints: Sequence[Joint], place: str) -> None:
+    """Raises an error for joints of a scene entry that its bodies cannot have so."""
+    model = "" if isinstance(spec.model, Primitive) else spec.model.name
+    for key in ("joints", "held"):
+        for name, value in getattr(spec, key).items():
+            _check_joint(name, value, joints, f"{place}{key}.{name}: {model}")
+    for name in spec.joint_velocities:
+        _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {model}")
 
 
-def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[int, float]:
+def _set_joints(
+    handle: int, spec: BodySpec, joints: Sequence[Joint], client: int
+) -> dict[int, float]:
     """Sets the initial joint states, and makes motors hold joints with limits.
 
     A joint that the scene does not set is at 0, or at its limit nearest to 0. Joints without limits
@@ -214,13 +237,6 @@ def _set_joints(handle: int, spec: BodySpec, place: str, client: int) -> dict[in
     Returns:
         The positions that motors hold, by link; empty if PyBullet's own motors stay as they are.
     """
-    count = pybullet.getNumJoints(handle, client)
-    joints = [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
-    for key in ("joints", "held"):
-        for name, value in getattr(spec, key).items():
-            _check_joint(name, value, joints, f"{place}{key}.{name}: {spec.model.name}")
-    for name in spec.joint_velocities:
-        _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {spec.model.name}")
     motor_positions: dict[int, float] = {}
     for joint in joints:
         if joint.type not in SCALAR_JOINTS:
@@ -276,6 +292,7 @@ def _create_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None
             if body is None:
                 ends.append((-1, -1))
                 continue
+            check_body(body, handles, f"{place}{key}")
             handle = handles[body]
             names = _link_names(handle, client)
             if link is not None and link not in names:

@@ -18,7 +18,8 @@ from ssduck.simulators.pybullet.introspection import constraints_of, model_of
 from ssduck.simulators.pybullet.scene_loader import solver_settings
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import unique_names, write_model
-from ssduck.simulators.scenes import BodySpec, ConstraintSpec, Engine, Scene
+from ssduck.simulators.scene_bodies import BodySpec, Primitive
+from ssduck.simulators.scenes import ConstraintSpec, Engine, Scene
 
 # The folder of the models; each model has a folder of its own there.
 MODELS = "models"
@@ -83,9 +84,10 @@ class _ModelWriter:
         """Returns the scene's entry of a body."""
         body, states = original.body, original.joints
         origin = self.simulator.loaded.origins.get(body.handle)
-        copy = None if origin is None else self._copy_of(origin.spec.model)
+        copy = None if origin is None else self._copy_of(origin.spec)
         if origin is not None and copy is not None:
-            model, fixed, own_inertia = copy, origin.spec.fixed, origin.spec.own_inertia
+            model: Path | Primitive = copy
+            fixed, own_inertia = origin.spec.fixed, origin.spec.own_inertia
         else:
             stem = original.name
             description = model_of(self.simulator, body)
@@ -115,8 +117,11 @@ class _ModelWriter:
             own_inertia=own_inertia,
         )
 
-    def _copy_of(self, file: Path) -> Path | None:
-        """Returns a copy of a URDF file and its meshes; None if it cannot be copied."""
+    def _copy_of(self, spec: BodySpec) -> Path | Primitive | None:
+        """Returns a copy of a URDF file and its meshes, or a primitive; None if there is none."""
+        file = spec.model
+        if isinstance(file, Primitive):
+            return file
         if file not in self.copies:
             self.copies[file] = self._copy(file)
         return self.copies[file]

@@ -10,7 +10,7 @@ ENTITY = (Parameter("object", "entity", "an entity"),)
 A_B = (Parameter("a", "entity", "an entity"), Parameter("b", "entity", "another entity"))
 
 
-def of_entity(
+def entity_relation(
     name: str,
     result: ValueType,
     formula: str,
@@ -34,7 +34,7 @@ def of_entity(
     )
 
 
-def recorded_numbers(what: str, a: str, b: str = "") -> str:
+def recorded_numbers(kind: str, a: str, b: str = "") -> str:
     """Returns a formula: numbers of contacts or sensors at the tick of a row (`replay.lookups`)."""
     other = f"{b}.id" if b else "0"
-    return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{what}', {a}.tick, {a}.id, {other})"
+    return f"\"{RECORDED_NUMBERS_UDF}\"($world, '{kind}', {a}.tick, {a}.id, {other})"

@@ -39,7 +39,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
 
 
 def contact_sum(*terms: str) -> str:
-    """Sums over the contacts of an object: of the forces on it, and of where it is touched."""
+    """Returns a formula: sums over the contacts of an entity, of forces and contact points."""
     sides = " UNION ALL ".join(
         f"SELECT contacts.{side} AS entity, contacts.{side}x - entities.x AS x, "  # noqa: S608
         f"contacts.{side}y - entities.y AS y, contacts.{side}z - entities.z AS z, "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import A_B, ENTITY, of_entity
+from ssduck.sql.relations.common import A_B, ENTITY, entity_relation
 from ssduck.sql.relations.relation import Parameter, Relation
 
 _SLICE = (
@@ -33,20 +33,22 @@ def _sliced(
 
 
 ENTITY_RELATIONS: tuple[Relation, ...] = (
-    of_entity(
+    entity_relation(
         "id",
         "string",
         "object.name",
         "Returns the name of an entity, which is unique in its world.",
     ),
-    of_entity(
+    entity_relation(
         "type",
         "string",
         "object.kind",
         "Returns the kind of an entity: 'robot', 'kinbody' or 'sensor'.",
     ),
-    of_entity("tick", "integer", "object.tick", "Returns the number of the tick of an entity."),
-    of_entity(
+    entity_relation(
+        "tick", "integer", "object.tick", "Returns the number of the tick of an entity."
+    ),
+    entity_relation(
         "time",
         "double",
         "object.time",
@@ -54,9 +56,9 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "s",
         aliases=("timeOf",),
     ),
-    of_entity("obj", "entity", "object.name", "Returns the entity itself."),
+    entity_relation("obj", "entity", "object.name", "Returns the entity itself."),
     *(
-        of_entity(
+        entity_relation(
             kind,
             "entity",
             f"CASE WHEN object.kind = '{kind}' THEN object.name END",
@@ -65,7 +67,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         for kind in ("robot", "sensor", "kinbody")
     ),
     *(
-        of_entity(
+        entity_relation(
             f"is{kind}",
             "boolean",
             f"object.kind = '{kind.lower()}'",
@@ -82,7 +84,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         aliases=("positionOf",),
     ),
     *(
-        of_entity(
+        entity_relation(
             axis,
             "double",
             f"object.{axis}",
@@ -105,7 +107,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "frame, or its elements from start to stop.",
         "m",
     ),
-    of_entity(
+    entity_relation(
         "volume",
         "double",
         "CASE WHEN object.kind = 'kinbody' THEN (object.xmax - object.xmin) "
@@ -114,7 +116,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "the volume of the box (see aabbVolume); 0 for robots and sensors.",
         "m^3",
     ),
-    of_entity(
+    entity_relation(
         "aabbVolume",
         "double",
         "(object.xmax - object.xmin) * (object.ymax - object.ymin) * (object.zmax - object.zmin)",
@@ -159,13 +161,13 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id",
         "Checks if the position of b is inside the box of a, edges excluded.",
     ),
-    of_entity(
+    entity_relation(
         "isEnabled", "boolean", "object.enabled", "Checks if the simulator lets the entity collide."
     ),
-    of_entity(
+    entity_relation(
         "isVisible", "boolean", "object.visible", "Checks if the simulator draws the entity."
     ),
-    of_entity(
+    entity_relation(
         "environmentID",
         "integer",
         "object.id",

@@ -1,12 +1,12 @@
-"""Relations of shapes: the function that answers, and the pairs for which it is called.
+"""Relations of shapes: the function that computes one, and the pairs for which it is called.
 
 Such a relation is one entry with a `GeometryQuery`, which names a method of `ShapeQueries`
 (`ssduck.geometry.queries`). The formula of the relation and the function that DuckDB calls follow
 from it. The formula calls the function only for pairs whose boxes are near enough. It states that
 condition twice: once for a join to go by, and once for wherever a condition is not a join's.
 
-A `PairSearch` is a method of `ShapeQueries` that finds all pairs of a tick at once, so that no
-condition has to be asked of each pair; `CandidatePairs` name the one that a relation uses.
+A `PairSearch` is a method of `ShapeQueries` that finds all pairs of a tick at once, instead of a
+condition on each pair; `CandidatePairs` name the search that a relation uses.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class GeometryQuery:
         otherwise: the value beyond the bound, and of an entity with itself.
         only_if: a further condition; without it the relation is False.
         pairs: the pairs that are compared, for the manual and EXPLAIN.
-        is_at_least_gap: whether the result is never less than the distance of the two boxes.
+        is_at_least_box_distance: whether the result is at least the distance of the two boxes.
         needs_whole_tick: whether the answer depends on all entities of the tick.
         uses_margins: whether the collision margins of shapes count.
     """
@@ -73,12 +73,12 @@ class GeometryQuery:
     otherwise: str = "FALSE"
     only_if: str = ""
     pairs: str = MEETING_BOXES
-    is_at_least_gap: bool = False
+    is_at_least_box_distance: bool = False
     needs_whole_tick: bool = False
     uses_margins: bool = False
 
     @property
-    def is_zero_apart(self) -> bool:
+    def is_zero_beyond_boxes(self) -> bool:
         """Whether the result is 0 where the boxes do not meet."""
         return self.bound == "0" and self.otherwise == ZERO
 
@@ -125,7 +125,7 @@ class PairSearch:
 
     Attributes:
         function: a method of `ShapeQueries` that yields pairs as numbers.
-        is_exact: whether the relation holds of all pairs found, and need not be asked of each.
+        is_exact: whether the relation holds of all pairs of the search, and need not be checked.
         takes_distance: whether the pairs depend on a distance, or a depth.
         predicate: the same search over many recorded ticks at once, if there is one.
         uses_margins: whether the collision margins of shapes count.

@@ -1,8 +1,8 @@
 """Relations of joints: their positions, and whether they are open.
 
-In SelectScript it is an error to ask an entity for a joint that it does not have; a condition
-before may leave it out. Raw SQL's conditions come in no order: there, it is unknown of such an
-entity, and an error if no entity of the world has a joint of that name.
+In SelectScript, a joint that an entity does not have is an error; an earlier condition may exclude
+the entity. Raw SQL evaluates conditions in any order: there, the value for such an entity is NULL,
+and an error if no entity of the world has a joint of that name.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ssduck.simulators.joints import CLOSED, OPEN, OPENNESS_TOLERANCE, EntityJoi
 from ssduck.sql.relations.common import ENTITY
 from ssduck.sql.relations.relation import Parameter, Relation
 
-_OF = "$world, object.tick, object.id"
+_ENTITY_KEY = "$world, object.tick, object.id"
 _OPENNESS = (
     "The share is that of the joint's range, from its closed end: the limit nearer to 0, or the "
     "lower one of two equally near."
@@ -26,7 +26,7 @@ _MISSING = (
 )
 
 
-# A share of another kind, percents say, would be an answer to no question.
+# A share outside 0 to 1, in percent for example, is an error.
 _SHARE = (
     "CASE WHEN share < 0 OR share > 1 THEN "
     "error('{}: the share is a number from 0 to 1, not ' || share)::DOUBLE "
@@ -34,9 +34,12 @@ _SHARE = (
 )
 
 
-def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
+def _share_relation(name: str, default: float, condition: str, about: str) -> Relation:
     """Checks whether joints are open, or closed, by a share of their range."""
-    most, named = f'"joints most_open"({_OF})', f'"joints openness"({_OF}, joint)'
+    most_open, openness = (
+        f'"joints most_open"({_ENTITY_KEY})',
+        f'"joints openness"({_ENTITY_KEY}, joint)',
+    )
     return Relation(
         name,
         (
@@ -45,10 +48,10 @@ def _has_share(name: str, usual: float, condition: str, about: str) -> Relation:
             Parameter("share", "double", "a share of its range, from 0 to 1", optional=True),
         ),
         "boolean",
-        condition.format(most, usual),
+        condition.format(most_open, default),
         f"{about} {_OPENNESS} An entity without such joints is neither open nor closed. {_MISSING}",
-        formula_with_first_option=condition.format(named, usual),
-        formula_with_options=condition.format(named, _SHARE.format(name)),
+        formula_with_first_option=condition.format(openness, default),
+        formula_with_options=condition.format(openness, _SHARE.format(name)),
         python_table="joints",
         may_fail=True,
     )
@@ -66,21 +69,21 @@ JOINT_RELATIONS: tuple[Relation, ...] = (
         "joint",
         (*ENTITY, Parameter("name", "string", "the name of a revolute or prismatic joint")),
         "double",
-        f'"joints position"({_OF}, name)',
+        f'"joints position"({_ENTITY_KEY}, name)',
         "Returns the position of a joint of the entity, in radians for a revolute joint and in "
         f"metres for a prismatic one. {_MISSING}",
         unit="rad or m",
         python_table="joints",
         may_fail=True,
     ),
-    _has_share(
+    _share_relation(
         "isOpen",
         OPEN,
         f"{{}} >= {{}} - {OPENNESS_TOLERANCE}",
         "Checks if a joint of the entity, or any of its joints with limits, is open by at least "
         "a share, 0.5 by default. A share outside 0 to 1 is an error.",
     ),
-    _has_share(
+    _share_relation(
         "isClosed",
         CLOSED,
         f"{{}} BETWEEN -1e300 AND {{}} + {OPENNESS_TOLERANCE}",

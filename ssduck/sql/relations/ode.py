@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.sql.relations.common import ENTITY, of_entity, recorded_numbers
+from ssduck.sql.relations.common import ENTITY, entity_relation, recorded_numbers
 from ssduck.sql.relations.contacts import contact_sum
 from ssduck.sql.relations.geometry_query import COLLIDING, CandidatePairs, GeometryQuery
 from ssduck.sql.relations.relation import Parameter, Relation
@@ -21,7 +21,7 @@ _ROTATION = re.sub(
 )
 
 ODE_RELATIONS: tuple[Relation, ...] = (
-    of_entity(
+    entity_relation(
         "pos",
         "list",
         "[object.x, object.y, object.z]",
@@ -29,7 +29,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "m",
     ),
     *(
-        of_entity(
+        entity_relation(
             f"pos{axis}",
             "double",
             f"object.{axis.lower()}",
@@ -38,13 +38,13 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         )
         for axis in "XYZ"
     ),
-    of_entity(
+    entity_relation(
         "quat",
         "list",
         "[object.qw, object.qx, object.qy, object.qz]",
         "Returns the orientation [w, x, y, z]; the same as orientation(object).",
     ),
-    of_entity(
+    entity_relation(
         "rot",
         "list",
         _ROTATION,
@@ -60,32 +60,32 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "Returns the velocity [x, y, z] of the origin of the entity's link frame in the world "
         "frame, or its component along an axis.",
         formula_with_options="CASE axis WHEN 0 THEN object.vx WHEN 1 THEN object.vy "
-        "WHEN 2 THEN object.vz ELSE error('linearVelocity: axis is to be 0, 1 or 2') END",
+        "WHEN 2 THEN object.vz ELSE error('linearVelocity: axis must be 0, 1 or 2') END",
         result_with_options="double",
         unit="m/s",
     ),
-    of_entity(
+    entity_relation(
         "velocity",
         "list",
         "[object.vx, object.vy, object.vz]",
         "Returns the velocity [x, y, z]; the same as linearVelocity(object).",
         "m/s",
     ),
-    of_entity(
+    entity_relation(
         "angularVelocity",
         "list",
         "[object.wx, object.wy, object.wz]",
         "Returns the angular velocity [x, y, z] of the entity in the world frame.",
         "rad/s",
     ),
-    of_entity(
+    entity_relation(
         "mass",
         "double",
         "object.mass",
         "Returns the mass of all links of the entity; 0 for an immovable entity.",
         "kg",
     ),
-    of_entity(
+    entity_relation(
         "aabb",
         "list",
         "[object.xmin, object.xmax, object.ymin, object.ymax, object.zmin, object.zmax]",
@@ -93,7 +93,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "world frame.",
         "m",
     ),
-    of_entity(
+    entity_relation(
         "force",
         "list",
         contact_sum("fx", "fy", "fz"),
@@ -102,7 +102,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "N",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[1:3]",
     ),
-    of_entity(
+    entity_relation(
         "torque",
         "list",
         contact_sum("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
@@ -111,13 +111,13 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         "N m",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[4:6]",
     ),
-    of_entity(
+    entity_relation(
         "gravityMode",
         "boolean",
         "object.mass > 0",
         "Checks if gravity acts on the entity: in PyBullet, if it has a mass.",
     ),
-    of_entity(
+    entity_relation(
         "hasBody",
         "boolean",
         "object.mass > 0",
@@ -132,7 +132,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
         candidate_pairs=CandidatePairs(COLLIDING, DEEP),
     ),
     *(
-        of_entity(
+        entity_relation(
             name,
             "boolean",
             "object.id IN (SELECT shapes.entity FROM shapes JOIN geometries ON geometries.id = "  # noqa: S608

@@ -11,19 +11,19 @@ _CORNERS = (
 )
 
 
-def _seen(name: str, condition: str, about: str) -> Relation:
+def _viewer_relation(name: str, condition: str, about: str) -> Relation:
     """Returns a relation of the direction from a to b, as a viewer sees it."""
     forward = (
         "(1 - 2 * (viewer.qy ** 2 + viewer.qz ** 2)) * (b.x - a.x) "
         "+ 2 * (viewer.qx * viewer.qy + viewer.qw * viewer.qz) * (b.y - a.y) "
         "+ 2 * (viewer.qx * viewer.qz - viewer.qw * viewer.qy) * (b.z - a.z)"
     )
-    left = (
+    leftward = (
         "2 * (viewer.qx * viewer.qy - viewer.qw * viewer.qz) * (b.x - a.x) "
         "+ (1 - 2 * (viewer.qx ** 2 + viewer.qz ** 2)) * (b.y - a.y) "
         "+ 2 * (viewer.qy * viewer.qz + viewer.qw * viewer.qx) * (b.z - a.z)"
     )
-    formula = condition.format(forward=f"({forward})", left=f"({left})")
+    formula = condition.format(forward=f"({forward})", left=f"({leftward})")
     return Relation(
         name,
         (*A_B, Parameter("viewer", "entity", "an entity that looks along its +x axis")),
@@ -36,14 +36,14 @@ def _seen(name: str, condition: str, about: str) -> Relation:
 
 
 REGION_RELATIONS: tuple[Relation, ...] = (
-    _seen("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
-    _seen("rightOf", "-{left} > abs({forward})", "Checks if b is right of a"),
-    _seen(
+    _viewer_relation("leftOf", "{left} > abs({forward})", "Checks if b is left of a"),
+    _viewer_relation("rightOf", "-{left} > abs({forward})", "Checks if b is right of a"),
+    _viewer_relation(
         "behind",
         "{forward} > 0 AND {forward} >= abs({left})",
         "Checks if b is behind a, farther away",
     ),
-    _seen(
+    _viewer_relation(
         "inFrontOf",
         "{forward} < 0 AND -{forward} >= abs({left})",
         "Checks if b is in front of a, nearer",

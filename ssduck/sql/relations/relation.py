@@ -103,7 +103,7 @@ class Relation:
     @property
     def usage(self) -> str:
         """`name(parameters) -> result`, as in its help."""
-        return f"{self.name}({_listed(self.parameters)}) -> {_RESULT_WORDS[self.result]}"
+        return f"{self.name}({_parameter_list(self.parameters)}) -> {_RESULT_WORDS[self.result]}"
 
     @property
     def help(self) -> str:
@@ -255,8 +255,8 @@ class Relation:
         if schema is not None:
             return self._checked(_lenient_joints(tree), schema)
         reason = (
-            f"{self.name}: in SQL it is for one world, and there is none or several; write the "
-            f"name of the world that is meant before it, world.{self.name}(…)"
+            f"{self.name}: in SQL it needs one world, and there is none or several; write the "
+            f"name of the world before it, world.{self.name}(…)"
         )
         return exp.Anonymous(this="error", expressions=[exp.Literal.string(reason)])
 
@@ -272,18 +272,18 @@ def by_name(relations: Iterable[Relation]) -> dict[str, Relation]:
         seconds = (
             replace(relation, name=n, aliases=(), alias_of=relation.name) for n in relation.aliases
         )
-        for own in (relation, *seconds):
-            if own.name in result:
-                raise ValueError(f"there are two relations {own.name!r}")
-            result[own.name] = own
+        for named in (relation, *seconds):
+            if named.name in result:
+                raise ValueError(f"there are two relations {named.name!r}")
+            result[named.name] = named
     return result
 
 
 _OTHER_RUN_MESSAGE = (
-    "{}: a row is of another run than {}: what was found there is not known here; open the record "
-    "that the row is of, or write the name of its world before the relation"
+    "{}: a row is of another run than {}: its contacts and sensings are not known here; open the "
+    "record of its run, or write the name of its world before the relation"
 )
-# The columns of a row by which it is known whose it is, and whether it is as it was.
+# The columns of a row that identify its entity and tick, and its pose, which is checked.
 IDENTIFYING_COLUMNS = ("run", "tick", "id", "x", "y", "z", "qw", "qx", "qy", "qz")
 CHECKED_TICK_UDF = "narrow tick"
 
@@ -367,7 +367,7 @@ def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
     return result
 
 
-def _listed(parameters: tuple[Parameter, ...]) -> str:
+def _parameter_list(parameters: tuple[Parameter, ...]) -> str:
     required = ", ".join(p.name for p in parameters if not p.optional)
     optional = "".join(f", {p.name}" for p in parameters if p.optional)
     return f"{required}[{optional}]" if optional else required

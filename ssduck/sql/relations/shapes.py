@@ -136,7 +136,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             bound=None,
             otherwise=ZERO,
             pairs=EVERY_PAIR,
-            is_at_least_gap=True,
+            is_at_least_box_distance=True,
         ),
         "Returns the smallest distance between the surfaces of a and b; 0 if they meet. It is "
         "computed for every pair, while near(a, b, d), and WHERE clearance(a, b) < d in "

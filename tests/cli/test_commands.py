@@ -1,0 +1,147 @@
+"""The other commands of `ssduck`, and the manual."""
+
+from __future__ import annotations
+
+import re
+import shlex
+
+import pytest
+import typer
+from PIL import Image
+
+import ssduck
+from ssduck.cli.app import app
+from ssduck.demos.kitchen import KITCHEN
+from tests.support.command_line import ROOT, answer, run, ssduck_
+
+PAGE = (ROOT / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
+
+
+# -- the other commands --------------------------------------------------------------------------
+
+
+def test_scenes():
+    written = answer("scenes")
+    assert "kitchen" in written
+    assert "four robots" in written
+
+
+def test_functions():
+    written = answer("functions")
+    with ssduck.Interpreter() as ss:
+        for name in ss.help():
+            assert re.search(rf"^{name}\(.*\)( -> \w+)?  +[A-Z].*\.$", written, re.MULTILINE), name
+        assert answer("functions", "distance") == ss.help("distance") + "\n"
+
+
+def test_help():
+    assert answer() == answer("--help") == answer("-h")
+    group = typer.main.get_command(app)
+    for name, command in group.commands.items():
+        assert command.help
+        assert name in answer("--help")
+        shown = answer(name, "--help")
+        for parameter in command.params:
+            assert parameter.help, f"{name}: {parameter.name}"
+            assert all(option in shown for option in parameter.opts if option.startswith("-"))
+
+
+def test_version():
+    assert re.fullmatch(r"ssduck (\d+(\.\d+)+\S*|\(not installed.*\))\n", answer("--version"))
+
+
+# -- the demonstration ---------------------------------------------------------------------------
+
+
+# What the tutorial prints, as far as it fits a line here.
+TUTORIAL = [
+    "answer   6.2",
+    "fridge         [-0.87, -2, 1.55]    robot",
+    "cooker         [1.98, 1.72, 0.75]   robot",
+    "barrett_4918   [0.42, 1.3, 0.892]   robot",
+    "roomba_625x    [1.8, 0, 0.17]       robot",
+    "[0.000118749, 0.000118749, 0.000118749, 0.00015724, 0.00015724, 0.00015724, 0.00015724]",
+    "chair_6b56   0.0307263",
+    "chair_083c   0.0255963",
+    "[plate_b4e7, [-1.13, 2.01, 1.14]]",
+    "Usage: onX(o1, o2) -> bool",
+    "[cup_905a, cup_58a2, cup_b6af, cup_d441]",
+    "left to Python: onX(table, this)",
+    "table       plate_fa76",
+    "microwave   pin_c671",
+]
+
+
+@pytest.mark.slow
+def test_demo_in_an_empty_folder(tmp_path):
+    code, out, err = run("demo", cwd=tmp_path)
+    assert (code, err) == (0, "")
+    for shown in (*TUTORIAL, *(question.asks for question in KITCHEN)):
+        assert shown in out
+    assert re.search(rf"^{len(KITCHEN)} questions in \d+\.\d\d s$", out, re.MULTILINE)
+    assert "kitchen.png" in out
+    assert "\x1b" not in out
+    assert not re.search(r" $", out, re.MULTILINE)
+    assert max(map(len, out.splitlines())) <= 100
+    assert [path.name for path in tmp_path.iterdir()] == ["kitchen.png"]
+    with Image.open(tmp_path / "kitchen.png") as picture:
+        assert (picture.format, picture.mode, picture.size) == ("PNG", "RGB", (960, 720))
+        assert len(picture.getcolors(maxcolors=960 * 720)) > 500
+
+
+def test_demo_of_another_scene(here):
+    written = answer("demo", "two.toml", "--output", "picture.jpg")
+    assert "big     small" in written
+    with Image.open("picture.jpg") as picture:
+        assert picture.format == "JPEG"
+
+
+def test_demo_without_sql_and_picture(here):
+    before = sorted(here.iterdir())
+    written = answer("demo", "two.toml", "--no-sql", "--no-picture")
+    assert "as SQL" not in written
+    assert sorted(here.iterdir()) == before
+
+
+COLOURS = [
+    ({}, False),
+    ({"FORCE_COLOR": "1"}, True),
+    ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, False),
+]
+
+
+@pytest.mark.parametrize(("env", "coloured"), COLOURS)
+def test_colours(here, env, coloured):
+    env = {"NO_COLOR": None, "FORCE_COLOR": None, "TERM": "xterm", **env}
+    written = answer("demo", "two.toml", "--no-picture", env=env)
+    assert bool(re.search(r"\x1b\[3\d", written)) == coloured
+
+
+# -- the manual ----------------------------------------------------------------------------------
+
+
+EXAMPLES = [
+    tuple(example.split("\n", 1))
+    for block in re.findall(r"^```console\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+    for example in re.split(r"^\$ ", block, flags=re.MULTILINE)[1:]
+]
+
+
+@pytest.mark.parametrize(("line", "shown"), EXAMPLES, ids=[line for line, _ in EXAMPLES])
+def test_examples_of_the_manual(tmp_path, monkeypatch, line, shown):
+    monkeypatch.chdir(tmp_path)
+    words = shlex.split(line)
+    piped = words[1] if words[0] == "echo" else None
+    result = ssduck_(*words[words.index("ssduck") + 1 :], input=piped)
+    assert result.stdout + result.stderr == shown
+
+
+def test_the_manual_names_every_command_and_option():
+    assert len(EXAMPLES) >= 6
+    for name, command in typer.main.get_command(app).commands.items():
+        assert f"`ssduck {name}" in PAGE
+        for parameter in command.params:
+            options = [*parameter.opts, *parameter.secondary_opts]
+            named = [o for o in options if o.startswith("--") and f"`{o}" in PAGE]
+            named += [o for o in options if o.startswith("--") and f", `{o}" in PAGE]
+            assert named or not options[0].startswith("-"), f"{name}: {options}"

@@ -1,0 +1,107 @@
+"""`ssduck` as a process: signals, pipes, full disks."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.cases import sampled
+from tests.support.command_line import LINUX, run, start
+from tests.support.timing import HANGS
+
+
+@pytest.mark.slow
+def test_the_kitchen_as_json(tmp_path):
+    program = "SELECT id, position FROM kitchen WHERE isRobot(this);"
+    code, out, err = run("query", "kitchen", program, "--format", "json", cwd=tmp_path)
+    assert (code, err) == (0, "")
+    assert [row["id"] for row in json.loads(out)] == [
+        "fridge",
+        "cooker",
+        "barrett_4918",
+        "roomba_625x",
+    ]
+    assert json.loads(out)[2]["position"] == pytest.approx([0.42, 1.3, 0.892])
+
+
+@pytest.mark.slow
+def test_an_error_is_no_traceback(here):
+    code, out, err = run("query", "two.toml", "SELECT abov FROM two;")
+    assert (code, out) == (1, "")
+    assert err.startswith("error: ")
+    assert "Traceback" not in err
+
+
+@pytest.mark.slow
+def test_integers_of_any_length_and_a_locale_that_has_no_umlauts(here):
+    env = {"PYTHONIOENCODING": "ascii"}
+    program = "[2 ^ 20000, 'ü😀'];"
+    assert run("query", "two.toml", program, env=env) == (0, f"{_digits()}\n\\xfc\\U0001f600\n", "")
+    code, out, err = run("query", "two.toml", "'ü😀';", "-F", "json", env=env)
+    assert (code, json.loads(out), err) == (0, "ü😀", "")
+
+
+def _digits():
+    """2 to the power of 20000; Python prints that many digits only if it is asked to."""
+    limit = sys.get_int_max_str_digits()
+    sys.set_int_max_str_digits(0)
+    try:
+        return str(2**20000)
+    finally:
+        sys.set_int_max_str_digits(limit)
+
+
+@pytest.mark.slow
+def test_a_reader_that_goes_away(here):
+    sql = "SELECT i FROM range(100000) r(i)"
+    with start("query", "two.toml", "--sql", sql, "-F", "csv") as process:
+        assert process.stdout.readline() == "i\n"
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
+
+
+@LINUX
+@sampled("arguments", [["query", "two.toml", "1;"], ["--help"]], every=2)
+def test_a_full_disk(here, arguments):
+    with Path("/dev/full").open("w") as full:
+        code, _, err = run(*arguments, stdout=full)
+    assert (code, err) == (1, "error: [Errno 28] No space left on device\n")
+
+
+SLOW = [
+    ["query", "two.toml", "1;", "--steps", "1000000000"],
+    ["query", "two.toml", "--sql", "SELECT count(*) FROM range(10000000) a, range(10000000) b"],
+]
+
+
+@LINUX
+@sampled("arguments", SLOW, every=2)
+def test_interrupted(here, arguments):
+    main = "import ssduck.cli.app; print('begun', flush=True); ssduck.cli.app.main()"
+    with start(*arguments, module=("-c", main)) as process:
+        assert process.stdout.readline() == "begun\n"
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=HANGS)
+    assert (process.returncode, out, err) == (130, "", "")
+
+
+def test_help_waits_for_neither_simulator_nor_database(tmp_path):
+    code = """
+import sys
+from ssduck.cli.app import main
+sys.argv = ["ssduck", "--help"]
+try:
+    main()
+finally:
+    print(*[name for name in ("pybullet", "duckdb", "numpy", "scipy") if name in sys.modules])
+"""
+    returned, out, err = run(module=("-c", code), cwd=tmp_path)
+    assert (returned, err) == (0, "")
+    assert out.splitlines()[-1] == ""

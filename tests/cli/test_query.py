@@ -1,0 +1,236 @@
+"""`ssduck query`: answers, the source of the program, errors."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import re
+import warnings
+
+import pytest
+
+import ssduck
+from ssduck.interpreter import opening
+from tests.support.cases import sampled
+from tests.support.command_line import (
+    WRITTEN,
+    answer,
+    ssduck_,
+    write_scene,
+)
+
+
+@pytest.fixture(scope="module")
+def loaded(tmp_path_factory):
+    """The scene, loaded once for the many tests that only look at how an answer is written."""
+    with ssduck.load(write_scene(tmp_path_factory.mktemp("scene")) / "two.toml") as ss:
+        yield ss
+
+
+# -- query: answers ------------------------------------------------------------------------------
+
+
+# A question whose answer has more columns than a terminal has room for.
+WIDE = (
+    "SELECT id, x, y, z, mass, "
+    + ", ".join(f"to(z * {n}, 'z{n}')" for n in range(35))
+    + " FROM two;"
+)
+
+
+@pytest.mark.parametrize(("arguments", "format", "expected"), WRITTEN)
+def test_answers(here, loaded, monkeypatch, arguments, format, expected):
+    monkeypatch.setattr(opening, "load", lambda _: contextlib.nullcontext(loaded))
+    *flags, program = arguments
+    written = answer("query", "two.toml", "-F", format, *flags, "--", program)
+    assert (json.loads(written) if format == "json" else written) == expected
+
+
+def test_a_row_of_json_is_a_line(here):
+    assert answer("query", "two.toml", "SELECT id FROM two;", "-F", "json") == (
+        '[\n{"id": "big"},\n{"id": "small"}\n]\n'
+    )
+
+
+@sampled("format", ["table", "json", "csv"], every=3)
+def test_many_rows(here, format):
+    sql = "SELECT i, i / 2 AS half, [i, i] AS pair FROM range(20000) r(i)"
+    written = answer("query", "two.toml", "--sql", sql, "-F", format)
+    if format == "json":
+        rows = json.loads(written)
+        assert (len(rows), rows[-1]) == (20000, {"i": 19999, "half": 9999.5, "pair": [19999] * 2})
+    elif format == "csv":
+        rows = list(csv.reader(io.StringIO(written)))
+        assert (len(rows), rows[-1]) == (20001, ["19999", "9999.5", "[19999, 19999]"])
+    else:
+        lines = written.splitlines()
+        assert (len(lines), lines[-1]) == (20002, "19999  9999.5  [19999, 19999]")
+
+
+def test_a_table_is_folded_on_a_terminal_and_whole_elsewhere(here):
+    sql = f"SELECT '{'long ' * 60}' AS text, name FROM entities"
+    assert max(map(len, answer("query", "two.toml", "--sql", sql).splitlines())) > 300
+    terminal = {"FORCE_COLOR": "1", "COLUMNS": "40", "TERM": "xterm"}
+    folded = re.sub(r"\x1b\[[\d;]*m", "", answer("query", "two.toml", "--sql", sql, env=terminal))
+    assert max(map(len, folded.splitlines())) <= 40
+    assert folded.count("long") == 120
+    assert "small" in folded
+
+
+@sampled("width", [20, 80, 120], every=3)
+@pytest.mark.parametrize("question", [["--sql", "SELECT * FROM entities"], [WIDE]])
+def test_columns_that_do_not_fit_are_marked_and_counted(here, width, question):
+    """Whatever is left out is told of on the terminal; elsewhere nothing is."""
+    terminal = {"FORCE_COLOR": "1", "COLUMNS": str(width), "TERM": "xterm"}
+    told = re.sub(r"\x1b\[[\d;]*m", "", answer("query", "two.toml", *question, env=terminal))
+    lines = told.splitlines()
+    assert max(map(len, lines)) <= width
+    names = lines[0].split()
+    assert "…" in names
+    total, shown = map(int, re.search(r"(\d+) columns \((\d+) shown\)", lines[-1]).groups())
+    whole = answer("query", "two.toml", *question).splitlines()
+    assert (total, shown) == (len(whole[0].split()), len(names) - 1)
+    assert "rows" in " ".join(lines[-2:])
+    assert "…" not in "".join(whole)
+
+
+# -- query: where the program comes from ---------------------------------------------------------
+
+
+SOURCES = [
+    (["1 + 1;"], None),
+    (["-"], "1 + 1;"),
+    ([], "1 + 1;"),
+    (["-f", "-"], "1 + 1;"),
+    (["-f", "plain.ss"], None),
+    (["--file", "mark.ss"], None),
+    (["--", "-1 + 3;"], None),
+    ([], "\ufeff1\r\n+ 1;\r\n"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "input"), SOURCES)
+def test_sources_of_the_program(here, arguments, input):
+    (here / "plain.ss").write_text("1 +\n\t1;\n")
+    (here / "mark.ss").write_text("1 + 1;", encoding="utf-8-sig")
+    assert answer("query", "two.toml", *arguments, input=input) == "2\n"
+
+
+TIMES = [
+    ([], 0),
+    (["--steps", "0"], 0),
+    (["--steps", "24"], 0.24),
+    (["--seconds", "0.5"], 0.5),
+    (["--seconds", "0.126"], 0.13),
+    (["--seconds", "0.004"], 0),
+]
+
+
+@pytest.mark.parametrize(("arguments", "expected"), TIMES)
+def test_simulated_time(here, arguments, expected):
+    written = answer("query", "two.toml", "getTime();", "-F", "json", *arguments)
+    assert json.loads(written) == pytest.approx(expected)
+
+
+def test_what_a_program_prints_is_not_its_answer(here):
+    result = ssduck_("query", "two.toml", "print(1, 'a'); 2;", "-F", "json")
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "2\n", "1 a\n")
+
+
+# -- errors --------------------------------------------------------------------------------------
+
+
+MARKED = """\
+error: there is no function 'abov'; did you mean 'above'?
+  line 2, column 10
+    \t[0] == [abov(two, two)]; '[red]not markup[/red]'
+    \t        ^^^^
+"""
+
+LONG = "SELECT id FROM two WHERE " + "isRobot(this) OR " * 30 + "z(that) > 1;"
+
+# (arguments, exit code, what standard error says)
+ERRORS = [
+    (["query", "two.toml", "1 +;"], 1, "expected an expression, found ';'"),
+    (["query", "two.toml", "1 / 0;"], 1, "division by zero"),
+    (["query", "two.toml", "sqrt(1, 2, 3);"], 1, "sqrt takes 1 argument, not 3"),
+    (["query", "two.toml", "SELECT id FROM two AS lst;"], 1, "did you mean 'list'?"),
+    (["query", "two.toml", "id(tow);"], 1, "did you mean 'to' or 'two'"),
+    (
+        ["query", "two.toml", LONG],
+        1,
+        f"    …{LONG[LONG.index('that') - 60 :]}\n    {' ' * 61}^^^^\n",
+    ),
+    (["query", "two.toml", "--sql", "SELCT 1"], 1, 'syntax error at or near "SELCT"'),
+    (["query", "two.toml", "--sql", "FROM entitis"], 1, "entitis"),
+    (["query", "kitchn", "1;"], 1, "did you mean 'kitchen'?"),
+    (["query", "bad.toml", "1;"], 1, "bad.toml: nam: there is no such key; did you mean 'name'?"),
+    (["query", "two.toml", "-f", "nofile.ss"], 1, "nofile.ss cannot be read: No such file"),
+    (["query", "two.toml", "-f", "."], 1, "cannot be read: Is a directory"),
+    (["query", "two.toml", "-f", "latin.ss"], 1, "latin.ss is not UTF-8: byte 1 is 0xfc"),
+    (["query", "two.toml", "'\udcff';"], 1, "the program is not UTF-8: byte 1 is 0xff"),
+    (["functions", "abov"], 1, "there is no function 'abov'; did you mean 'above'?"),
+    (["demo", "nowhere.toml"], 1, "there is no scene 'nowhere.toml'"),
+    (["demo", "two.toml", "-o", "no/such/folder.png"], 1, "cannot be written: No such file"),
+    (["demo", "two.toml", "-o", "picture.nope"], 1, "picture.nope cannot be written: unknown file"),
+    (["demo", "two.toml", "-o", "a.png", "--no-picture"], 2, "exclude each other"),
+    (["query", "two.toml"], 2, "the program is empty"),
+    (["query", "two.toml", " \n"], 2, "the program is empty"),
+    (["query", "two.toml", "1;", "-f", "latin.ss"], 2, "given twice"),
+    (["query", "two.toml", "1;", "--steps", "1", "--seconds", "1"], 2, "exclude each other"),
+    (["query", "two.toml", "1;", "--steps", "-1"], 2, "--steps"),
+    (["query", "two.toml", "1;", "--steps", "1.5"], 2, "--steps"),
+    (["query", "two.toml", "1;", "--seconds", "-0.1"], 2, "--seconds"),
+    (["query", "two.toml", "1;", "--seconds", "nan"], 2, "--seconds"),
+    (["query", "two.toml", "1;", "--seconds", "inf"], 2, "--seconds"),
+    (["query", "two.toml", "1;", "--seconds", "1e308"], 2, "--seconds: that is too long"),
+    (["query", "two.toml", "1;", "--format", "xml"], 2, "xml"),
+    (["query", "two.toml", "1;", "--nope"], 2, "--nope"),
+    (["query", "two.toml", "-1;"], 2, "-1"),
+    (["query"], 2, "SCENE"),
+    (["nope"], 2, "nope"),
+]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "told"), ERRORS, ids=[" ".join(a)[:60] for a, _, _ in ERRORS]
+)
+def test_errors(here, arguments, code, told):
+    (here / "latin.ss").write_bytes("'ü';".encode("latin-1"))
+    (here / "bad.toml").write_text('nam = "x"')
+    result = ssduck_(*arguments)
+    assert result.exit_code == code
+    assert told in result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stdout == "" or arguments[0] == "demo"
+    assert result.stderr.startswith("error: ") == (code == 1)
+
+
+def test_the_mark_stands_under_what_it_marks(here):
+    program = "two;\n\t[0] == [abov(two, two)]; '[red]not markup[/red]'"
+    for env in ({}, {"FORCE_COLOR": "1", "COLUMNS": "30", "TERM": "xterm"}):
+        result = ssduck_("query", "two.toml", program, env=env)
+        assert re.sub(r"\x1b\[[\d;]*m", "", result.stderr) == MARKED
+
+
+def test_a_mistake_of_ours_is_a_traceback(here, monkeypatch):
+    monkeypatch.setattr(opening, "load", lambda _: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        ssduck_("query", "two.toml", "1;")
+
+
+@pytest.mark.filterwarnings("default")
+def test_warnings_are_one_line_each_and_told_once(here, monkeypatch):
+    load = opening.load
+
+    def warn(scene):
+        for text in ("a [shape]\n  is odd", "another", "a [shape]\n  is odd"):
+            warnings.warn(text, stacklevel=2)
+        return load(scene)
+
+    monkeypatch.setattr(opening, "load", warn)
+    result = ssduck_("query", "two.toml", "1;")
+    assert (result.exit_code, result.stdout) == (0, "1\n")
+    assert result.stderr == "warning: a [shape] is odd\nwarning: another\n"

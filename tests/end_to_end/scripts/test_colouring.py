@@ -1,0 +1,239 @@
+"""Published scripts: four colours, IF and print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import pytest
+
+import ssduck
+
+# -- four colours --------------------------------------------------------------------------------
+
+
+COLORS = ["red", "green", "blue", "yellow"]
+
+EIGHT = ["ab", "ac", "ad", "ae", "af", "bc", "bd", "bf", "bg", "cd", "cg", "ch", "de", "dh", "ef"]
+
+EIGHT += ["eh", "fg", "gh"]
+
+FIVE = ["ab", "ac", "ad", "ae", "bc", "bd", "cd", "de"]
+
+
+def colourings(regions: str, borders: Sequence[str]) -> list[dict[str, str]]:
+    """By brute force, in the order of the sources."""
+    found = (
+        dict(zip(regions, chosen, strict=True)) for chosen in product(COLORS, repeat=len(regions))
+    )
+    return [chosen for chosen in found if all(chosen[a] != chosen[b] for a, b in borders)]
+
+
+PUBLISHED_FIRST = {
+    "a": "red",
+    "c": "blue",
+    "b": "green",
+    "e": "green",
+    "d": "yellow",
+    "g": "yellow",
+    "f": "blue",
+    "h": "red",
+}
+
+COLOUR_MAP = """ colors = ['red', 'green', 'blue', 'yellow'];
+
+              SELECT a.this,   b.this,   c.this,   d.this,
+                     e.this,   f.this,   g.this,   h.this
+                     
+              FROM   a=colors, b=colors, c=colors, d=colors,
+                     e=colors, f=colors, g=colors, h=colors
+                     
+              WHERE  a.this != b.this AND a.this != c.this AND
+                     a.this != d.this AND a.this != e.this AND
+                     a.this != f.this AND 
+                     b.this != c.this AND b.this != d.this AND
+                     b.this != f.this AND b.this != g.this AND
+                     c.this != d.this AND c.this != g.this AND
+                     c.this != h.this AND
+                     d.this != e.this AND d.this != h.this AND
+                     e.this != f.this AND e.this != h.this AND
+                     f.this != g.this AND g.this != h.this
+              AS dict;
+              """  # noqa: W291, W293  # as published
+
+COLOUR_MAP_X = """ colors     = ['red', 'green', 'blue', 'yellow'];
+
+              neighbours = [["a", "b"], ["a", "c"], ["a", "d"], ["a", "e"], 
+                            ["b", "c"], ["b", "d"], ["c", "d"], ["d", "e"]];
+
+              SELECT a.this,   b.this,   c.this,   d.this,   e.this
+              FROM   a=colors, b=colors, c=colors, d=colors, e=colors                     
+              WHERE  [] == SELECT a.this 
+                           FROM neighbours
+                           WHERE eval(this[0]+".this;") == eval(this[1]+".this;")
+                           AS list
+              AS dict;              
+              """  # noqa: W291
+
+COLOUR_MAP_XX = """ colors     = ['red', 'green', 'blue', 'yellow'];
+
+              neighbours = [[a.this, b.this], [a.this, c.this], [a.this, d.this], [a.this, e.this], 
+                            [b.this, c.this], [b.this, d.this], [c.this, d.this], [d.this, e.this]];
+
+              SELECT a.this,   b.this,   c.this,   d.this,   e.this
+              FROM   a=colors, b=colors, c=colors, d=colors, e=colors                     
+              WHERE  [] == SELECT this
+                           
+                           FROM neighbours
+                                 
+                           WHERE this[0] == this[1]
+                           AS list
+              AS dict;              
+              """  # noqa: W291, W293
+
+COLOUR_MAP_XXX = """ colors = ['red', 'green', 'blue', 'yellow'];
+
+              SELECT a.this,   b.this,   c.this,   d.this,
+                     e.this,   f.this,   g.this,   h.this
+                     
+              FROM   a=colors, b=colors, c=colors, d=colors,
+                     e=colors, f=colors, g=colors, h=colors
+                     
+              WHERE  [] == SELECT this
+                           FROM [[a.this, b.this], [a.this, c.this], [a.this, d.this], [a.this, e.this], [a.this, f.this],
+                                 [b.this, c.this], [b.this, d.this], [b.this, f.this], [b.this, g.this],
+                                 [c.this, d.this], [c.this, g.this], [c.this, h.this],
+                                 [d.this, e.this], [d.this, h.this],
+                                 [e.this, f.this], [e.this, h.this],
+                                 [f.this, g.this], [g.this, h.this]]
+                           WHERE this[0] == this[1]
+                           AS list
+              AS dict;
+              """  # noqa: W293
+
+COLOUR_MAP_XXXX = """ ########################################################################
+colors = ['red', 'green', 'blue', 'yellow'];
+
+neighbours = [[a.this, b.this], [a.this, c.this], [a.this, d.this], [a.this, e.this],
+              [a.this, f.this], [b.this, c.this], [b.this, d.this], [b.this, f.this],
+              [b.this, g.this], [c.this, d.this], [c.this, g.this], [c.this, h.this],
+              [d.this, e.this], [d.this, h.this], [e.this, f.this], [e.this, h.this],
+              [f.this, g.this], [g.this, h.this]];
+
+######################################################################################
+SELECT a.this,   b.this,   c.this,   d.this,   e.this,   f.this,   g.this,   h.this
+FROM   a=colors, b=colors, c=colors, d=colors, e=colors, f=colors, g=colors, h=colors
+WHERE  [] == SELECT this
+             FROM neighbours
+             WHERE this[0] == this[1]
+             AS list
+AS dict;
+"""
+
+
+@pytest.mark.parametrize("program", [COLOUR_MAP, COLOUR_MAP_XXX, COLOUR_MAP_XXXX])
+def test_eight_regions_have_48_colourings(program):
+    with ssduck.Interpreter() as ss:
+        found = ss.eval(ss.compile(program))
+    assert len(found) == 48
+    assert found[0] == PUBLISHED_FIRST
+    assert found == colourings("abcdefgh", EIGHT)
+
+
+@pytest.mark.parametrize("program", [COLOUR_MAP_X, COLOUR_MAP_XX])
+def test_five_regions(ss, program):
+    ss.addFunction("get", lambda obj, n: obj[n])
+    assert ss.eval(ss.compile(program)) == colourings("abcde", FIVE)
+
+
+# -- IF and print --------------------------------------------------------------------------------
+
+
+IF_PRINT = {
+    """ IF(False; "fuck", 2, 55; 22, "fffuck"); """: "fffuck",
+    """
+b = IF ( 2<3;
+         a=1., 2.; # then
+         a=2., 1.);# else
+a/b;
+""": 0.5,
+    """
+b = IF ( 2>3;
+         a=1., 2.; # then
+         a=2., 1.);# else
+a/b;
+""": 2.0,
+    """print("what", "shall", [1,2,3], "I", "print", False);""": False,
+}
+
+NEIGHBOURS_OF_FIVE = """
+colors     = ['red', 'green', 'blue', 'yellow'];
+
+neighbours = [[a.this, b.this], [a.this, c.this], [a.this, d.this], [a.this, e.this], 
+              [b.this, c.this], [b.this, d.this], [c.this, d.this], [d.this, e.this]];
+
+SELECT a.this,   b.this,   c.this,   d.this,   e.this
+FROM   a=colors, b=colors, c=colors, d=colors, e=colors                     
+"""  # noqa: W291
+
+COUNTING = f"""# counting the positive and negative combinations within WHERE ...
+positive   = 0;
+negative   = 0;
+{NEIGHBOURS_OF_FIVE}WHERE  IF( [] == SELECT this
+                 FROM neighbours
+                 WHERE this[0] == this[1]
+                 AS list;
+            positive = positive + 1, True;
+            negative = negative + 1, False)
+AS dict;
+
+[positive, negative];"""
+
+LOGGING = f"""# logging all results by applying print(..., ..., ...), the last parameter is always the return value
+counter    = 0;{NEIGHBOURS_OF_FIVE}WHERE  print("log:",
+             counter=counter+1,
+             a.this,   b.this,   c.this,   d.this,   e.this,
+             
+             [] == SELECT this
+                   FROM neighbours
+                   WHERE this[0] == this[1]
+                   AS list)
+AS dict;"""  # noqa: W293
+
+PRINTING = f"""# combining if and print to log only results where a is of red color{NEIGHBOURS_OF_FIVE}WHERE  IF( [] == SELECT this
+                 FROM neighbours
+                 WHERE this[0] == this[1]
+                 AS list;
+            IF( a.this == "red";
+                print(a.this,   b.this,   c.this,   d.this,   e.this)),
+            True;
+            False)
+AS dict;"""
+
+
+@pytest.mark.parametrize("program", IF_PRINT)
+def test_if_and_print(ss, program):
+    assert ss.eval(ss.compile(program)) == IF_PRINT[program]
+
+
+def test_positive_and_negative_combinations(ss):
+    found = len(colourings("abcde", FIVE))
+    assert ss.eval(ss.compile(COUNTING)) == [found, 4**5 - found]
+
+
+def test_each_combination_is_logged(ss, capsys):
+    expected = colourings("abcde", FIVE)
+    assert ss.eval(ss.compile(LOGGING)) == expected
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4**5
+    chosen = product(COLORS, repeat=5)
+    for number, (line, colours) in enumerate(zip(lines, chosen, strict=True), 1):
+        told = dict(zip("abcde", colours, strict=True)) in expected
+        assert line == f"log: {number} {' '.join(colours)} {told}"
+
+
+def test_what_is_red_is_printed(ss, capsys):
+    expected = colourings("abcde", FIVE)
+    assert ss.eval(ss.compile(PRINTING)) == expected
+    red = [" ".join(found.values()) for found in expected if found["a"] == "red"]
+    assert capsys.readouterr().out.splitlines() == red

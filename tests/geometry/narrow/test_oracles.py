@@ -1,0 +1,182 @@
+"""The narrow phase against oracles, and at its boundaries."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import fcl
+import numpy as np
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import solid_of
+from tests.support import pairs
+from tests.support.narrow_cases import ORIGIN, OVER, floor, shape
+from tests.support.pairs import Shape, ell
+from tests.support.solids import box, cylinder, mesh_of, narrow, plane
+
+# -- against oracles -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kinds", pairs.COMBINATIONS, ids=" ".join)
+def test_a_gap_is_what_the_oracle_says(kinds):
+    bound = 1e-6 if "cylinder" in kinds else 1e-9
+    for seed in range(10):
+        error, found = pairs.error_of(*pairs.pair(kinds, seed))
+        assert error <= bound, (seed, found)
+
+
+@given(kinds=st.sampled_from(pairs.COMBINATIONS), seed=st.integers(0, 2**32))
+@settings(max_examples=150)
+def test_a_gap_is_symmetric(kinds, seed):
+    a, b = pairs.pair(kinds, seed)
+    one, other = pairs.gap(a, b), pairs.gap(b, a)
+    assert one.distance == pytest.approx(other.distance, abs=2e-7)
+
+
+@given(
+    kinds=st.sampled_from(pairs.COMBINATIONS),
+    seed=st.integers(0, 2**32),
+    shift=st.tuples(*[st.floats(-5, 5)] * 3),
+    turn=st.tuples(st.floats(0.1, 1), *[st.floats(-1, 1)] * 3),
+)
+@settings(max_examples=150)
+def test_a_gap_stays_if_the_world_moves(kinds, seed, shift, turn):
+    a, b = pairs.pair(kinds, seed)
+    turn = np.array(turn) / np.linalg.norm(turn)
+    moved = [pairs.moved(one, np.array(shift), turn) for one in (a, b)]
+    assert pairs.gap(*moved).distance == pytest.approx(pairs.gap(a, b).distance, abs=2e-7)
+
+
+@given(
+    kinds=st.sampled_from(pairs.COMBINATIONS),
+    seed=st.integers(0, 2**32),
+    bounds=st.lists(st.floats(0, 3), min_size=2),
+)
+@settings(max_examples=80)
+def test_what_is_near_is_near_for_more(kinds, seed, bounds):
+    a, b = pairs.pair(kinds, seed)
+    places = [[(one.geometry, one.position, one.quaternion)] for one in (a, b)]
+    exact = narrow(*places).clearance(0, 1)
+    tick = narrow(*places)
+    for bound in bounds:
+        found = tick.clearance(0, 1, limit=bound)
+        assert found == (exact if exact <= bound else math.inf)
+
+
+FCL = {
+    "sphere": lambda size: fcl.Sphere(size[0]),
+    "box": lambda size: fcl.Box(*size),
+    "capsule": lambda size: fcl.Capsule(size[0], size[1]),
+}
+
+
+@pytest.mark.parametrize(
+    "kinds", list(itertools.combinations_with_replacement(FCL, 2)), ids=" ".join
+)
+def test_formulas_agree_with_fcl(kinds):
+    """Where nothing is parallel FCL's GJK is right, up to its tolerance."""
+    random = np.random.default_rng(0)
+    for _ in range(100):
+        a, b = (
+            Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
+            for k in kinds
+        )
+        objects = [
+            fcl.CollisionObject(
+                FCL[one.kind](one.geometry.size), fcl.Transform(one.quaternion, one.position)
+            )
+            for one in (a, b)
+        ]
+        distance = fcl.distance(*objects, fcl.DistanceRequest(), fcl.DistanceResult())
+        found = pairs.gap(a, b).distance
+        assert max(0.0, found) == pytest.approx(max(0.0, distance), abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [("box", "box"), ("sphere", "cylinder"), ("capsule", "box"), ("cylinder", "cylinder")],
+    ids=" ".join,
+)
+def test_gaps_agree_with_pybullet(client, kinds):
+    """Whose margins are up to 1 mm for each box and cylinder."""
+
+    def body(one):
+        a, b, _ = one.geometry.size
+        halves = [length / 2 for length in one.geometry.size]
+        number = getattr(pybullet, f"GEOM_{one.kind.upper()}")
+        made = pybullet.createCollisionShape(
+            number, radius=a, height=b, halfExtents=halves, physicsClientId=client
+        )
+        turn = np.roll(one.quaternion, -1)
+        return pybullet.createMultiBody(
+            0, made, basePosition=one.position, baseOrientation=turn, physicsClientId=client
+        )
+
+    random = np.random.default_rng(1)
+    compared = 0
+    for _ in range(60):
+        a, b = (
+            Shape(k, pairs.geometry(k, random, is_round=False), *pairs.pose(random, is_round=False))
+            for k in kinds
+        )
+        found = pairs.gap(a, b).distance
+        if found > 0.01:
+            bodies = body(a), body(b)
+            points = pybullet.getClosestPoints(*bodies, 10.0, physicsClientId=client)
+            assert found == pytest.approx(min(point[8] for point in points), abs=3e-3)
+            compared += 1
+    assert compared > 5
+
+
+# -- boundaries ----------------------------------------------------------------------------------
+
+
+UNDER = {
+    "plane": (plane(), ORIGIN),
+    "box": (box(4, 4, 1), (0.1, 0.2, -0.5)),
+    "floor": (box(200, 200, 10), (3.0, -7.0, -5.0)),
+    "cylinder": (cylinder(3.0, 2.0), (0.1, 0.2, -1.0)),
+    "hull": (Geometry.hull(solid_of(box(4, 4, 2)).core), (0.1, 0.2, -1.0)),
+    "closed mesh": (mesh_of(box(4, 4, 2)), (0.1, 0.2, -1.0)),
+    "ell": (ell(8.0, 4.0, 2.0), (2.0, 0.0, -1.0)),
+    "open mesh": (floor(4.0), (0.1, 0.2, 0.0)),
+}
+
+
+@pytest.mark.parametrize("under", UNDER)
+@pytest.mark.parametrize("over", OVER)
+@pytest.mark.parametrize(
+    "height", [0.3, 1e-3, 1e-5, 2e-6, 1e-7, 0.0, -1e-7, -0.9e-6, -1.1e-6, -1e-4, -1e-2]
+)
+def test_at_the_surface(over, under, height):
+    """The clearance, the depth, and colliding from 1e-6 m on."""
+    geometry, at = UNDER[under]
+    tick = narrow([(geometry, at)], [(OVER[over], (0.0, 0.0, 0.5 + height))])
+    assert tick.clearance(0, 1) == pytest.approx(max(0.0, height), abs=3e-9)
+    assert tick.penetration(0, 1) == pytest.approx(max(0.0, -height), abs=2e-8)
+    assert tick.collides(0, 1) is (height < -1e-6)
+    for within in (0.0, abs(height) - 1e-8, abs(height) + 1e-8):
+        expected = max(0.0, height) <= within
+        if abs(max(0.0, height) - within) > 5e-9:
+            assert (tick.clearance(0, 1, limit=within) <= within) is expected
+    normal = tick.signed_distance(1, 0).normal
+    assert normal == pytest.approx((0, 0, 1), abs=1e-4)
+
+
+@pytest.mark.parametrize(("a", "b"), list(itertools.combinations_with_replacement(OVER, 2)))
+def test_the_same_place_and_parallel_edges(a, b):
+    """FCL ends the process on such a pair of cylinders, and is off by metres on boxes."""
+    for x, y, z in itertools.product((0.0, 0.5, 1.0, 1.5), repeat=3):
+        found = pairs.gap(shape(OVER[a], (x, y, z)), shape(OVER[b]))
+        if a == b == "box":
+            outside = [max(0.0, c - 1.0) for c in (x, y, z)]
+            expected = math.hypot(*outside) if any(outside) else max(x, y, z) - 1.0
+            assert found.distance == pytest.approx(expected, abs=1e-9)
+        assert math.isfinite(found.distance)
+        way = np.array(found.point_a) - found.point_b
+        assert way == pytest.approx(found.distance * np.array(found.normal), abs=1e-9)

@@ -1,0 +1,221 @@
+"""The tables of recorded ticks."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from typing import Any
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import ArgumentError, EvaluationError, SqlError
+from tests.support.cases import sampled
+from tests.support.pasts import ALL, _falling, _step, _stepped
+
+
+@sampled("steps", [1, 239, 240, 241, 500], every=3, ids=str)
+def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps: int) -> None:
+    _step(falling, steps)
+    rows = falling.sql(
+        "SELECT tick, count(*), min(time), max(time) FROM entities_history GROUP BY tick ORDER BY 1"
+    ).fetchall()
+    assert [row[0] for row in rows] == list(range(1, steps + 2))
+    assert {row[1] for row in rows} == {3}
+    assert all(row[2] == row[3] for row in rows)
+    assert falling.sql("SELECT count(*) FROM ticks_history").fetchall() == [(steps + 1,)]
+
+
+@sampled("changed", [False, True], every=2, ids=["all", "changed"])
+def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(tables=ALL, changed=changed))
+        _step(ss, 30, "kitchen")
+        ss.flush()
+        _step(ss, 5, "kitchen")
+        for table in (*ALL, "ticks"):
+            live = ss.sql(f"SELECT * FROM {table} ORDER BY ALL").fetchall()
+            past = ss.sql(
+                f"SELECT * FROM {table}_history WHERE tick = (SELECT tick FROM ticks) ORDER BY ALL"
+            ).fetchall()
+            assert live, table
+            assert past == live, table
+
+
+def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(changed=True))
+    _step(falling, 50)
+    falling.flush()
+    _step(falling, 50)
+    falling.flush()
+    schema = falling.sql(
+        "SELECT schema_name FROM duckdb_schemas() WHERE schema_name LIKE 'lab_record%'"
+    ).fetchall()[-1][0]
+    stored = falling.sql(f'SELECT count(*) FROM "{schema}"."entities 0" WHERE id = 1').fetchall()
+    assert stored == [(2,)]  # the board, once each time
+    rows = falling.sql("SELECT count(*), count(DISTINCT tick) FROM entities_history WHERE id = 1")
+    assert rows.fetchall() == [(101, 101)]
+
+
+def test_changes_are_found_of_entities_that_come_and_go() -> None:
+    client, bodies = _falling()
+    world = ssduck.World.attach(client)
+    with ssduck.Interpreter() as plain, ssduck.Interpreter() as sparse:
+        plain.add_variable("lab", world)
+        sparse.add_variable("lab", world)
+        sparse.record("lab", Recording(changed=True))
+        for tick in range(40):
+            if tick == 10:
+                pybullet.removeBody(bodies[0], client)
+            if tick == 20:
+                ball = pybullet.createCollisionShape(
+                    pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client
+                )
+                pybullet.createMultiBody(1, ball, basePosition=[0, 1, 1], physicsClientId=client)
+            if tick == 30:
+                sparse.flush()
+            world.step()
+        query = "SELECT * FROM entities_history WHERE tick > 1 ORDER BY tick, id"
+        assert sparse.sql(query).fetchall() == plain.sql(query).fetchall()
+        assert len(plain.sql(query).fetchall()) == 10 * 3 + 10 * 2 + 20 * 3 - 0
+    pybullet.disconnect(client)
+
+
+@sampled("every", [1, 2, 7], every=3)
+def test_every_nth_tick_is_kept(falling: ssduck.Interpreter, every: int) -> None:
+    falling.record("lab", Recording(every=every))
+    first = falling.call_variable("lab").snapshot.number
+    _step(falling, 20)
+    ticks = [row[0] for row in falling.sql("SELECT tick FROM ticks_history").fetchall()]
+    assert ticks == list(range(first, first + 21, every))
+
+
+def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(entities=("ball_1",), tables=("contacts", "shapes")))
+    _step(falling, 100)
+    assert falling.sql("SELECT DISTINCT name FROM entities_history").fetchall() == [("ball_1",)]
+    assert falling.sql("SELECT count(*) FROM contacts_history").fetchall() == [(0,)]
+    assert falling.sql("SELECT DISTINCT entity FROM shapes_history").fetchall() == [(3,)]
+
+
+def test_a_sensor_brings_what_it_sits_on() -> None:
+    with ssduck.load("kitchen") as ss:
+        ss.record("kitchen", Recording(entities=("fridge_webcam",)))
+        _step(ss, 3, "kitchen")
+        names = ss.sql("SELECT DISTINCT name FROM entities_history ORDER BY 1").fetchall()
+        assert names == [("fridge",), ("fridge_webcam",)]
+
+
+@sampled(
+    ("recording", "least", "most"),
+    [
+        (Recording(ticks=100), 100, 151),
+        (Recording(seconds=0.5), 121, 182),
+        (Recording(seconds=0.5, ticks=50), 50, 76),
+        (Recording(ticks=1, max_bytes=10**9), 1, 3),
+        (Recording(ticks=2000), 2000, 3001),
+    ],
+    every=3,
+    ids=["ticks", "seconds", "both", "one", "many"],
+)
+def test_old_ticks_are_dropped(
+    falling: ssduck.Interpreter, recording: Recording, least: int, most: int
+) -> None:
+    falling.record("lab", recording)
+    for _ in range(10):
+        _step(falling, 130)
+        ((count, first, last),) = falling.sql(
+            "SELECT count(*), min(tick), max(tick) FROM ticks_history"
+        ).fetchall()
+        assert count == last - first + 1
+        assert count <= most
+    assert count >= min(least, 1301)
+    past = falling.past("lab")
+    assert past.ticks == list(range(first, last + 1))
+    assert falling.sql("SELECT min(tick) FROM entities_history").fetchall() == [(first,)]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"tables": ("entitys",)}, "there is no table 'entitys'"),
+        ({"tables": "entities"}, "tables is to be a list of names"),
+        ({"every": 0}, "every is to be a whole number above 0"),
+        ({"every": 1.5}, "every is to be a whole number above 0"),
+        ({"ticks": 0}, "ticks is to be a whole number above 0"),
+        ({"max_bytes": 0}, "max_bytes is to be a whole number above 0"),
+        ({"seconds": 0.0}, "seconds is to be a number above 0"),
+        ({"seconds": float("nan")}, "seconds is to be a number above 0"),
+    ],
+    ids=lambda value: str(value)[:30],
+)
+def test_recordings_that_are_none(given: dict[str, Any], told: str) -> None:
+    with pytest.raises(ArgumentError, match=told):
+        Recording(**given)
+
+
+def test_entities_that_are_recorded_are_there(falling: ssduck.Interpreter) -> None:
+    with pytest.raises(ArgumentError, match="no entity 'bal_1'"):
+        falling.record("lab", Recording(entities=("bal_1",)))
+
+
+def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
+    client, _ = _falling()
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+        with pytest.raises(SqlError, match="not recorded"):
+            ss.sql("SELECT * FROM entities_history")
+        with pytest.raises(EvaluationError, match="the ticks of 'lab' are not recorded"):
+            ss.past("lab")
+        ss.record("lab", Recording())
+        _step(ss, 2)
+        assert ss.sql("SELECT count(*) FROM ticks_history").fetchall() == [(3,)]
+        ss.record("lab", None)
+        with pytest.raises(EvaluationError, match="not recorded"):
+            ss.past("lab")
+    pybullet.disconnect(client)
+
+
+def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
+    client, bodies = _falling()
+    world = ssduck.World.attach(client, names={bodies[0]: "lost"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        _step(ss, 2)
+        pybullet.resetBasePositionAndOrientation(
+            bodies[0], [float("nan"), 0, 0], [0, 0, 0, 1], client
+        )
+        with pytest.warns(UserWarning, match="lost"):
+            world.tick()
+        rows = ss.sql("SELECT tick, x FROM entities_history WHERE name = 'lost' ORDER BY 1")
+        assert [x is None for _, x in rows.fetchall()] == [False, False, False, True]
+    pybullet.disconnect(client)
+
+
+@pytest.mark.slow
+def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
+    client, _ = _falling()
+    world = ssduck.World.attach(client)
+    ss = ssduck.Interpreter()
+    ss.add_variable("lab", world)
+    world.step()
+    gone = weakref.ref(ss._database)
+    del ss
+    gc.collect()
+    assert gone() is None
+    world.step()
+    pybullet.disconnect(client)
+
+
+def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) -> None:
+    with _stepped(falling.call_variable("lab")):
+        for _ in range(30):
+            counts = falling.sql(
+                "SELECT tick, count(*) AS n FROM entities_history GROUP BY tick HAVING n <> 3"
+            ).fetchall()
+            gaps = falling.sql(
+                "SELECT max(tick) - min(tick) + 1 - count(*) FROM ticks_history"
+            ).fetchall()
+            assert (counts, gaps) == ([], [(0,)])

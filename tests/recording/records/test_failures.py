@@ -1,0 +1,118 @@
+"""Full disks and killed processes leave whole records."""
+
+from __future__ import annotations
+
+import pytest
+
+import ssduck
+from tests.support.cases import sampled
+from tests.support.recorded import POSIX, python
+from tools import kill
+
+# -- a full disk ---------------------------------------------------------------------------------
+
+
+FULL = """
+import resource, signal, sys
+import pybullet, ssduck
+from ssduck import Recording
+from ssduck.errors import SelectScriptError
+from ssduck.schema import RECORDABLE
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+kind, path = sys.argv[1:]
+
+def limit(size):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+
+client = pybullet.connect(pybullet.DIRECT)
+pybullet.setGravity(0, 0, -9.81)
+for place in range(40):
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
+    pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1])
+world = ssduck.World.attach(client, name="lab")
+kept = Recording(tables=("links",))
+if kind == "file":
+    ss = ssduck.Interpreter(path, recording=kept)
+    ss.add_variable("lab", world)
+    flush = ss.flush
+else:
+    ss = ssduck.Interpreter()
+    ss.add_variable("lab", world)
+    writing = ss.record_to(path, "lab", kept)
+    flush = writing.flush
+for _ in range(50):
+    world.step()
+flush()
+print("stored", world.snapshot.number)
+limit(30_000 if kind == "folder" else 900_000)
+failed = 0
+for tick in range(2600):
+    try:
+        world.step()
+    except SelectScriptError as error:
+        failed += 1
+        told = str(error)
+try:
+    flush()
+except SelectScriptError as error:
+    failed += 1
+    told = str(error)
+print("failed", bool(failed), "is whole" in told, "until there is room" in told)
+assert ss.sql("SELECT count(*) FROM lab.entities").fetchall() == [(40,)]
+limit(resource.RLIM_INFINITY)
+world.step()
+flush()
+print("again", world.snapshot.number)
+ss.close()
+"""
+
+
+@pytest.mark.slow
+@POSIX
+@pytest.mark.parametrize("kind", ["folder", "file"])
+def test_a_full_disk_loses_nothing(tmp_path, kind):
+    path = tmp_path / ("run.duckdb" if kind == "file" else "run")
+    stored, failed, again = python(FULL, kind, path).splitlines()
+    assert (stored, failed) == ("stored 52", "failed True True True")
+    last = int(again.removeprefix("again "))
+    with ssduck.open(path) as ss:
+        assert ss.past("lab").ticks == list(range(2, last + 1))
+        counts = ss.sql("SELECT tick, count(*) FROM entities_history GROUP BY tick").fetchall()
+        assert len(counts) == last - 1
+        assert {count for _, count in counts} == {40}
+        assert ss.sql("SELECT count(*) FROM links_history").fetchall() == [(40 * (last - 1),)]
+    assert not list(tmp_path.rglob("*.unfinished"))
+
+
+EXPORT = """
+import resource, signal, sys, ssduck
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+with ssduck.load("kitchen") as ss:
+    ss.export(sys.argv[1])
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, resource.RLIM_INFINITY))
+    try:
+        ss.export(sys.argv[1])
+    except ssduck.SelectScriptError as error:
+        print(type(error).__name__)
+"""
+
+
+@pytest.mark.slow
+@POSIX
+def test_half_an_export_is_taken_back(tmp_path):
+    assert python(EXPORT, tmp_path / "run") == "RecordError\n"
+    assert [e.number for e in ssduck.episodes(tmp_path / "run")] == [0]
+    assert not list(tmp_path.rglob("episode=1"))
+
+
+# -- killed --------------------------------------------------------------------------------------
+
+
+@POSIX
+@sampled("seed", range(6), every=6)
+def test_killed_recorders_leave_whole_records(seed):
+    """The short form of `python -m tools.kill`."""
+    run = kill.Run(kill.KINDS["both"])
+    run.add(seed)
+    assert run.faults == {}

@@ -1,0 +1,352 @@
+"""What SQL has and SelectScript lacks, and probable mistakes."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+
+import pytest
+
+import ssduck
+from ssduck.errors import (
+    ArgumentError,
+    ParseError,
+    ProgramWarning,
+    SelectScriptError,
+    SqlError,
+    UnknownNameError,
+)
+from ssduck.interpreter import query_runner as queries
+from ssduck.interpreter.linter import MAX_UNKNOWN
+from tests.support.cases import sampled
+from tests.support.habits import _interpreter
+
+# -- what is not there ---------------------------------------------------------------------------
+
+
+K = "SELECT id FROM kitchen"
+
+# (program, the offending text, what the message names)
+REFUSED = [
+    (f"{K} a JOIN kitchen b ON a.z > b.z;", "JOIN", "commas"),
+    (f"{K} LEFT JOIN kitchen ON z;", "LEFT", "WHERE"),
+    (f"{K} INNER JOIN kitchen USING (id);", "INNER", "WHERE"),
+    (f"{K} CROSS JOIN kitchen;", "CROSS", "commas"),
+    (f"{K} UNION {K};", "UNION", "AS list) +"),
+    (f"{K} EXCEPT {K};", "EXCEPT", "AS list"),
+    (f"{K} LIMIT 5 OFFSET 2;", "OFFSET", "LIMIT"),
+    (f"{K} FETCH FIRST 5 ROWS ONLY;", "FETCH", "LIMIT"),
+    ("SELECT TOP 5 id FROM kitchen;", "5", "LIMIT"),
+    (f"{K} ORDER BY z NULLS LAST;", "NULLS", "IS NOT NULL"),
+    (f"{K} LIMIT 3 WHERE z > 1;", "WHERE", "WHERE, START WITH"),
+    (f"{K} GROUP BY type WHERE z > 1;", "WHERE", "order of the clauses"),
+    (f"{K} QUALIFY z > 1;", "QUALIFY", "ss.sql"),
+    (f"{K} WHERE id(this) ILIKE 'c%';", "ILIKE", "LIKE"),
+    (f"{K} WHERE id(this) LIKE 'c%' ESCAPE '!';", "ESCAPE", "LIKE"),
+    (f"{K} WHERE !isRobot(this);", "!", "NOT"),
+    (f"{K} WHERE isRobot && isSensor;", "&&", "AND"),
+    (f"{K} WHERE isRobot || isSensor;", "||", "OR"),
+    ("SELECT id(this) || 'x' FROM kitchen;", "||", "+"),
+    ("SELECT z(this)::int FROM kitchen;", "::", "int(x)"),
+    ("SELECT `id` FROM kitchen;", "`", "without quotes"),
+    ("SELECT CAST(z AS int) FROM kitchen;", "AS", "int(x)"),
+    ("SELECT z height FROM kitchen;", "height", "AS"),
+    ("SELECT ALL id FROM kitchen;", "id", "leave ALL out"),
+    ("SELECT SUM(*) FROM kitchen;", "*", "only count"),
+    (f"{K} WHERE z > 1 AND id = 'can';", "=", "'=='"),
+    (f"{K} WHERE (z > 1 OR id = 'can');", "=", "'=='"),
+    (f"{K} WHERE z IS 5;", "5", "=="),
+    (f"{K} WHERE isRobot IS TRUE;", "TRUE", "NULL"),
+    (f"{K} WHERE z BETWEEN 1;", ";", "AND"),
+    ("CASE WHEN 1 THEN 2 END;", "END", "ELSE"),
+    ("CASE WHEN 1 THEN 2 ELSE 3;", ";", "END"),
+    ("CASE 1 THEN 2 END;", "THEN", "WHEN"),
+    ("WITH a AS (SELECT 1) SELECT id FROM a;", "a", "name the result of a query"),
+    ("INSERT INTO kitchen VALUES (1);", "INTO", "ss.sql"),
+    ("UPDATE kitchen SET z = 1;", "kitchen", "ss.sql"),
+    ("DELETE FROM kitchen;", "FROM", "ss.sql"),
+    ("CREATE TABLE x (a int);", "TABLE", "ss.sql"),
+    (f"{K} AS list WHERE z > 1;", "list", "behind all clauses"),
+    ("SELECT row_number() OVER (ORDER BY z) FROM kitchen;", "OVER", "ss.sql"),
+    ("this = 3;", "this", "this are words"),
+    ("True = 5;", "True", "words of the language"),
+    ("fALSE = 5;", "fALSE", "words of the language"),
+    ("select = 5;", "=", "expression"),
+    ("not = 5;", "not", "variable's name"),
+    ("in = 5;", "in", "variable's name"),
+    ("a.this = 3;", "=", "'=='"),
+    ("SELECT this FROM this=[1];", "this", "source's name"),
+    ("SELECT this FROM true=[1];", "true", "source's name"),
+    ("SELECT this FROM [1] this;", "this", "words of the language"),
+    ("SELECT this FROM [1] START WITH this=1 CONNECT BY a=1 STOP WITH True;", "this", "words"),
+    ("SELECT DISTINCT this FROM [1] CONNECT BY a=1 STOP WITH 1;", "CONNECT", "UNIQUE"),
+    ("SELECT this FROM [1] CONNECT BY false=1 STOP WITH True;", "false", "words"),
+    ("'it''s;", "'it''s;", "never closed"),
+]
+
+
+@pytest.mark.parametrize(("program", "offending", "told"), REFUSED)
+def test_what_is_not_there_is_named_with_what_to_write(as_sql, program, offending, told):
+    with pytest.raises(ParseError) as caught:
+        as_sql.eval(program)
+    error = caught.value
+    assert program[error.span.start : error.span.end] == offending
+    assert told in error.message
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        (f"{K} WHERE EXISTS (SELECT id FROM kitchen);", "[] !="),
+        (f"{K} WHERE z > ANY (SELECT z FROM kitchen AS list);", "AS list"),
+        ("SELECT NULL FROM kitchen;", "IS NULL"),
+        (f"{K} WHERE z(this) == NULL;", "IS NULL"),
+        ("NULL;", "IS NULL"),
+        ("SELECT COALESCE(z, 0) FROM kitchen;", "IF("),
+        ("SELECT LEN(id) FROM kitchen;", "count(list)"),
+        ("SELECT SUM(z) FROM kitchen;", "no function 'SUM'"),
+        ("SELECT DISTINCT(type) FROM kitchen;", "without brackets"),
+        (f"{K} LIMIT ALL;", "leave ALL out"),
+        (f"{K} AS k;", "no result form 'k'"),
+    ],
+)
+def test_names_of_sql_are_told(ss, program, told):
+    with pytest.raises(UnknownNameError) as caught:
+        ss.eval(program)
+    assert told in caught.value.message
+    assert caught.value.line == 1
+
+
+@pytest.mark.parametrize("name", ["True", "false", "THIS", "select", "in", "1a", "a b"])
+def test_python_names_variables_as_programs_do(as_sql, name):
+    with pytest.raises(ArgumentError, match="cannot be a variable's name"):
+        as_sql.add_variable(name, 1)
+
+
+# -- what is probably a mistake ------------------------------------------------------------------
+
+
+DOUBTS = [
+    (f"{K} WHERE id(this) == 'tabel' AS list;", "'tabel'", "'table'", []),
+    (f"{K} WHERE 'tabel' == id AS list;", "'tabel'", "'table'", []),
+    ("SELECT a.id FROM a=kitchen WHERE a.id = 'tabel' AS list;", "'tabel'", "'table'", []),
+    ("t = 'tabel'; SELECT id FROM kitchen WHERE id(this) == t AS list;", "t", "'table'", []),
+    (f"{K} WHERE id(this) IN ['sinck', 'can'] AS list;", "'sinck'", "'sink'", ["can"]),
+    (f"{K} WHERE id IN ('sinck', 'can') AS list;", "'sinck'", "'sink'", ["can"]),
+    ("t = ['sinck']; SELECT id FROM kitchen WHERE id IN t AS list;", "t", "'sink'", []),
+    ("count(SELECT id FROM kitchen WHERE id == 'tabel' AS list);", "'tabel'", "'table'", 0),
+    (
+        "SELECT k.id FROM k=kitchen WHERE [] != (SELECT o.obj FROM o=kitchen WHERE id(k.this) == 'tabel' AS list) AS list;",
+        "'tabel'",
+        "'table'",
+        [],
+    ),
+    ("id = 5;", "id", "hides the function id", 5),
+    ("id{2} = 5;", "id", "hides the function id", 5),
+    ("volume = 1; SELECT this FROM [2] WHERE volume AS list;", "volume", "hides", [2]),
+    ("z = 5; SELECT this FROM [2] WHERE z > 1 AS list;", "z", "hides the function z", [2]),
+    ("n = 9; SELECT this AS n FROM [2] ORDER BY n AS list;", "n", "not the column", [2]),
+    ("n = 9; SELECT count(*) AS n FROM [2] HAVING n > 5 AS list;", "n", "not the column", [1]),
+    ("x = 5; SELECT x FROM [2] AS list;", "x", "hides the function x", [5]),
+    ("x = 5; SELECT this FROM [2] ORDER BY x AS list;", "x", "hides the function x", [2]),
+    ("count = [1]; count(count);", "count", "hides the function count", 1),
+    (
+        "SELECT this FROM [1] START WITH mass=1 CONNECT BY mass=mass+1 STOP WITH mass > 1 AS list;",
+        "mass",
+        "hides",
+        [[1, 1]],
+    ),
+    ("SELECT z FROM z=kitchen WHERE id(this) == 'can' AS list;", "z", "z.this", None),
+    (f"{K} WHERE (foo = 'can') LIMIT 0 AS list;", "foo = 'can'", "==", []),
+    (f"{K} WHERE NOT (foo = 'can') AS list;", "foo = 'can'", "==", []),
+    (f"{K} WHERE isRobot(this) XOR (foo = -5) LIMIT 0 AS list;", "foo = -5", "==", []),
+    (f"{K} WHERE False AND NOT (False XOR (foo = [1])) AS list;", "foo = [1]", "==", []),
+    ("SELECT this FROM [1] HAVING NOT (foo = 5) AS list;", "foo = 5", "==", []),
+    ("IF(foo = 5; 1; 2);", "foo = 5", "==", 1),
+    ("IF(False; 1; IF(NOT (foo = 5); 2));", "foo = 5", "==", False),
+    (
+        "SELECT this FROM [1] START WITH s=1 CONNECT BY s=s+1 STOP WITH (s = 2) AS list;",
+        "s = 2",
+        "==",
+        [[1]],
+    ),
+    (f"{K} WHERE 0 < z(this) < 1 LIMIT 0 AS list;", "0 < z(this) < 1", "BETWEEN", []),
+    (f"{K} WHERE 0 <= z(this) < 1 LIMIT 0 AS list;", "0 <= z(this) < 1", "BETWEEN", []),
+    ("SELECT this FROM [3, 1, 2] ORDER BY 1 AS list;", "1", "same for all rows", [3, 1, 2]),
+    ("SELECT this FROM [3, 1] GROUP BY 1 AS list;", "1", "same for all rows", {"1": [3, 1]}),
+    ("'ca' IN ('can');", "'can'", "[ ]", True),
+    (
+        f"{K} WHERE id(this) IN (SELECT id FROM kitchen) AS list;",
+        "SELECT id FROM kitchen",
+        "AS list",
+        [],
+    ),
+    ('SELECT "id" FROM kitchen LIMIT 1 AS list;', '"id"', "without quotes", ["id"]),
+    ("SELECT this FROM 'people' AS list;", "'people'", "the variable is people", ["people"]),
+]
+
+
+@sampled(("program", "offending", "told", "value"), DOUBTS, every=4)
+def test_doubts_are_told_once_and_are_errors_in_strict_interpreters(
+    world, program, offending, told, value
+):
+    for by_rows in (False, True):
+        with _interpreter(world, row_by_row=by_rows) as ss:
+            with pytest.warns(ProgramWarning) as caught:
+                found = ss.eval(program)
+            assert value is None or found == value
+            assert len(caught) == 1
+            message = str(caught[0].message)
+            assert told in message
+            line, mark = message.splitlines()[-2:]
+            assert line[mark.index("^") :].startswith(offending.split("\n")[0])
+            assert mark.count("^") == len(offending)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                ss.eval(program)
+            ss.strict = True
+            with pytest.raises(SelectScriptError) as refused:
+                ss.eval(program)
+            assert program[refused.value.span.start : refused.value.span.end] == offending
+
+
+def test_of_many_names_that_nothing_bears_some_are_told(world):
+    with _interpreter(world, row_by_row=False) as ss:
+        ss.add_variable("names", ["can", *(f"no {number}" for number in range(1000))])
+        with pytest.warns(ProgramWarning) as caught:
+            assert ss.eval(f"{K} WHERE id IN names AS list;") == ["can"]
+    assert len(caught) == MAX_UNKNOWN
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        f"{K} WHERE id(this) == 'table' AS list;",
+        f"{K} WHERE 'cam' IN id(this) AND id(this) LIKE 'nothing' AS list;",
+        f"{K} WHERE id(this) IN 'table and chair' AS list;",
+        f"{K} WHERE type(this) == 'tabel' AS list;",
+        "SELECT name FROM people WHERE this.name == 'tabel' AS list;",
+        "t = 'tabel'; t == 'tabel';",
+        "found = 5; level = 3; x = 5; x + 1 > 5;",
+        "x = 5; SELECT this FROM [2] WHERE this < x AS list;",
+        "(0 < 1) < 2; 1 < 2 == True; 3 IN (1, 2);",
+        "n = 0; IF(n = n + 1; n); SELECT this FROM [1] WHERE NOT (n = n - this) AS list;",
+        "SELECT x.this FROM x=[1, 2] WHERE x.this > 1 AS list;",
+        "SELECT 'id' FROM kitchen LIMIT 1 AS list;",
+        "SELECT this FROM [1] START WITH s=1 CONNECT BY s=s+1 STOP WITH s > 1 AS list;",
+    ],
+)
+def test_what_is_no_mistake_is_not_told(world, program):
+    with _interpreter(world, strict=True) as ss, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ss.eval(program)
+
+
+def test_a_hidden_function_is_still_called(ss):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ProgramWarning)
+        program = "id = 5; SELECT id, to(id(this), 'name') FROM kitchen WHERE id(this) == 'can';"
+        assert ss.eval(program) == [{"id": 5, "name": "can"}]
+        assert ss.eval("SELECT this FROM kitchen WHERE id == 5 LIMIT 1 AS list;") != []
+    ss.eval("clear('id');")
+
+
+def test_names_of_bodies_that_were_there_are_known():
+    """At past ticks, and of bodies that were removed since, and in worlds of any name."""
+    with ssduck.load("kitchen") as ss:
+        world = ss.call_variable("kitchen")
+        world.step(2)
+        world.remove("can")
+        for program in (
+            f"{K}{{0}} WHERE id(this) == 'can' AS list;",
+            f"{K}{{}} WHERE id == 'can' AS list;",
+        ):
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                assert set(ss.eval(program)) == {"can"}
+        for source in ("kitchen{0}", "kitchen{}", "kitchen{-1}"):
+            with pytest.warns(ProgramWarning, match="did you mean 'can'"):
+                assert ss.eval(f"SELECT id FROM {source} WHERE id(this) == 'kan' AS list;") == []
+
+
+def test_all_doors_tell(world, tmp_path):
+    """What-if worlds, records, texts of eval, compiled programs."""
+    program = "SELECT id FROM kitchen WHERE id(this) == 'tabel' AS list;"
+    with ssduck.load("kitchen") as ss:
+        ss.export(tmp_path / "run")
+        compiled = ss.compile(program)
+        with pytest.warns(ProgramWarning, match="'table'"):
+            ss.eval(compiled)
+        with pytest.warns(ProgramWarning, match="'table'"):
+            ss.eval("eval('SELECT id FROM kitchen WHERE id == \\'tabel\\'');")
+    with ssduck.open(tmp_path / "run") as ss, pytest.warns(ProgramWarning, match="'table'"):
+        assert ss.eval(program) == []
+
+
+LOOKS = {
+    "eval": lambda ss, text: ss.eval(text),
+    "compiled": lambda ss, text: ss.eval(ss.compile(text)),
+    "show": lambda ss, text: ss.show(text),
+    "explain": lambda ss, text: ss.explain(text),
+    "EXPLAIN": lambda ss, text: ss.eval(f"EXPLAIN {text}"),
+    "sql": lambda ss, text: ss.compile(text).sql(),
+    "a text": lambda ss, text: ss.eval("eval('" + text.replace("'", "\\'") + "');"),
+}
+
+
+@pytest.mark.parametrize("door", LOOKS)
+def test_warnings_are_of_the_users_line(world, door):
+    with _interpreter(world, row_by_row=False) as ss:
+        for text in (f"t = 'tabel'; {K} WHERE id == t;", f"{K} WHERE id IN ('can');"):
+            with pytest.warns(ProgramWarning) as caught:
+                LOOKS[door](ss, text)
+            assert [warning.filename for warning in caught] == [__file__]
+            ss.strict = True
+            with pytest.raises(SelectScriptError):
+                LOOKS[door](ss, text)
+            ss.strict = False
+        with pytest.warns(UserWarning, match="replaces") as caught:
+            ss.add_function("count", lambda _: 3)
+        assert [warning.filename for warning in caught] == [__file__]
+
+
+def test_a_warning_of_refused_sql_is_of_the_users_line(world, monkeypatch):
+    fetched = queries.PlannedQuery._fetch
+
+    def refused(planned, *args):
+        if not planned.plan.cautious:
+            raise SqlError("no such thing", is_refused=True)
+        return fetched(planned, *args)
+
+    text = "SELECT id FROM kitchen WHERE 10 / (1 + mass(this)) > 5 AS list;"
+    with _interpreter(world, row_by_row=False) as ss:
+        expected = ss.eval(text)
+    monkeypatch.setattr(queries.PlannedQuery, "_fetch", refused)
+    with _interpreter(world, row_by_row=False) as ss:
+        with pytest.warns(UserWarning, match="DuckDB refused a query's SQL: no such") as caught:
+            assert ss.eval(text) == expected
+        assert [warning.filename for warning in caught] == [__file__]
+
+
+@pytest.mark.slow
+def test_combinations_agree(as_sql, by_rows):
+    """Clauses with each other, in both evaluators."""
+    items = ("type, count(*) AS n", "id", "DISTINCT type", "max(z) - min(z) AS d, count(id) AS n")
+    wheres = ("", "WHERE isRobot OR z > 1", "WHERE z > 100", "WHERE id LIKE 'c%'")
+    groups = (
+        "",
+        "GROUP BY type",
+        "GROUP BY z > 0.5, type HAVING count(*) > 2",
+        "HAVING count(*) > 9",
+    )
+    orders = ("", "ORDER BY count(*) DESC", "ORDER BY type, id DESC LIMIT 3")
+    for parts in itertools.product(items, wheres, groups, orders):
+        item, *clauses = parts
+        program = f"SELECT {item} FROM kitchen {' '.join(clauses)};"
+        found = []
+        for ss in (as_sql, by_rows):
+            try:
+                found.append(repr(ss.eval(program)))
+            except SelectScriptError as error:
+                found.append(type(error).__name__)
+        assert found[0] == found[1], program

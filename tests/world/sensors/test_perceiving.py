@@ -1,0 +1,423 @@
+"""The relations of sensors, the ticks of readings, and their cost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.schema import FORGOTTEN_AFTER
+from ssduck.simulators.pybullet import rays as pybullet_rays
+from ssduck.world.sensor_readings import Reading
+from tests.support.cases import sampled
+from tests.support.sensing import CAMERA, EXACT, LASER, Stage, evaluators
+
+# -- what perceives what -------------------------------------------------------------------------
+
+
+def test_nothing_senses_itself_its_body_or_a_sensor(mast):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    world.add_sensor("range_finder", "mast", "one", position=[-0.5, 0, 0], max_range=5)
+    world.add_sensor("range_finder", "mast", "two", max_range=5)
+    world.add_sensor("planar_laser", "wall", "three", position=[-1, 0, 0], **LASER)
+    for ss in evaluators(world):
+        pairs = ss.eval(
+            "SELECT id(a.this), id(b.this) FROM a=sim, b=sim WHERE isSensing(a.this, b.this) AS list;"
+        )
+        assert pairs == ["one", "wall", "two", "wall", "three", "mast"]
+        # The first argument is no sensor.
+        assert (
+            ss.eval(
+                "SELECT id FROM sim WHERE isSensing(this, this) OR sensingAmount(this, this) > 0 AS list;"
+            )
+            == []
+        )
+        assert ss.eval("SELECT sensingEnvIDs FROM sim WHERE NOT isSensor(this) AS list;") == [
+            [],
+            [],
+        ]
+        assert (
+            ss.eval(
+                "SELECT id(b.this) FROM a=sim, b=sim WHERE id(a.this) == 'wall' AND isSensing(a.this, b.this) AS list;"
+            )
+            == []
+        )
+
+
+@pytest.mark.slow
+def test_aliases_in_sql_may_be_words_of_the_table(mast):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    world.add_sensor("range_finder", "mast", "eye", max_range=5)
+    for ss in evaluators(world):
+        for a, b in (
+            ("sensor", "entity"),
+            ("hits", "rays"),
+            ("ids", "seen"),
+            ("s", "e"),
+            ("e", "s"),
+        ):
+            rows = ss.sql(
+                f"SELECT {a}.name, {b}.name, sensingAmount({a}, {b}), sensingEnvIDs({a}) "
+                f"FROM entities {a}, entities {b} WHERE isSensing({a}, {b})"
+            )
+            assert rows.fetchall() == [("eye", "wall", 1.0, [world["wall"].id])]
+        for a, b in (("sensor", "hits"), ("rays", "seen"), ("s", "e")):
+            program = f"SELECT id({a}.this), id({b}.this) FROM {a}=sim, {b}=sim WHERE isSensing({a}.this, {b}.this) AS list;"
+            assert ss.eval(program) == ["eye", "wall"]
+
+
+# Programs with `eye`, which sees wall and post, as a variable: (program, result).
+PROGRAMS = [
+    ("SELECT id FROM sim WHERE isSensing(eye, this) AS list;", ["wall", "post"]),
+    ("SELECT id FROM sim WHERE NOT isSensing(eye, this) AS list;", ["eye", "mast"]),
+    (
+        "SELECT id FROM sim WHERE isSensing(eye, this) == False AND isKinbody(this) AS list;",
+        ["mast"],
+    ),
+    ("SELECT id FROM sim WHERE isSensing(eye, this) XOR id(this) == 'post' AS list;", ["wall"]),
+    (
+        "SELECT id FROM sim WHERE isSensing(eye, this) AND x(this) < 1.5 OR id(this) == 'mast' AS list;",
+        ["mast", "post"],
+    ),
+    ("SELECT id FROM sim WHERE sensingAmount(eye, this) > 0.5 AS list;", ["wall"]),
+    (
+        "SELECT id FROM sim WHERE environmentID(this) IN sensingEnvIDs(eye) AS list;",
+        ["wall", "post"],
+    ),
+    (
+        "SELECT id FROM sim ORDER BY sensingAmount(eye, this) DESC, id LIMIT 2 AS list;",
+        ["wall", "post"],
+    ),
+    (
+        "SELECT id, count(sensingEnvIDs(this)) FROM sim WHERE count(sensingEnvIDs(this)) > 0;",
+        [{"id": "eye", "count": 2}],
+    ),
+    ("count(sensingEnvIDs(eye)) + 0;", 2),
+    ("isSensing(eye, wall);", True),
+    (
+        "[isSensing(eye, eye), isSensing(wall, eye), sensingAmount(wall, eye), sensingEnvIDs(wall)];",
+        [False, False, 0.0, []],
+    ),
+    (
+        "SELECT id FROM sim WHERE [] != (SELECT id(s.this) FROM s=sim WHERE isSensing(s.this, wall) AS list) AND isSensing(eye, this) AS list;",
+        ["wall", "post"],
+    ),
+    (
+        "SELECT id(s.this) FROM s=(SELECT obj FROM sim WHERE isSensing(eye, this) AS list) AS list;",
+        ["wall", "post"],
+    ),
+    (
+        "SELECT id(s.this), n.this FROM s=sim, n=[1] WHERE isSensing(eye, s.this) AS list;",
+        ["wall", 1, "post", 1],
+    ),
+    ("eval('SELECT id FROM sim WHERE isSensing(eye, this) AS list;');", ["wall", "post"]),
+    (
+        "seen = [isSensing(eye, o.this)]; SELECT id(o.this), seen[0] FROM o=sim WHERE isKinbody(o.this) AS list;",
+        ["mast", False, "wall", True, "post", True],
+    ),
+    (
+        "SELECT id(o.this) FROM o=sim WHERE isSensing(eye, o.this) START WITH n = 0 CONNECT BY NO CYCLE n = n + 1 STOP WITH n == 1 LIMIT 4 AS list;",
+        [["eye", "wall"], ["eye", "post"], ["mast", "wall"], ["mast", "post"]],
+    ),
+]
+
+
+@sampled(("program", "expected"), PROGRAMS, every=4)
+@pytest.mark.parametrize("owned", [True, False])
+def test_programs_about_sensors(mast, program, expected, owned):
+    mast.box("wall", [0.5, 9, 9], [3, 0, 0])
+    mast.box("post", [0.1, 0.1, 0.1], [1, 0, 0])
+    world = mast.open(owned=owned)
+    eye = world.add_sensor("depth_camera", "mast", "eye", **CAMERA)
+    for ss in evaluators(world):
+        ss.add_variable("eye", eye)
+        ss.add_variable("wall", world["wall"])
+        assert ss.eval(program) == expected
+
+
+def test_help_tells_of_the_sensors_relations(mast):
+    for ss in evaluators(mast.open()):
+        assert ss.help("isSensing").endswith("Usage: isSensing(s, e) -> bool")
+        assert ss.help("sensingAmount").endswith("Usage: sensingAmount(s, e) -> float")
+        assert ss.help("sensingEnvIDs").endswith("Usage: sensingEnvIDs(s) -> list")
+        with pytest.raises(ArgumentError, match="isSensing takes 2 arguments, not 1"):
+            ss.eval("SELECT id FROM sim WHERE isSensing(this) AS list;")
+        with pytest.raises(ArgumentError, match="s must be a sensor, not a number"):
+            ss.eval("SELECT id FROM sim WHERE isSensing(3, this) AS list;")
+
+
+@pytest.mark.slow
+def test_two_worlds_do_not_see_each_other(mast):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    world.add_sensor("range_finder", "mast", "eye", max_range=5)
+    other = Stage()
+    other.sphere("a", 0.1, [0, 0, 0])
+    other.box("b", [0.1, 0.1, 0.1], [9, 9, 9])
+    second = other.open()
+    try:
+        for ss in evaluators(world):
+            ss.add_variable("other", second)
+            program = "SELECT id(a.this), id(b.this) FROM a={}, b={} WHERE isSensing(a.this, b.this) OR sensingAmount(a.this, b.this) > 0 AS list;"
+            assert ss.eval(program.format("sim", "other")) == []
+            assert ss.eval(program.format("other", "sim")) == []
+            assert ss.eval(program.format("other", "other")) == []
+            assert ss.eval(program.format("sim", "sim")) == ["eye", "wall"]
+            # A row does not tell which world it is of.
+            for relation in ("isSensing(a, b)", "sensingAmount(a, b)", "sensingEnvIDs(a)"):
+                with pytest.raises(
+                    SelectScriptError, match=r"for one world.*world\.sens|world\.is"
+                ):
+                    ss.sql(f"SELECT {relation} FROM entities a, entities b")
+            assert ss.sql("SELECT count(*) FROM sim.sensings").fetchone() == (1,)
+            assert ss.sql("SELECT count(*) FROM other.sensings").fetchone() == (0,)
+    finally:
+        pybullet.disconnect(other.client)
+
+
+def test_without_a_world_sql_says_so():
+    with (
+        ssduck.Interpreter() as ss,
+        pytest.raises(SelectScriptError, match="isSensing: in SQL it needs one world"),
+    ):
+        ss.sql("SELECT isSensing({'id': 1}, {'id': 2})")
+
+
+# -- a reading is of a tick ----------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_plan_sees_what_is_perceived_now(mast):
+    """The table has more or fewer rows from tick to tick; plans are kept all the same."""
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    mast.box("post", [0.1, 0.1, 0.1], [1, 0, 0])
+    world = mast.open()
+    eye = world.add_sensor("depth_camera", "mast", "eye", **CAMERA)
+    for ss in evaluators(world):
+        ss.sql(
+            "CREATE OR REPLACE TEMP VIEW seen AS SELECT e.name FROM entities s, entities e WHERE isSensing(s, e) ORDER BY 1"
+        )
+        program = ss.compile(
+            "SELECT id(b.this) FROM a=sim, b=sim WHERE isSensing(a.this, b.this) ORDER BY id(b.this) AS list;"
+        )
+        for place, expected in (
+            ([1, 0, 0], ["post", "wall"]),
+            ([-1, 0, 0], ["wall"]),
+            ([1, 0.1, 0], ["post", "wall"]),
+            ([4, 0, 0], ["wall"]),
+        ):
+            world["post"].move(place)
+            assert ss.eval(program) == expected
+            assert ss.sql("FROM seen").fetchall() == [(name,) for name in expected]
+            assert sorted(mast.seen(eye)) == expected
+
+
+def test_a_reading_stays_what_it_was(mast):
+    mast.sphere("ball", 0.1, [1, 0, 0], mass=1)
+    pybullet.setGravity(0, 0, -10, mast.client)
+    world = mast.open()
+    eye = world.add_sensor("planar_laser", "mast", **LASER)
+    first = eye.reading
+    ranges = first.ranges.copy()
+    world.step(240)
+    second = eye.reading
+    assert isinstance(first, Reading)
+    assert (first.time, second.time) == (0.0, pytest.approx(1.0))
+    assert first.tick < second.tick == world.snapshot.number
+    assert (first.ranges == ranges).all()
+    assert first.hits
+    assert second.hits == {}
+    with pytest.raises(ValueError, match="read-only"):
+        first.ranges[0] = 0
+    with pytest.raises(AttributeError):
+        first.time = 3
+
+
+def test_a_period_passes_before_a_sensor_is_read_again(mast):
+    mast.sphere("ball", 0.1, [1, 0, 0])
+    world = mast.open()
+    world.add_sensor("planar_laser", "mast", "slow", **LASER, period=0.1)
+    world.add_sensor("range_finder", "mast", "quick", max_range=5)
+    for ss in evaluators(world):
+        assert ss.eval(
+            "SELECT id(a.this) FROM a=sim, b=sim WHERE isSensing(a.this, b.this) AS list;"
+        ) == ["slow", "quick"]
+    mast.casts.clear()
+    for _ in range(49):
+        world.step()
+    # 24 steps of 1/240 s are a tenth of a second.
+    assert mast.casts == [361 if n in (24, 48) else 1 for n in range(1, 50)]
+    found = dict(
+        zip(
+            *(world.snapshot.tables["sensings"][c].tolist() for c in ("sensor", "measured")),
+            strict=True,
+        )
+    )
+    assert found == {
+        world["slow"].id: pytest.approx(0.2),
+        world["quick"].id: pytest.approx(49 / 240),
+    }
+    assert world["slow"].reading.time == pytest.approx(0.2)
+    assert world["slow"].reading.tick == world.snapshot.number - 1
+    # What is moved by hand is seen at once: no time passed.
+    world["ball"].move([-5, 0, 0])
+    assert mast.casts[-1] == 361
+    assert world["quick"].reading.hits == {}
+    # And so is what came or went.
+    world.add_sensor("range_finder", "ball", "new", max_range=5)
+    assert mast.casts[-1] == 362
+
+
+def test_in_your_own_client_time_may_pass_unknown(mast):
+    """Every tick of the same time is read."""
+    ball = mast.sphere("ball", 0.1, [1, 0, 0])
+    world = mast.open(owned=False)
+    eye = world.add_sensor("range_finder", "mast", max_range=5, period=10)
+    assert mast.seen(eye) == ["ball"]
+    pybullet.resetBasePositionAndOrientation(ball, [0, 3, 0], [0, 0, 0, 1], mast.client)
+    assert mast.seen(eye) == ["ball"]
+    assert mast.seen(world.tick(steps=0) and eye) == []
+    pybullet.resetBasePositionAndOrientation(ball, [1, 0, 0], [0, 0, 0, 1], mast.client)
+    world.step()
+    assert mast.seen(eye) == []  # a clock that runs counts
+    mast.casts.clear()
+    world.step(10)
+    assert mast.casts == []
+
+
+# -- what it costs -------------------------------------------------------------------------------
+
+
+def test_sensors_cost_nothing_until_they_are_asked_for(mast):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    world.add_sensor("depth_camera", "mast", **CAMERA)
+    world.add_sensor("planar_laser", "mast", **LASER)
+    for _ in range(3):
+        world.step()
+    for ss in evaluators(world):
+        ss.eval("SELECT id, z FROM sim WHERE isSensor(this);")
+        ss.sql("SELECT count(*) FROM entities e WHERE isSensor(e)")
+    assert mast.casts == []
+
+
+@pytest.mark.slow
+def test_all_rays_of_a_tick_are_cast_in_one_call(mast, monkeypatch):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    world.add_sensor("depth_camera", "mast", **CAMERA)
+    world.add_sensor("planar_laser", "mast", **LASER)
+    world.add_sensor("range_finder", "mast", max_range=2)
+    off = world.add_sensor("lidar", "mast", max_range=2, powered=False)
+    calls = []
+    real = pybullet.rayTestBatch
+
+    def counted(starts, ends, **more):
+        calls.append((len(starts), more["numThreads"]))
+        return real(starts, ends, **more)
+
+    monkeypatch.setattr(pybullet_rays.pybullet, "rayTestBatch", counted)
+    all_rays = 64 * 48 + 360 + 1
+    for ss in evaluators(world):
+        for _ in range(3):
+            ss.eval(
+                "SELECT id(b.this), sensingAmount(a.this, b.this) FROM a=sim, b=sim WHERE isSensing(a.this, b.this);"
+            )
+            ss.sql("SELECT isSensing(a, b), sensingEnvIDs(a) FROM entities a, entities b")
+    assert calls == [(all_rays, 0)]
+    world.step(5)
+    assert calls == [(all_rays, 0)] * 2
+    off.power(True)
+    assert off.rays == 16 * 360
+    assert calls[2:] == [(16 * 360 + all_rays, 0)]
+
+
+def test_one_sensor_is_read_by_itself(mast):
+    """An expensive one is not read for the sake of a cheap one; a query reads all."""
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    camera = world.add_sensor("depth_camera", "mast", **CAMERA)
+    finder = world.add_sensor("range_finder", "mast", max_range=5, period=0.1)
+    assert finder.ranges == pytest.approx([1.5], abs=EXACT)
+    assert mast.casts == [1]
+    world.step(24)
+    assert mast.casts == [1, 1]
+    assert camera.rays == 64 * 48  # asked for now, in the same tick
+    assert mast.casts == [1, 1, 64 * 48]
+    assert world.snapshot.tables["sensings"].count == 0
+    for ss in evaluators(world):
+        assert ss.sql("SELECT count(*) FROM sensings").fetchone() == (2,)
+        assert ss.eval("SELECT id FROM sim WHERE count(sensingEnvIDs(this)) > 0 AS list;") == [
+            camera.name,
+            finder.name,
+        ]
+    finder.power(False)
+    assert finder.reading is None
+    finder.power(True)
+    assert finder.reading.hits
+
+
+@pytest.mark.parametrize(("rays", "threads"), [(1, 1), (49, 1), (50, 0), (51, 0)])
+def test_few_rays_wake_no_threads(mast, monkeypatch, rays, threads):
+    world = mast.open()
+    found = []
+    real = pybullet.rayTestBatch
+    monkeypatch.setattr(
+        pybullet_rays.pybullet,
+        "rayTestBatch",
+        lambda *a, **more: found.append(more["numThreads"]) or real(*a, **more),
+    )
+    sensor = world.add_sensor(
+        "planar_laser", "mast", min_angle=0, max_angle=rays - 1, resolution=1, max_range=1
+    )
+    assert sensor.rays == rays
+    assert found == [threads]
+
+
+def test_more_rays_than_pybullet_takes_in_one_call(mast):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    camera = world.add_sensor("depth_camera", "mast", width=200, height=150, fov=40, max_range=5)
+    assert camera.rays == 30_000 > pybullet_rays.MAX_RAYS
+    assert camera.depth == pytest.approx(np.full((150, 200), 1.5), abs=EXACT)
+
+
+def test_colours_are_drawn_when_they_are_asked_for(mast):
+    mast.box("wall", [0.5, 9, 9], [2, 0, 0])
+    world = mast.open()
+    camera = world.add_sensor("depth_camera", "mast", **CAMERA, period=1.0)
+    pictures = []
+    real = world._simulator.photograph
+    world._simulator.photograph = lambda view: pictures.append(view) or real(view)
+    assert camera.depth.shape == (48, 64)
+    world.step()
+    assert pictures == []
+    assert camera.reading.image is None
+    image = camera.image
+    assert image.shape == (48, 64, 3)
+    assert camera.image is image
+    assert camera.reading.time == world.time  # its depth is of the same moment
+    assert len(pictures) == 1
+    world.step(240)
+    assert len(pictures) == 2
+    # Nobody asks any more.
+    for _ in range(260):
+        world.step(0)
+        world.request_tables(["sensings"])
+    world.step(240)
+    assert len(pictures) == 2
+
+
+def test_sensors_that_nobody_asks_for_any_more_are_read_no_more(mast):
+    world = mast.open()
+    eye = world.add_sensor("range_finder", "mast", max_range=5)
+    assert eye.rays == 1
+    for _ in range(300):
+        world.step()
+    assert len(mast.casts) == FORGOTTEN_AFTER
+    assert eye.rays == 1
+    assert len(mast.casts) == FORGOTTEN_AFTER + 1
