@@ -256,14 +256,9 @@ class NarrowPhase:
         """Returns the normals, from a to b, of touching shapes (within 1 mm and both margins)."""
         with self._lock:
             near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
-            results = (
-                (self._signed_distance(s, t), TOUCHING_DISTANCE + self._margin(s, t))
-                for s, t in near
-            )
-            normals = [
-                result.normal for result, max_distance in results if result.distance <= max_distance
-            ]
-        return [(-x, -y, -z) for x, y, z in filter(None, normals)]
+            results = [(self._signed_distance(s, t), self._margin(s, t)) for s, t in near]
+        touching = [r for r, margin in results if r.distance <= TOUCHING_DISTANCE + margin]
+        return [(-x, -y, -z) for x, y, z in (r.normal for r in touching if r.normal)]
 
     def on(self, a: int, b: int) -> bool | None:
         """Checks whether b rests on a.
@@ -323,14 +318,10 @@ class NarrowPhase:
         """Checks whether bounds prove that too little of b is inside; b has a volume."""
         if a not in self._hull_bounds:
             self._hull_bounds[a] = hull_bounds(self._solids_with_boxes(a))
-        if (
-            max_fraction_in_box(self._hull_bounds[a], self._solids_with_boxes(b))
-            < MIN_FRACTION_INSIDE - FRACTION_ERROR
-        ):
-            return True
+        minimum = MIN_FRACTION_INSIDE - FRACTION_ERROR
         return (
-            max_fraction_in_hull(self._hull(a), self.shapes_of(b))
-            < MIN_FRACTION_INSIDE - FRACTION_ERROR
+            max_fraction_in_box(self._hull_bounds[a], self._solids_with_boxes(b)) < minimum
+            or max_fraction_in_hull(self._hull(a), self.shapes_of(b)) < minimum
         )
 
     def _hull(self, e: int) -> WorldHull | None:
