@@ -347,6 +347,7 @@ def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
 def test_a_table_that_could_not_be_read_is_still_lacking(spied):
     world, spy = spied
     world.tick()
+    spy.read.clear()
     spy.broken = ("contacts",)
     with pytest.raises(SimulatorError, match="broken"):
         world.request_tables(["contacts"])
