@@ -3,7 +3,7 @@
 The folders follow the packages of `ssduck`; `end_to_end` tests the whole, `support` holds what several
 files use. `python -m pytest` runs everything, in a process for each core; `-n 0` runs in one
 process, for a debugger or `-s`. The marker `slow` stands at tests that take seconds or draw many random
-cases: `-m "not slow"`, which is `make test`, leaves them out. A test may run beside any other, in any
+cases, and at most cases of `support.cases.sampled`: `-m "not slow"`, which is `make test`, leaves them out. A test may run beside any other, in any
 order: it keeps its files in `tmp_path` and closes what it opens.
 """
 

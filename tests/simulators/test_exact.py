@@ -516,7 +516,7 @@ def test_the_mark_is_a_column(marked):
 
 
 @sampled("changed", [False, True], every=2)
-@pytest.mark.parametrize("kind", ["folder", "file"])
+@sampled("kind", ["folder", "file"], every=2)
 def test_records_keep_the_mark(marked, tmp_path, kind, changed):
     expected = [("cube", True), ("ramp", False)]
     world = marked.call_variable("sim")

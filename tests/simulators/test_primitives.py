@@ -12,6 +12,7 @@ from ssduck.cli.app import app
 from ssduck.errors import SceneError
 from ssduck.simulators.scene_bodies import Material, Primitive
 from ssduck.simulators.scenes import find_scene, read_scene
+from tests.support.cases import sampled
 
 HALF_TURN = 0.7071067811865476
 # (keys of the body, PyBullet's arguments of the collision shape, mass)
@@ -70,7 +71,7 @@ def client_of(world):
     return world.simulator.client
 
 
-@pytest.mark.parametrize("name", BODIES)
+@sampled("name", BODIES, every=2)
 def test_a_primitive_is_what_pybullet_makes(load, client, name):
     keys, arguments, mass = BODIES[name]
     kind = keys.split(" ", 1)[0]
