@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_JOIN = "list sources behind FROM with commas, and join them in WHERE: FROM a=x, b=y WHERE …"
+_JOIN = "only JOIN … ON … is known; write FROM room a, room b WHERE above(a, b)"
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _COMPARE = "write (SELECT … AS list), and IN, min or max of it"
 _RAW = "only SQL has it: query the tables by ss.sql or ssduck query --sql"
@@ -17,7 +17,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
     ("ANY", "SOME"): _COMPARE,
     ("EXISTS",): "write [] != (SELECT … AS list)",
-    ("OFFSET", "SKIP"): "LIMIT n gives the first n rows; there is no OFFSET",
+    ("OFFSET", "SKIP"): "write LIMIT n OFFSET m behind ORDER BY",
     ("FETCH", "TOP", "FIRST"): _LIMIT_ADVICE,
     ("NULLS",): "leave out the rows without a value: WHERE x IS NOT NULL",
     ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
@@ -30,6 +30,10 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("CAST", "TRY_CAST", "CONVERT"): _CAST,
     ("NULL", "NONE", "NIL"): _MISSING,
     ("COALESCE", "IFNULL", "NVL"): _INSTEAD,
+    ("RANDOM", "RAND"): "a query gives the same result each time; draw numbers in Python",
+    ("ENTITIES", "LINKS", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS", "TICKS"): (
+        "the tables are those of ss.sql; in a program the source is the world: FROM room"
+    ),
     ("NULLIF",): "write IF(…; …; …)",
     ("CONCAT",): "texts are joined by +",
     ("LEN", "LENGTH"): "write count(list); a text's letters are counted in Python",
@@ -74,7 +78,8 @@ _NAMES = frozenset(
         *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
         *("CONVERT", "COALESCE", "IFNULL", "NVL", "NULLIF", "CONCAT", "LEN", "LENGTH", "POWER"),
         *("CEILING", "MEAN", "AVERAGE", "UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM"),
-        *("STARTS_WITH", "NOTNULL", "ISNULL"),
+        *("STARTS_WITH", "NOTNULL", "ISNULL", "RANDOM", "RAND", "ENTITIES", "LINKS", "JOINTS"),
+        *("SHAPES", "CONTACTS", "SENSINGS", "TICKS"),
     )
 )
 

@@ -36,6 +36,7 @@ from ssduck.language.tree import (
     Query,
     Source,
     Suspicion,
+    This,
     TimeIndex,
     Unary,
 )
@@ -46,7 +47,10 @@ FORMS = frozenset(("dict", "dictionary", "list", "val", "value"))
 _CONDITIONS = ("LIKE", "BETWEEN", "IS")
 _RELATIONAL = ("<", "<=", ">", ">=")
 # The words that may follow a source's alias.
-_BEHIND_SOURCE = ("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "AS")
+_BEHIND_SOURCE = (
+    *("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "OFFSET", "AS"),
+    *("JOIN", "INNER", "CROSS", "ON"),
+)
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 
@@ -248,6 +252,10 @@ class SqlForms(Cursor):
     def item(self) -> Node:
         """Returns a selected value; `z AS height` is `to(z, 'height')`."""
         start = self.here()
+        if is_kind(self.ahead(), TokenType.DOT) and is_kind(self.ahead(2), TokenType.STAR):
+            name = self.expect_name("a source's name")  # `k.*` is its element, as `*` is
+            self.index += 2
+            return This(self.since(start), name.text)
         node = self.expression()
         if not self.take_words("AS"):
             return node

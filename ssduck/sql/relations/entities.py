@@ -40,10 +40,16 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "Returns the name of an entity, which is unique in its world.",
     ),
     entity_relation(
+        "name", "string", "object.name", "Returns the name of an entity; the same as `id`."
+    ),
+    entity_relation(
         "type",
         "string",
         "object.kind",
         "Returns the kind of an entity: 'robot', 'kinbody' or 'sensor'.",
+    ),
+    entity_relation(
+        "kind", "string", "object.kind", "Returns the kind of an entity; the same as `type`."
     ),
     entity_relation(
         "tick", "integer", "object.tick", "Returns the number of the tick of an entity."
