@@ -20,7 +20,7 @@ from ssduck.errors import ParseError, SourceSpan
 from ssduck.language.comments import last_opening, without_dashes
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
-from ssduck.language.sql_syntax import SqlForms
+from ssduck.language.sql_syntax import SqlForms, with_numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.language.tree import (
     AdapterClause,
@@ -208,6 +208,7 @@ class _Parser(SqlForms):
         group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
         having = self.condition() if self.take_words("HAVING") else None
         order = self.separated(self.key) if self.take_words("ORDER", "BY") else ()
+        order = tuple(with_numbered_column(key, items) for key in order)
         limit, offset = self.limits(may_be_followed=is_listed)
         if offset is not None and recursion is not None:
             self.fail("expected no OFFSET of paths (it skips rows)")
@@ -230,6 +231,8 @@ class _Parser(SqlForms):
         )
         self.check_condition(where)
         self.check_condition(having)
+        self.check_texts(where)
+        self.check_texts(having)
         self.check_keys(query)
         return self.with_qualified_names(query)
 

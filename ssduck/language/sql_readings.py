@@ -8,7 +8,7 @@ older meaning of a program always comes first, so a program that ran before keep
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
@@ -21,6 +21,7 @@ from ssduck.language.tree import (
     Assignment,
     Binary,
     Call,
+    Index,
     Literal,
     Name,
     Node,
@@ -54,6 +55,9 @@ class Names(Protocol):
     def is_users(self, name: str) -> bool:
         """Checks whether that is a user's function."""
 
+    def is_world_without(self, name: str, entity: str) -> bool:
+        """Checks whether a variable is a world that has no entity of a name."""
+
 
 class SqlReader:
     """Reads the programs of a session.
@@ -64,7 +68,7 @@ class SqlReader:
 
     def __init__(self, names: Names) -> None:
         self._names = names
-        self._doubtful: WeakKeyDictionary[Program, frozenset[str]] = WeakKeyDictionary()
+        self._doubtful: WeakKeyDictionary[Program, _Doubts] = WeakKeyDictionary()
         self._read: WeakKeyDictionary[Program, tuple[object, Program]] = WeakKeyDictionary()
 
     def read(self, program: Program, local: Collection[str] = ()) -> Program:
@@ -76,10 +80,11 @@ class SqlReader:
         """
         doubtful = self._doubtful.get(program)
         if doubtful is None:
-            doubtful = self._doubtful[program] = _doubtful_names(program)
-        if not doubtful:
+            doubtful = self._doubtful[program] = _doubts_of(program)
+        if not doubtful.names:
             return program
-        facts = {name: self._facts_of(name, local) for name in doubtful}
+        facts: dict[Any, Any] = {name: self._facts_of(name, local) for name in doubtful.names}
+        facts.update({pair: self._names.is_world_without(*pair) for pair in doubtful.keys})
         known = self._read.get(program)
         if known is None or known[0] != facts:
             known = self._read[program] = (facts, _Reading(self._names, program, local).program())
@@ -91,13 +96,28 @@ class SqlReader:
         return is_variable, names.is_function(name), names.is_users(name)
 
 
-def _doubtful_names(program: Program) -> frozenset[str]:
-    """Returns the names on which the reading of a program depends; none if it has one reading."""
+@dataclass(frozen=True)
+class _Doubts:
+    """The names on which the reading of a program depends; none if it has one reading.
+
+    Attributes:
+        names: the names.
+        keys: the sources that are called by their variables, with a key behind each: `room.z`.
+    """
+
+    names: frozenset[str] = frozenset()
+    keys: frozenset[tuple[str, str]] = frozenset()
+
+
+def _doubts_of(program: Program) -> _Doubts:
+    """Returns the names on which the reading of a program depends."""
     parts = [part for statement in program.statements for part in statement.walk()]
     is_doubtful = False
     names: set[str] = set()
     aliases: set[str] = set()
     bare: set[str] = set()
+    own_names: set[str] = set()
+    keys: set[tuple[str, str]] = set()
     for part in parts:
         match part:
             case Assignment(name=name):
@@ -109,12 +129,14 @@ def _doubtful_names(program: Program) -> frozenset[str]:
             case Binary(left=left, right=right):
                 is_doubtful |= isinstance(left, Query) or isinstance(right, Query)
             case Source(alias=str() as alias, value=value):
-                if not _is_variable_itself(alias, value):
-                    aliases.add(alias)
+                (own_names if _is_variable_itself(alias, value) else aliases).add(alias)
+            case Index(base=Name(name=name), indices=(Literal(value=str() as key),)):
+                keys.add((name, key))
             case Name(name=name) | QualifiedName(key=name):
                 bare.add(name)
-    is_doubtful |= not aliases.isdisjoint(bare)
-    return frozenset(names | aliases | bare) if is_doubtful else frozenset()
+    keys = {(name, key) for name, key in keys if name in own_names}
+    is_doubtful |= not aliases.isdisjoint(bare) or bool(keys)
+    return _Doubts(frozenset(names | aliases | bare), frozenset(keys)) if is_doubtful else _Doubts()
 
 
 def _lower_builtin(name: str) -> str | None:
@@ -165,6 +187,8 @@ class _Reading:
                 return self._query(part, aliases)
             case Name(name=name) if name in aliases and not self._names.is_function(name):
                 return None if self._has_variable(name) else This(part.span, name)
+            case Index(base=Name(name=name), indices=(Literal(value=str()),)):
+                return self._qualified(part) if f"{name}." in aliases else None
             case Assignment() if self._compares(part):
                 self._resolved_spans.add(part.span)
                 return self._node(_comparison(part), aliases)
@@ -187,12 +211,14 @@ class _Reading:
             if source.alias is not None and not _is_variable_itself(source.alias, source.value)
         }
         visible = (aliases - {source.alias for source in query.sources}) | own
+        # `room.z` where the source is called by its variable.
+        visible |= {f"{s.alias}." for s in query.sources if s.alias not in own}
         parts: dict[str, Any] = {}
         for kind in fields(query):
             value = getattr(query, kind.name)
             inside = visible if kind.name in _OWN_CLAUSES else aliases
             if len(query.sources) == 1 and kind.name in _CLAUSES_WITH_KEYS:
-                inside = frozenset()
+                inside = frozenset(alias for alias in visible if alias.endswith("."))
             if isinstance(value, Node):
                 parts[kind.name] = self._node(value, inside)
             elif isinstance(value, tuple):
@@ -203,6 +229,18 @@ class _Reading:
             if not _is_same(value, getattr(query, name))
         }
         return replace(query, **changed) if changed else query
+
+    def _qualified(self, node: Index) -> Node | None:
+        """Returns `room.z` as a value of the source's element; None if it is an entity."""
+        (index,) = node.indices
+        assert isinstance(node.base, Name)
+        assert isinstance(index, Literal)
+        alias, key = node.base.name, str(index.value)
+        is_text = self._program.text[index.span.start] in "'\""
+        is_known = self._is_own_function(key) and self._names.is_world_without(alias, key)
+        if is_text or not is_known or alias in self._variables:
+            return None
+        return Call(node.span, key, (This(node.base.span, alias),), index.span)
 
     def _compares(self, node: Assignment) -> bool:
         """Checks whether `name = value` in a condition is a comparison."""

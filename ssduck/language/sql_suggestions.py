@@ -30,10 +30,6 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("CAST", "TRY_CAST", "CONVERT"): _CAST,
     ("NULL", "NONE", "NIL"): _MISSING,
     ("COALESCE", "IFNULL", "NVL"): _INSTEAD,
-    ("RANDOM", "RAND"): "a query gives the same result each time; draw numbers in Python",
-    ("ENTITIES", "LINKS", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS", "TICKS"): (
-        "the tables are those of ss.sql; in a program the source is the world: FROM room"
-    ),
     ("NULLIF",): "write IF(…; …; …)",
     ("CONCAT",): "texts are joined by +",
     ("LEN", "LENGTH"): "write count(list); a text's letters are counted in Python",
@@ -78,14 +74,25 @@ _NAMES = frozenset(
         *("ANY", "SOME", "EXISTS", "NULL", "NONE", "NIL", "ALL", "DISTINCT", "CAST", "TRY_CAST"),
         *("CONVERT", "COALESCE", "IFNULL", "NVL", "NULLIF", "CONCAT", "LEN", "LENGTH", "POWER"),
         *("CEILING", "MEAN", "AVERAGE", "UPPER", "LOWER", "SUBSTRING", "SUBSTR", "TRIM"),
-        *("STARTS_WITH", "NOTNULL", "ISNULL", "RANDOM", "RAND", "ENTITIES", "LINKS", "JOINTS"),
-        *("SHAPES", "CONTACTS", "SENSINGS", "TICKS"),
+        *("STARTS_WITH", "NOTNULL", "ISNULL"),
     )
 )
 
 
+_RANDOM = "a query gives the same result each time; draw numbers in Python"
+_TABLE = "the tables are those of ss.sql; in a program the source is the world: FROM room"
+# The suggestions for names of SQL that a program may use as its own.
+_OWN_NAMES = {
+    **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
+    **dict.fromkeys(("ENTITIES", "LINKS", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
+    "TICKS": _TABLE,
+}
+
+
 def suggestion_for_name(name: str) -> str:
     """Returns the suggestion for an unknown name; empty if it is no word of SQL."""
+    if name.upper() in _OWN_NAMES:
+        return _OWN_NAMES[name.upper()]
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 

@@ -201,8 +201,10 @@ class _Resolver:
         is_record = (
             only is not None and only.sql_type is not None and only.sql_type.type == "record"
         )
-        if known or only is None or only.dicts or is_record or not only.known:
+        if known or only is None:
             return part
+        if is_record or only.dicts or not only.known:
+            return self._looked_up(part)
         name = self._names.resolved_name(part.name)
         call = Call(part.span, name, (This(part.span, None),), part.span)
         try:

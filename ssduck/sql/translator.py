@@ -389,7 +389,9 @@ class _Translator:
         nodes = (self.query.limit, self.query.offset)
         given = [node for node in nodes if node is not None]
         if not left and not self.query.group and all(map(_is_small_count, given)):
-            limit, offset = (node.value if isinstance(node, tree.Literal) else None for node in nodes)
+            limit, offset = (
+                node.value if isinstance(node, tree.Literal) else None for node in nodes
+            )
             return limit, offset  # type: ignore[return-value]  # they are whole numbers
         self.result.python_constants += [node for node in given if self.sql.is_constant(node)]
         return None, None
