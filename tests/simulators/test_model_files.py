@@ -427,6 +427,17 @@ def test_other_warnings_about_files(load):
         load('[[body]]\nname = "a"\nurdf = "a.urdf"\n', a_urdf=floating)
 
 
+def test_meshes_that_are_skipped(load):
+    """PyBullet loads the rest of an MJCF file; a URDF or SDF file is an error."""
+    parts = '<geom type="mesh" mesh="c"/><geom type="sphere" size="1"/>'
+    asset = '<asset><mesh name="c" file="no.obj"/></asset>'
+    with pytest.warns(UserWarning, match=r"a.xml \(m\): cannot find 'no.obj' .*type 'mesh'"):
+        load('[[body]]\nmjcf = "a.xml"\n', a_xml=mjcf_of(mjcf_body(parts=parts), before=asset))
+    mesh = "<mesh><uri>no.obj</uri></mesh>"
+    with pytest.raises(SceneError, match=r"body\[0\].sdf: .*cannot find 'no.obj'"):
+        load('[[body]]\nsdf = "a.sdf"\n', a_sdf=sdf_of(sdf_model("m", sdf_link(geometry=mesh))))
+
+
 def test_an_excerpt_does_not_warn_again(load, recwarn):
     with pytest.warns(UserWarning, match="<joint ref>"):
         ss, world = load('[[body]]\nmjcf = "a.xml"\n', a_xml=filled("mjcf", "joint", ' ref="1"'))
@@ -483,6 +494,14 @@ MISTAKES = [
             ),
         ]
     ),
+    (
+        '[[body]]\nsdf = "a.sdf"',
+        {"a_sdf": sdf_of("<include><uri>model://x</uri></include>")},
+        "body[0].sdf",
+        "no body is in it; PyBullet ignores <include>",
+        (),
+    ),
+    ('[[body]]\nmjcf = "a.xml"', {"a_xml": mjcf_of()}, "body[0].mjcf", "no body is in it", ()),
     ('[[body]]\nmjcf = "a.xml"', {"a_xml": "<mujoco"}, "body[0].mjcf", "cannot be loaded", ()),
     ('[[body]]\nsdf = "a.sdf"\nname = ""', {"a_sdf": SDF}, "body[0].name", "expected a text", ()),
     (
