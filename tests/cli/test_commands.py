@@ -84,8 +84,9 @@ def test_demo_in_an_empty_folder(tmp_path):
     assert "\x1b" not in out
     assert not re.search(r" $", out, re.MULTILINE)
     assert max(map(len, out.splitlines())) <= 100
-    assert [path.name for path in tmp_path.iterdir()] == ["kitchen.png"]
-    with Image.open(tmp_path / "kitchen.png") as picture:
+    folder = tmp_path / "ssduck-demo" / "kitchen"
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [folder / "kitchen.png"]
+    with Image.open(folder / "kitchen.png") as picture:
         assert (picture.format, picture.mode, picture.size) == ("PNG", "RGB", (960, 720))
         assert len(picture.getcolors(maxcolors=960 * 720)) > 500
 

@@ -509,8 +509,8 @@ MISTAKES = [
     (
         '[[body]]\nsdf = "a.sdf"\n[[sensor]]\nname = "s"\ntype = "contact_sensor"\non = "crat"',
         {"a_sdf": SDF},
-        "",
-        "'crat'",
+        "sensor[0].on",
+        "there is no body 'crat'",
         None,
     ),
 ]
