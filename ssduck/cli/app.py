@@ -14,20 +14,16 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from ssduck.adapters.display import (
-    WRITERS,
-    DisplayTable,
-    print_line,
-    print_table,
-)
+from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
 from ssduck.cli.records import episodes, export, is_record, open_or_load, record, whole_steps
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 
@@ -36,8 +32,14 @@ class Format(StrEnum):
     """The output formats of `ssduck query`."""
 
     TABLE = "table"
-    JSON = "json"
     CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+    MARKDOWN = "markdown"
+
+
+# The number of rows of a table on a terminal.
+_TERMINAL_ROWS = 40
 
 
 class _Commands(TyperGroup):
@@ -156,6 +158,9 @@ def _ssduck(
         typer.echo(context.get_help())
 
 
+# Its folders have the names of demonstrations and scenes.
+_DEMO_FOLDER = Path("ssduck-demo")
+
 _DemoName = Annotated[
     str,
     typer.Argument(metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."),
@@ -166,7 +171,7 @@ _OutputFolder = Annotated[
         "--out",
         metavar="FOLDER",
         help="The folder for pictures and files. It is made if necessary; other files in it stay.",
-        show_default="demo-NAME; for kitchen and scenes, the current folder",
+        show_default="ssduck-demo/NAME",
     ),
 ]
 _PictureFile = Annotated[
@@ -177,7 +182,7 @@ _PictureFile = Annotated[
         metavar="FILE",
         help="For kitchen and scenes: the file of the picture, in the format of its ending. "
         "An existing file is replaced.",
-        show_default="NAME.png after the scene, or a free name beside it",
+        show_default="NAME.png in the folder, or a free name beside it",
     ),
 ]
 
@@ -219,17 +224,16 @@ def demo(
         other = "--no-picture" if out is None else "--out"
         raise typer.BadParameter(f"--output and {other} exclude each other")
     if name not in NAMES or name == "kitchen":
-        folder = _created_folder(out or Path()) if picture else None
-        _demonstrate_scene(name, folder, output, with_sql=sql)
+        _demonstrate_scene(name, out, output, with_picture=picture, with_sql=sql)
         return
     if output is not None or not picture or not sql:
         raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
-    if not run_of(name)(_created_folder(out or Path(f"demo-{name}")), print_line, seed=seed):
+    if not run_of(name)(_created_folder(out or _DEMO_FOLDER / name), print_line, seed=seed):
         raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
 
 
 def _demonstrate_scene(
-    name: str, folder: Path | None, output: Path | None, *, with_sql: bool
+    name: str, out: Path | None, output: Path | None, *, with_picture: bool, with_sql: bool
 ) -> None:
     """Demonstrates a scene by queries, with a picture in a folder or a file, if requested.
 
@@ -246,6 +250,9 @@ def _demonstrate_scene(
         message = f"there is no demonstration {name!r}: {', '.join(NAMES)}; and {error.message}"
         names = dict.fromkeys((*nearest(name, NAMES), *error.suggestions))
         raise UnknownNameError(message, suggestions=tuple(names)) from error
+    folder = None
+    if with_picture and output is None:
+        folder = _created_folder(out or _DEMO_FOLDER / scene.name)
     ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
 
 
@@ -300,9 +307,34 @@ def query(
         typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
     ] = None,
     format: Annotated[
-        Format,
-        typer.Option("--format", "-F", metavar="table|json|csv", help="The format of the result."),
-    ] = Format.TABLE,
+        Format | None,
+        typer.Option(
+            "--format",
+            "-F",
+            metavar="table|csv|json|parquet|markdown",
+            help="The format of the result.",
+            show_default="that of the ending of --output, or table",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the whole result to a file; an existing one is replaced.",
+            show_default="standard output",
+        ),
+    ] = None,
+    rows: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Print at most N rows of a table: the first and the last ones.",
+            show_default="40 on a terminal, otherwise all",
+        ),
+    ] = None,
     sql: Annotated[
         bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
     ] = False,
@@ -313,13 +345,14 @@ def query(
     episode: _Episode = None,
     strict: _Strict = False,
 ) -> None:
-    """Run a program on a scene or a record, and write its result to standard output.
+    """Run a program on a scene or a record, and write its result.
 
     A program that begins with a minus sign follows two of them:
     ssduck query kitchen -- '-1;'
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
+    write = _writer_of_result(format, output, rows)
     text = _program_text(program, file)
 
     from ssduck.simulators.scenes import find_scene
@@ -335,7 +368,33 @@ def query(
         if steps:
             ss.call_variable(description.name).step(steps)
         value = ss.sql(text) if sql else ss.eval(text)
-    WRITERS[format](value)
+    write(value)
+
+
+def _writer_of_result(
+    name: Format | None, output: Path | None, rows: int | None
+) -> Callable[[Any], object]:
+    """Returns the function that writes a result to standard output or a file.
+
+    Raises:
+        BadParameter: the options exclude each other, or Parquet has no file.
+        UnknownNameError: no format has the ending of the file.
+    """
+    from ssduck.adapters.formats import FORMATS, format_of, print_value, save
+
+    if name is None:
+        format = FORMATS["table"] if output is None else format_of(output)
+    else:
+        format = FORMATS[name]
+    if rows is not None and (output is not None or format.name != "table"):
+        raise typer.BadParameter("--rows is for tables on standard output")
+    if output is not None:
+        return partial(save, path=output, format=format)
+    if format.is_binary:
+        raise typer.BadParameter(f"--format {format.name}: name a file, as in -o result.parquet")
+    if rows is None and terminal_width() is not None:
+        rows = _TERMINAL_ROWS
+    return partial(print_value, format=format, max_rows=rows)
 
 
 for command in (record, export, episodes):

@@ -19,13 +19,14 @@ from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
     SceneError,
+    SelectScriptError,
     UnknownNameError,
     UnsupportedError,
     nearest,
 )
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Indices
-from ssduck.schema import MARGINS, MASSES
+from ssduck.schema import MARGINS, MASSES, ON_DEMAND, RECORDED_BY_DEFAULT
 from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
 from ssduck.simulators.kinematics import (
@@ -77,7 +78,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
             if info.sensor is not None and not info.sensor.powered:
                 self.snapshot.switch(info.id, on=False)
         with self.lock:
+            # So a recording with these tables begins without a second tick of the same time.
+            self.snapshot.recorded = ON_DEMAND.intersection(RECORDED_BY_DEFAULT)
             self._take_tick()
+            self._read_recorded()
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
         self.camera = camera
@@ -425,6 +429,15 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+
+    def _repr_png_(self) -> bytes | None:
+        """Returns a picture for notebooks; None if the world cannot be rendered."""
+        from ssduck.world.pictures import png
+
+        try:
+            return png(self)
+        except SelectScriptError:  # its simulation is closed, say; the text is shown then
+            return None
 
     # -- sensors --------------------------------------------------------------------------
 

@@ -198,6 +198,7 @@ CALLS = {
     "Recording(changed)": ("flag", False, lambda _, v: ssduck.Recording(changed=v)),
     "Recording(seconds)": ("seconds above 0", True, lambda _, v: ssduck.Recording(seconds=v)),
     "Recording(ticks)": ("above 0", True, lambda _, v: ssduck.Recording(ticks=v)),
+    "Recording(max_bytes)": ("above 0", True, lambda _, v: ssduck.Recording(max_bytes=v)),
     "OccupancyGrid.at(point)": ("inside", False, lambda _, v: occupied().at(v, 0.5)),
     "OccupancyGrid.centres(axis)": ("index", False, lambda _, v: occupied().centres(v)),
     "OccupancyGrid.load(unknown)": (
