@@ -2,7 +2,8 @@
 
 `python tools/write_reference.py` takes some seconds: it writes `docs/reference/relations.md` from
 the registry of relations and functions, `docs/reference/tables.md` from the declarations of
-tables, `docs/reference/sql-queries.md` from the tests' `sql_queries.toml` and `room.toml`, and the marked sections of `docs/reference/command-line.md` from the command `ssduck`.
+tables, `docs/reference/sql-queries.md` from the tests' `sql_queries.toml` and `room.toml`, and the
+marked sections of `docs/reference/command-line.md` from the command `ssduck`.
 `--check` only compares them, with exit status 1 if a page differs.
 """
 
