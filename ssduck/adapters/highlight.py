@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.world.entities import Entity, Sensor
+from ssduck.world.entities import Sensor
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _FADE = 0.72
 _WIDTH = 2
 
 
-def highlighted(world: World, entities: Iterable[Entity], width: int, height: int) -> Image.Image:
+def highlighted(world: World, entities: Iterable[Handle], width: int, height: int) -> Image.Image:
     """Returns a picture by the world's camera with entities outlined and all else faded.
 
     Args:
@@ -50,11 +51,11 @@ def highlighted(world: World, entities: Iterable[Entity], width: int, height: in
         twin.close()
 
 
-def _visible_body(entity: Entity) -> int:
+def _visible_body(entity: Handle) -> int:
     """Returns the id of the body that represents an entity in the picture."""
     if not entity.is_there:
         raise entity.removed()
-    return entity.host if isinstance(entity, Sensor) else entity.id
+    return entity.host if isinstance(entity, Sensor) else entity.entity.id
 
 
 def _render_highlighted(

@@ -111,6 +111,24 @@ class NarrowPhase:
         # DuckDB calls from its own threads. Without the lock, pairs would be compared twice.
         self._lock = RLock()
 
+    def regrouped(self, shapes: Indices, starts: Sequence[int]) -> NarrowPhase:
+        """Returns the narrow phase of the same tick with other groups of shapes as entities.
+
+        Args:
+            shapes: the numbers of the shapes; a shape may be there several times.
+            starts: (entities + 1,), the first of the shapes of each entity.
+        """
+        return NarrowPhase(
+            self._solids,
+            shapes,
+            self._positions[shapes],
+            self._orientations[shapes],
+            self._boxes[shapes],
+            starts,
+            self.calls,
+            np.array(self._margins)[shapes],
+        )
+
     # -- relations ------------------------------------------------------------------------
 
     def collides(self, i: int, j: int, min_depth: float = MIN_DEPTH) -> bool | None:
