@@ -442,6 +442,8 @@ TABLES: Mapping[str, Table] = {table.name: table for table in _DECLARED if table
 ON_DEMAND = frozenset(table.name for table in _DECLARED if table.is_on_demand)
 # The tables that users choose to record; `ticks` is recorded always, and models once.
 RECORDABLE = tuple(table.name for table in _DECLARED if table.is_recordable)
+# The tables that are recorded unless the user chooses others.
+RECORDED_BY_DEFAULT = ("entities", "links", "contacts")
 # The tables of ticks that a record may store, by name.
 RECORDED: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.has_history}
 # The recorded tables that users see.

@@ -1,10 +1,11 @@
 """Fixtures of all tests: a PyBullet client, files written on the spot, the kitchen's facts.
 
 The folders follow the packages of `ssduck`; `end_to_end` tests the whole, `support` holds what several
-files use. `python -m pytest` runs everything, in a process for each core; `-n 0` runs in one
-process, for a debugger or `-s`. The marker `slow` stands at tests that take seconds or draw many random
-cases: `-m "not slow"`, which is `make test`, leaves them out. A test may run beside any other, in any
-order: it keeps its files in `tmp_path` and closes what it opens.
+files use. `python -m pytest` runs everything, in a process for each core; `-n 0` runs in one process,
+for a debugger or `-s`. `-m "not slow"`, which is `make test`, leaves out the tests and cases that are
+marked `slow`: those that take long or draw many random cases. Of a test that is parametrized by
+`sampled` it runs a sample. A test may run beside any other, in any order: it keeps its files in
+`tmp_path` and closes what it opens.
 """
 
 from __future__ import annotations

@@ -1,27 +1,28 @@
-"""Writes values for people and programs: as a table, as JSON, as CSV."""
+"""Turns values into rows and texts for people: tables, and values on one line."""
 
 from __future__ import annotations
 
-import csv
 import datetime as dt
-import json
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import partial
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     from rich.console import Console
 
     from ssduck.adapters.text_table import FittedTable
 
 # The width of output that goes elsewhere than to a terminal, in characters.
 WIDTH = 100
+# Stands for rows that are left out.
+ROW_MARK = "·"
 
 
 @dataclass(frozen=True)
@@ -33,12 +34,45 @@ class DisplayTable:
         rows: the rows; they may differ in length if `columns` is empty.
         named: whether the names of the columns come from the value.
         types: DuckDB's names of the columns' types; empty if unknown.
+        omitted: the number of rows left out in the middle.
     """
 
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
     named: bool = True
     types: Sequence[str] = ()
+    omitted: int = 0
+
+    def shortened(self, maximum: int) -> DisplayTable:
+        """Returns the table with its first and its last rows only, at most `maximum` together."""
+        omitted = len(self.rows) - maximum
+        if omitted <= 0:
+            return self
+        last = maximum // 2
+        rows = [*self.rows[: maximum - last], *self.rows[len(self.rows) - last :]]
+        return replace(self, rows=rows, omitted=omitted)
+
+    @property
+    def is_list(self) -> bool:
+        """Whether it is a list of plain values, which is shown without a head."""
+        return bool(self.columns) and not self.named
+
+    @property
+    def row_note(self) -> str:
+        """The number of rows, if some are left out or there are none; otherwise empty."""
+        shown = len(self.rows)
+        if self.omitted:
+            total = shown + self.omitted
+            return f"{total} row{'' if total == 1 else 's'} ({shown} shown)"
+        return "(no rows)" if self.columns and not shown else ""
+
+    def texts(self) -> list[list[str]]:
+        """Returns the texts of the cells; a row of · replaces those left out."""
+        lines = [[on_one_line(value) for value in row] for row in self.rows]
+        if self.omitted:
+            count = max([len(self.columns), *map(len, lines)])
+            lines.insert((len(lines) + 1) // 2, [ROW_MARK] * count)
+        return lines
 
 
 class RowsOfColumns(ABC):
@@ -59,6 +93,10 @@ class RowsOfColumns(ABC):
         """Returns the rows not fetched yet, as tuples."""
 
     @abstractmethod
+    def arrow(self) -> pa.Table:
+        """Returns the rows as a pyarrow table."""
+
+    @abstractmethod
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
         """Iterates over all rows, as tuples."""
 
@@ -69,8 +107,10 @@ def display_table(value: Any) -> DisplayTable:
     >>> display_table([{"id": "sink", "volume": 0.03}]).columns
     ['id', 'volume']
     """
+    if isinstance(value, DisplayTable):
+        return value
     if isinstance(value, RowsOfColumns):
-        return DisplayTable(_numbered_duplicates(value.columns), list(value), types=value.types)
+        return DisplayTable(numbered_duplicates(value.columns), list(value), types=value.types)
     if isinstance(value, dict):
         return DisplayTable(["key", "value"], list(value.items()))
     if value is None:
@@ -79,15 +119,15 @@ def display_table(value: Any) -> DisplayTable:
         return DisplayTable(["value"], [[value]], named=False)
     if value and all(isinstance(row, dict) for row in value):
         names = list(dict.fromkeys(name for row in value for name in row))
-        return DisplayTable(
-            [_key(name) for name in names], [[*map(row.get, names)] for row in value]
-        )
+        rows = [[*map(row.get, names)] for row in value]
+        types = [_type_of(column) for column in zip(*rows, strict=True)]
+        return DisplayTable([json_key(name) for name in names], rows, types=types)
     if value and all(isinstance(row, list) for row in value):
         return DisplayTable([], value, named=False)
     return DisplayTable(["value"], [[element] for element in value], named=False)
 
 
-def _numbered_duplicates(names: Sequence[str]) -> list[str]:
+def numbered_duplicates(names: Sequence[str]) -> list[str]:
     """Returns names without repetitions, by appending numbers."""
     unique: list[str] = []
     for name in names:
@@ -96,45 +136,27 @@ def _numbered_duplicates(names: Sequence[str]) -> list[str]:
     return unique
 
 
-def _write_table(value: Any) -> None:
-    table = display_table(value)
-    if table.columns and not table.named:
-        for row in table.rows:
-            print_line(readable(row[0]))
-    elif table.columns or table.rows:
-        print_table(table)
-    if table.columns and not table.rows and value is not None:
-        print_line("(no rows)")
+# DuckDB's names of the types of Python's values.
+_TYPES = {bool: "boolean", int: "bigint", float: "double", str: "varchar", dict: "struct"}
 
 
-def _write_json(value: Any) -> None:
-    if isinstance(value, RowsOfColumns):
-        columns = _numbered_duplicates(value.columns)
-        value = [dict(zip(columns, row, strict=True)) for row in value.fetchall()]
-    ascii_only = (sys.stdout.encoding or "").lower() not in ("utf-8", "utf8")
-    if not (isinstance(value, list) and any(isinstance(row, list | dict) for row in value)):
-        print_line(json.dumps(as_json(value), ensure_ascii=ascii_only))
-        return
-    start = "[\n"
-    for row in value:  # one row per line is readable for people, too
-        sys.stdout.write(start + json.dumps(as_json(row), ensure_ascii=ascii_only))
-        start = ",\n"
-    print_line("\n]")
+def _type_of(values: Iterable[Any]) -> str:
+    """Returns DuckDB's name of the type of values; empty if unknown or if there are several.
 
-
-def _write_csv(value: Any) -> None:
-    table = display_table(value)
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    if table.columns:
-        writer.writerow(table.columns)
-    writer.writerows([[_cell(element) for element in row] for row in table.rows])
-
-
-WRITERS: dict[str, Callable[[Any], None]] = {
-    "table": _write_table,
-    "json": _write_json,
-    "csv": _write_csv,
-}
+    >>> _type_of([None, [0, 0.5]])
+    'double[]'
+    """
+    present = [value for value in values if value is not None]
+    kinds = set(map(type, present))
+    if kinds == {int, float}:
+        return "double"
+    if len(kinds) != 1:
+        return ""
+    (kind,) = kinds
+    if kind in (list, tuple):
+        element = _type_of(element for value in present for element in value)
+        return f"{element}[]" if element else "list"
+    return _TYPES.get(kind, "")
 
 
 def as_json(value: Any) -> Any:
@@ -151,7 +173,7 @@ def as_json(value: Any) -> Any:
         case list() | tuple():
             return [as_json(element) for element in value]
         case dict():
-            return {_key(key): as_json(element) for key, element in value.items()}
+            return {json_key(key): as_json(element) for key, element in value.items()}
         case bytes():
             return value.hex()
     return _other_as_json(value)
@@ -177,12 +199,15 @@ def _other_as_json(value: Any) -> Any:
     return str(value)
 
 
-def _key(key: Any) -> str:
-    return key if isinstance(key, str) else _cell(key)
+def json_key(key: Any) -> str:
+    """Returns the name in JSON of a key of a dict."""
+    return key if isinstance(key, str) else cell_text(key)
 
 
-def _cell(value: Any) -> str:
+def cell_text(value: Any) -> str:
     """Returns the text of a value in a CSV file: a string as it is, NULL as nothing, else JSON."""
+    import json
+
     plain = as_json(value)
     if plain is None:
         return ""
@@ -232,52 +257,83 @@ def plain_console() -> Console:
 
 
 def terminal_width() -> int | None:
-    """Returns the width of the terminal of standard output; None if output goes elsewhere."""
+    """Returns the width of the terminal of standard output; None if output is not to be cut.
+
+    A notebook has the width of a page. Files and pipes have none.
+    """
     from rich.console import Console
 
     console = Console()
-    return console.width if console.is_terminal else None
+    if console.is_terminal:
+        return console.width
+    return WIDTH if _is_notebook() else None
+
+
+def _is_notebook() -> bool:
+    """Checks whether the process is the kernel of a notebook, whose pages fold long lines."""
+    return "ipykernel" in sys.modules and not hasattr(sys.stdout, "buffer")
 
 
 def print_table(table: DisplayTable) -> None:
     """Prints a table, fitted to the terminal if standard output is one."""
     console = plain_console()
-    if console.is_terminal:
+    if console.is_terminal and not table.is_list:
         console.print(fitted_table(table))
     else:
-        sys.stdout.writelines(f"{line}\n" for line in text_lines(table))
+        sys.stdout.writelines(f"{line}\n" for line in table_lines(table))
 
 
-def fitted_table(table: DisplayTable, note: str = "") -> FittedTable:
-    """Returns a table that fits itself to the width of a terminal.
+def table_lines(table: DisplayTable, width: int | None = None) -> Iterable[str]:
+    """Returns the lines of a table with a note on its rows, or of a plain list of values.
 
     Args:
         table: the rows.
-        note: a line below the rows.
+        width: the maximal width, characters; None for the full width.
     """
+    if table.is_list:
+        lines: Iterable[str] = _value_lines(table)
+    elif width is not None:
+        return fitted_table(table).lines(width)
+    else:
+        lines = text_lines(table)
+    return chain(lines, [table.row_note] if table.row_note else [])
+
+
+def _value_lines(table: DisplayTable) -> list[str]:
+    """Returns the texts of plain values, which may have several lines each."""
+    lines = [readable(row[0]) for row in table.rows]
+    if table.omitted:
+        lines.insert((len(lines) + 1) // 2, ROW_MARK)
+    return lines
+
+
+def fitted_table(table: DisplayTable) -> FittedTable:
+    """Returns a table that fits itself to the width of a terminal."""
     from ssduck.adapters.text_table import FittedTable, TextColumn
 
     head_lines = (table.columns, table.types) if table.types else (table.columns,)
-    heads = list(zip(*(map(_on_one_line, names) for names in head_lines), strict=True))
-    lines = [[_on_one_line(value) for value in row] for row in table.rows]
+    heads = list(zip(*(map(on_one_line, names) for names in head_lines), strict=True))
+    lines = table.texts()
     cells = list(zip_longest(*lines, fillvalue="")) or [()] * len(heads)
     if not table.named:
         heads = [()] * len(cells)
-    parts = zip(heads, cells, _are_numeric(table), strict=True)
-    return FittedTable([TextColumn(*part) for part in parts], note)
+    parts = zip(heads, cells, are_numeric(table), strict=True)
+    return FittedTable([TextColumn(*part) for part in parts], table.row_note)
 
 
 def text_lines(table: DisplayTable) -> Iterator[str]:
     """Yields the lines of a table at full width, for files and other programs."""
     from rich.cells import cell_len
 
-    lines = [[_on_one_line(value) for value in row] for row in table.rows]
+    lines = table.texts()
+    if not (table.columns or lines):
+        return
     if table.named:
-        lines.insert(0, [_on_one_line(name) for name in table.columns])
+        lines.insert(0, [on_one_line(name) for name in table.columns])
     widths = [max(map(cell_len, cells)) for cells in zip_longest(*lines, fillvalue="")]
     if table.named:
         lines.insert(1, ["-" * width for width in widths])
-    numeric = _are_numeric(table)
+    numeric = are_numeric(table)
     for line in lines:
         padded = (
             " " * (width - cell_len(text)) + text
@@ -288,7 +344,7 @@ def text_lines(table: DisplayTable) -> Iterator[str]:
         yield "  ".join(padded).rstrip()
 
 
-def _are_numeric(table: DisplayTable) -> list[bool]:
+def are_numeric(table: DisplayTable) -> list[bool]:
     """Returns, for each column, whether it holds numbers only and so is aligned right."""
     columns = zip_longest(*table.rows)
     numeric = [all(map(_is_number, column)) for column in columns]
@@ -301,7 +357,7 @@ def _is_number(value: Any) -> bool:
     )
 
 
-def _on_one_line(value: Any) -> str:
+def on_one_line(value: Any) -> str:
     """Returns the text of `readable` with line ends and control characters escaped."""
     text = readable(value)
     return text if text.isprintable() else repr(text)[1:-1]

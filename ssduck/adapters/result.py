@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import pyarrow as pa
@@ -123,6 +125,33 @@ class Result(RowsOfColumns):
 
         return cast("pl.DataFrame", library("polars", "polars").from_arrow(self._table))
 
+    def show(self, rows: int | None = None, width: int | None = None) -> None:
+        """Prints the first and the last rows as a table.
+
+        Args:
+            rows: the maximal number of rows, 20 by default.
+            width: the maximal width, characters; by default that of the terminal, if there is one.
+
+        Raises:
+            NumberError: `rows` or `width` is not such a number.
+        """
+        sys.stdout.write(f"{_view(self, rows).text(width)}\n")
+
+    def save(self, path: str | Path) -> Path:
+        """Writes all rows to a file in the format of its suffix, and returns its path.
+
+        Args:
+            path: the file: `.csv`, `.json`, `.parquet`, `.md` (Markdown) or `.txt` (the table). An
+                existing one is replaced.
+
+        Raises:
+            UnknownNameError: no format has the suffix.
+            ArgumentError: the file cannot be written.
+        """
+        from ssduck.adapters.formats import save
+
+        return save(self, Path(path))
+
     def __len__(self) -> int:
         return int(self._table.num_rows)
 
@@ -139,21 +168,21 @@ class Result(RowsOfColumns):
         return f"<Result: {rows} rows of {prefix}{', '.join(names)}>"
 
     def __str__(self) -> str:
-        """Returns the first rows as a text table."""
+        """Returns the first and the last rows as a text table, as `show` prints it."""
         return repr(_view(self))
 
     def _repr_html_(self) -> str:
-        """Returns the first rows as an HTML table for notebooks."""
+        """Returns the first and the last rows as an HTML table for notebooks."""
         return _view(self)._repr_html_()
 
     def __rich__(self) -> TableView:
         return _view(self)
 
 
-def _view(result: Result) -> TableView:
-    from ssduck.adapters.table_view import TableView
+def _view(result: Result, rows: int | None = None) -> TableView:
+    from ssduck.adapters.table_view import MAX_ROWS, TableView
 
-    return TableView(result)
+    return TableView(result, MAX_ROWS if rows is None else rows)
 
 
 def python_values(column: pa.ChunkedArray | pa.Array) -> list[Any]:

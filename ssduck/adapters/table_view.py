@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import html
-from dataclasses import replace
 from typing import Any
 
 from ssduck import validation
 from ssduck.adapters.display import (
-    DisplayTable,
+    ROW_MARK,
     display_table,
     fitted_table,
     readable,
+    table_lines,
     terminal_width,
-    text_lines,
 )
 from ssduck.adapters.text_table import FittedTable
 
@@ -22,10 +21,11 @@ MAX_ROWS = 20
 
 
 class TableView:
-    """A view of a value as a table: its first rows, numbers rounded to six digits.
+    """A view of a value as a table: its first and last rows, numbers rounded to six digits.
 
-    A terminal shows text that fits its width, a notebook shows HTML, and rich a table of its own.
-    Other output is text at full width.
+    A row of · stands for the rows in the middle that are left out, and a line below has the
+    counts. A terminal shows text that fits its width, a notebook shows HTML, and rich a table of
+    its own. Other output is text at full width.
 
     Args:
         value: the rows, a list of dicts for example.
@@ -34,52 +34,68 @@ class TableView:
     Raises:
         NumberError: `rows` is not a whole number of at least 0.
 
-    >>> TableView([{"id": "sink", "volume": 0.03}, {"id": "cup", "volume": 4e-4}], rows=1)
-    id    volume
-    ----  ------
-    sink    0.03
-    first 1 of 2 rows
+    >>> heights = [{"id": "sink", "z": 0.9}, {"id": "cup", "z": 1.0}, {"id": "lamp", "z": 2.1}]
+    >>> TableView(heights, rows=2)
+    id      z
+    ----  ---
+    sink  0.9
+    ·       ·
+    lamp  2.1
+    3 rows (2 shown)
     """
 
     def __init__(self, value: Any, rows: int = MAX_ROWS) -> None:
         rows = validation.integer(rows, "show: rows", minimum=0)
-        table = display_table(value)
-        self._count = len(table.rows)
-        self._table: DisplayTable = replace(table, rows=list(table.rows)[:rows])
+        self._table = display_table(value).shortened(rows)
 
-    @property
-    def _note(self) -> str:
-        """The note on rows that are not shown; empty if all are."""
-        shown = len(self._table.rows)
-        if not self._count:
-            return "(no rows)"
-        return f"first {shown} of {self._count} rows" if shown < self._count else ""
+    def text(self, width: int | None = None) -> str:
+        """Returns the table as a text.
+
+        Args:
+            width: the maximal width, characters; by default that of the terminal, if there is one.
+
+        Raises:
+            NumberError: `width` is not a whole number of at least 1.
+        """
+        if width is None:
+            width = terminal_width()
+        else:
+            width = validation.integer(width, "show: width", minimum=1)
+        return "\n".join(table_lines(self._table, width))
 
     def __repr__(self) -> str:
-        table = self._table
-        if table.columns and not table.named:
-            lines = [readable(row[0]) for row in table.rows]
-        elif (width := terminal_width()) is not None:
-            return "\n".join(self.__rich__().lines(width))
-        else:
-            lines = list(text_lines(table)) if table.columns or table.rows else []
-        return "\n".join([*lines, self._note] if self._note else lines)
+        return self.text()
 
     def _repr_html_(self) -> str:
-        view = self._table
-        head = "".join(f"<th>{_cell(name)}</th>" for name in view.columns if view.named)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{_cell(value)}</td>" for value in row) + "</tr>"
-            for row in view.rows
-        )
+        table = self._table
+        names = [*map(_escaped, table.columns)] if table.named else []
+        types = [f"<br><small>{_escaped(type)}</small>" for type in table.types]
+        head = _html_row("th", [*map("".join, zip(names, types, strict=True))] if types else names)
+        rows = [_html_row("td", map(_escaped, row)) for row in table.rows]
+        if table.omitted:
+            count = max([len(table.columns), *map(len, table.rows)])
+            rows.insert((len(rows) + 1) // 2, _html_row("td", [ROW_MARK] * count))
         note = f"<p>{self._note}</p>" if self._note else ""
-        html_table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        html_table = f"<table><thead>{head}</thead><tbody>{''.join(rows)}</tbody></table>"
         # A wide table scrolls instead of widening the notebook.
         return f'<div style="overflow-x: auto">{html_table}</div>{note}'
 
+    @property
+    def _note(self) -> str:
+        """The numbers of rows and of columns, if rows are left out."""
+        table = self._table
+        if not (table.omitted and table.named):
+            return table.row_note
+        count = len(table.columns)
+        return f"{table.row_note}, {count} column{'' if count == 1 else 's'}"
+
     def __rich__(self) -> FittedTable:
-        return fitted_table(self._table, self._note)
+        return fitted_table(self._table)
 
 
-def _cell(value: Any) -> str:
+def _html_row(tag: str, cells: Any) -> str:
+    return f"<tr>{''.join(f'<{tag}>{cell}</{tag}>' for cell in cells)}</tr>"
+
+
+def _escaped(value: Any) -> str:
     return html.escape(readable(value))

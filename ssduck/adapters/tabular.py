@@ -14,8 +14,9 @@ import pyarrow as pa
 from ssduck import validation
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.adapters.columns import checked_names, plain_value, table_of
-from ssduck.adapters.display import as_json
+from ssduck.adapters.display import DisplayTable, as_json
 from ssduck.adapters.files import check_file, replace_file
+from ssduck.adapters.formats import FORMATS, text_of
 from ssduck.adapters.optional import library
 from ssduck.adapters.result import Result, python_values
 from ssduck.sql.types import EXACT
@@ -62,6 +63,18 @@ def _json(selection: Selection, indent: int | None = None) -> str:
     names = checked_names(selection.columns)
     rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
     return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)
+
+
+def _csv(selection: Selection) -> str:
+    return text_of(_named_rows(selection), FORMATS["csv"])
+
+
+def _markdown(selection: Selection) -> str:
+    return text_of(_named_rows(selection), FORMATS["markdown"])
+
+
+def _named_rows(selection: Selection) -> DisplayTable:
+    return DisplayTable(checked_names(selection.columns), selection.rows)
 
 
 def _records(selection: Selection) -> list[tuple[Any, ...]]:
@@ -163,6 +176,18 @@ TABULAR = (
         ("json",),
         "A JSON text, a list of objects. Entities appear by name, NaN and infinities as null.",
         _json,
+        needs="columns",
+    ),
+    Adapter(
+        ("csv",),
+        "A CSV text with a line of the columns' names. Entities appear by name, lists as JSON.",
+        _csv,
+        needs="columns",
+    ),
+    Adapter(
+        ("markdown",),
+        "A table in Markdown, with numbers rounded to six digits.",
+        _markdown,
         needs="columns",
     ),
     Adapter(("records",), "A list of named tuples, one for each row.", _records),

@@ -81,7 +81,7 @@ class FittedTable:
 
     Args:
         columns: the columns; all have the same number of cells.
-        note: a line below the rows; empty for none.
+        note: the number of rows, for the line below them; empty for none.
     """
 
     def __init__(self, columns: Sequence[TextColumn], note: str = "") -> None:
@@ -185,12 +185,16 @@ def _outermost(
             [columns[0], mark], [room_beside_mark, mark.natural_width], omitted=len(columns) - 1
         )
     left, right = 1, 0
+    used = min_elided[0]
+    # A column of the shorter side is added first; if it is too wide, one of the other side.
     while True:
-        tried = (left, right + 1) if right < left else (left + 1, right)
-        sides = [*min_elided[: tried[0]], *min_elided[len(columns) - tried[1] :]]
-        if _total(sides) > room_beside_mark:
+        sides = (min_elided[left], min_elided[len(columns) - 1 - right])
+        order = (1, 0) if right < left else (0, 1)
+        fitting = [side for side in order if used + len(GAP) + sides[side] <= room_beside_mark]
+        if not fitting or left + right == len(columns) - 1:
             break
-        left, right = tried
+        used += len(GAP) + sides[fitting[0]]
+        left, right = (left, right + 1) if fitting[0] else (left + 1, right)
     end = len(columns) - right
     chosen = [*columns[:left], *columns[end:]]
     widths = _spread(

@@ -14,20 +14,16 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from ssduck.adapters.display import (
-    WRITERS,
-    DisplayTable,
-    print_line,
-    print_table,
-)
+from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
 from ssduck.cli.records import episodes, export, is_record, open_or_load, record, whole_steps
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 
@@ -36,8 +32,14 @@ class Format(StrEnum):
     """The output formats of `ssduck query`."""
 
     TABLE = "table"
-    JSON = "json"
     CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+    MARKDOWN = "markdown"
+
+
+# The number of rows of a table on a terminal.
+_TERMINAL_ROWS = 40
 
 
 class _Commands(TyperGroup):
@@ -300,9 +302,34 @@ def query(
         typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
     ] = None,
     format: Annotated[
-        Format,
-        typer.Option("--format", "-F", metavar="table|json|csv", help="The format of the result."),
-    ] = Format.TABLE,
+        Format | None,
+        typer.Option(
+            "--format",
+            "-F",
+            metavar="table|csv|json|parquet|markdown",
+            help="The format of the result.",
+            show_default="that of the ending of --output, or table",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the whole result to a file; an existing one is replaced.",
+            show_default="standard output",
+        ),
+    ] = None,
+    rows: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            metavar="N",
+            help="Print at most N rows of a table: the first and the last ones.",
+            show_default="40 on a terminal, otherwise all",
+        ),
+    ] = None,
     sql: Annotated[
         bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
     ] = False,
@@ -313,13 +340,14 @@ def query(
     episode: _Episode = None,
     strict: _Strict = False,
 ) -> None:
-    """Run a program on a scene or a record, and write its result to standard output.
+    """Run a program on a scene or a record, and write its result.
 
     A program that begins with a minus sign follows two of them:
     ssduck query kitchen -- '-1;'
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
+    write = _writer_of_result(format, output, rows)
     text = _program_text(program, file)
 
     from ssduck.simulators.scenes import find_scene
@@ -335,7 +363,33 @@ def query(
         if steps:
             ss.call_variable(description.name).step(steps)
         value = ss.sql(text) if sql else ss.eval(text)
-    WRITERS[format](value)
+    write(value)
+
+
+def _writer_of_result(
+    name: Format | None, output: Path | None, rows: int | None
+) -> Callable[[Any], object]:
+    """Returns the function that writes a result to standard output or a file.
+
+    Raises:
+        BadParameter: the options exclude each other, or Parquet has no file.
+        UnknownNameError: no format has the ending of the file.
+    """
+    from ssduck.adapters.formats import FORMATS, format_of, print_value, save
+
+    if name is None:
+        format = FORMATS["table"] if output is None else format_of(output)
+    else:
+        format = FORMATS[name]
+    if rows is not None and (output is not None or format.name != "table"):
+        raise typer.BadParameter("--rows is for tables on standard output")
+    if output is not None:
+        return partial(save, path=output, format=format)
+    if format.is_binary:
+        raise typer.BadParameter(f"--format {format.name}: name a file, as in -o result.parquet")
+    if rows is None and terminal_width() is not None:
+        rows = _TERMINAL_ROWS
+    return partial(print_value, format=format, max_rows=rows)
 
 
 for command in (record, export, episodes):

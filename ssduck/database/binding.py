@@ -18,7 +18,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.lookups import LOOKUPS
 from ssduck.recording.replay.record import Record
-from ssduck.recording.spec import not_recorded_message
+from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
 from ssduck.simulators.joints import EntityJoints
@@ -259,10 +259,12 @@ class BoundWorld:
             UnsupportedError: the table is not recorded.
         """
         if self.history is None:
-            raise UnsupportedError(f"the ticks of {self.world.name!r} are not recorded")
+            raise UnsupportedError(no_ticks_message(self.world.name))
         record = self.history.record
         if table not in record.tables:
-            raise UnsupportedError(not_recorded_message(table, self.world.name))
+            recording, is_live = self.history.store.recording, self.history.recorder is not None
+            name = self.schemas[0] if self.schemas else self.world.name
+            raise UnsupportedError(not_recorded_message(table, name, recording, is_live=is_live))
         return record.rows(table, tick)
 
     def recorded_numbers(self, kind: str, tick: int, a: int, b: int) -> list[float]:

@@ -28,7 +28,7 @@ from ssduck.limits import Limits
 from ssduck.recording.export import export
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
-from ssduck.recording.spec import Recording, check_names
+from ssduck.recording.spec import Recording, check_names, no_ticks_message
 from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world.world import World
@@ -228,9 +228,7 @@ class Database:
         with self._lock:
             history = self._worlds.entry(world).history
             if history is None:
-                raise EvaluationError(
-                    f"the ticks of {world.name!r} are not recorded; record(…) starts a recording"
-                )
+                raise EvaluationError(no_ticks_message(world.name))
             return history.record
 
     def is_recorded(self, world: World) -> bool:

@@ -22,6 +22,7 @@ from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
 from ssduck.recording.replay.record import PREDICATE_COLUMNS, Record
+from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.joints import JointError
@@ -269,7 +270,7 @@ def _pairs_over_ticks(
     ) -> pa.StructArray:
         history = worlds[world].history
         if history is None:
-            raise EvaluationError(f"the ticks of {world!r} are not recorded")
+            raise EvaluationError(no_ticks_message(world))
         predicate = PairPredicate(kind, depth(distance) if kind == "colliding" else distance)
         max_gap = 0.0 if kind == "colliding" else distance
         if kind == "touching":

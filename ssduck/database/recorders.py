@@ -35,6 +35,7 @@ class Recorders:
         world, is_file = bound.world, self._connection.is_file
         check_names(recording, world.snapshot.entities)
         in_memory = not is_file and not recording.changed
+        recording = recording.with_size_limit(in_memory=not is_file)
         schema, connection = self._free_schema(name), self._connection.writer()
         store: MemoryStore | DuckDBStore
         if in_memory:
@@ -54,6 +55,7 @@ class Recorders:
             recorder.fetch,
             recorder.near_pairs,
             mass_changes=recorder.mass_changes,
+            recording=recording,
         )
         bound.history = WorldHistory(
             store, record, recorder, (*store.visible_rows, *recorder.visible_rows)

@@ -64,7 +64,7 @@ class Schemas:
                 waiting = bound.buffer_views if history.recorder is not None else None
                 rows = history.store.select(table.name, waiting)
             if rows is None:
-                rows = _live_rows(bound, table, not_recorded_message(table.name, bound.world.name))
+                rows = _live_rows(bound, table, _not_recorded(table, name, history))
             columns = _with_view_columns(table, rows, name, "entities_history")
             self._make_view(name, table.history_view, columns)
         for view, rows in history.store.models().items() if history is not None else ():
@@ -153,6 +153,14 @@ class Schemas:
         for schema, name in stale:
             view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
             self._connection.run(f"DROP VIEW {view}")
+
+
+def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str:
+    """Returns the message that a table of a world has no history."""
+    if history is None:
+        return not_recorded_message(table.name, world, None)
+    recording, is_live = history.store.recording, history.recorder is not None
+    return not_recorded_message(table.name, world, recording, is_live=is_live)
 
 
 def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "entities") -> str:

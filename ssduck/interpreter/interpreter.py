@@ -62,9 +62,6 @@ from ssduck.recording.spec import Recording
 from ssduck.world.running import run
 from ssduck.world.world import World
 
-# The default length of the history in memory, s of simulated time.
-DEFAULT_SECONDS = 60.0
-
 
 class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
     """Runs SelectScript programs and raw SQL on worlds.
@@ -77,8 +74,9 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         strict: whether a probable mistake in a program (a name that no entity has, a variable
             that hides a function) is an error instead of a `ProgramWarning`. The attribute
             `strict` may be set at any time.
-        recording: the recording of each world; None for no recording. By default the entities
-            at each tick: in memory those of the last 60 s, in a file all of them. See `record`.
+        recording: the recording of each world; None for no recording. By default `Recording()`:
+            entities, links and contacts at each tick, in memory as many ticks as take 512 MiB, in
+            a file all of them. See `record`.
 
     Raises:
         ArgumentError: an argument has the wrong type.
@@ -105,9 +103,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         validation.instance(limits, Limits, "Interpreter: limits")
         database = validation.path(database, "Interpreter: database")
         if recording == "default":
-            recording = (
-                Recording(seconds=DEFAULT_SECONDS) if database == ":memory:" else Recording()
-            )
+            recording = Recording()
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
         super().__init__(

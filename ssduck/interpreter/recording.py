@@ -116,7 +116,8 @@ class RecordingMethods(ABC):
         recording = recording or Recording(tables=RECORDABLE)
         if recording.is_bounded:
             raise ArgumentError(
-                "a folder keeps all ticks; seconds and ticks limit a history in memory only"
+                "a folder keeps all ticks; seconds, ticks and max_bytes limit a history in "
+                "memory only"
             )
         with self._lock:
             worlds = list(self._database.worlds.values())

@@ -85,6 +85,11 @@ class RowBuffer:
             *(np.zeros(capacity, dtype=np.uint8) for _ in booleans),
         ]
 
+    @property
+    def row_bytes(self) -> int:
+        """The size of a row, bytes."""
+        return 8 * (len(self.integers) + len(self.doubles)) + len(self.booleans)
+
     def has_room(self, count: int) -> bool:
         """Checks whether a number of further rows fit."""
         return self.count + count <= self.capacity
@@ -174,12 +179,17 @@ def new_buffer(table: str) -> RowBuffer:
 
 
 class TickBuffer:
-    """The numbers and times of recorded ticks, ascending."""
+    """The numbers and times of recorded ticks, ascending.
+
+    Attributes:
+        has_dropped: whether ticks were removed.
+    """
 
     def __init__(self) -> None:
         self._numbers = np.zeros(256, dtype=np.int64)
         self._times = np.zeros(256)
         self._first = self._end = 0
+        self.has_dropped = False
 
     def __len__(self) -> int:
         return self._end - self._first
@@ -216,7 +226,9 @@ class TickBuffer:
 
     def drop_before(self, number: int) -> None:
         """Removes the ticks with lower numbers."""
-        self._first += int(np.searchsorted(self.numbers, number))
+        count = int(np.searchsorted(self.numbers, number))
+        self._first += count
+        self.has_dropped |= count > 0
 
     @property
     def numbers(self) -> npt.NDArray[np.int64]:

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
-from ssduck.recording.buffers import RowBuffer, TickBuffer, new_buffer
+from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording
@@ -120,8 +120,9 @@ class Recorder:
             error = error or self._error_of(self._drop_old_ticks)
         error = error or self._writer.pop_failure()
         if is_due or not self.buffers["ticks"].count:
+            ticks = self._ticks_per_buffer(counts)
             for table, count in counts.items():
-                self.buffers[table].reserve(count, self._max_ticks)
+                self.buffers[table].reserve(count, ticks)
         for table, count in counts.items():
             rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
@@ -129,6 +130,21 @@ class Recorder:
             error = error or self._error_of(self.flush)
         if error is not None:
             raise error
+
+    def _ticks_per_buffer(self, counts: Mapping[str, int]) -> int:
+        """Returns the number of ticks for which the buffers have room.
+
+        The rows of the largest table limit it: memory for further rows of the others would be lost.
+
+        Args:
+            counts: the number of rows of a tick, by table.
+        """
+        ticks = min(self._max_ticks, MAX_BUFFERED_ROWS // max(counts.values()))
+        max_bytes = self.recording.max_bytes
+        if isinstance(max_bytes, int):
+            size = sum(count * self.buffers[table].row_bytes for table, count in counts.items())
+            ticks = min(ticks, max_bytes // RETENTION_PARTS // size)
+        return max(ticks, 1)
 
     @staticmethod
     def _error_of(store: Callable[[], None]) -> BaseException | None:
@@ -236,6 +252,10 @@ class Recorder:
         if recording.seconds is not None:
             start = self.ticks.times[-buffered]
             if time - start >= recording.seconds / RETENTION_PARTS:
+                return True
+        if isinstance(recording.max_bytes, int):
+            size = sum(buffer.count * buffer.row_bytes for buffer in self.buffers.values())
+            if size * (1 + 1 / buffered) > recording.max_bytes / RETENTION_PARTS:
                 return True
         quarter = self._max_ticks if recording.ticks is None else recording.ticks // RETENTION_PARTS
         return buffered >= min(self._max_ticks, max(quarter, 1))

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
-from ssduck.schema import RECORDABLE
+from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
 from ssduck.world.layout import EntityInfo
 
 # Where older ticks are dropped, a quarter of the retained ones is stored and dropped at a time.
 RETENTION_PARTS = 4
+# The memory that the ticks of a world take at most by default, bytes.
+DEFAULT_MAX_BYTES = 512 * 2**20
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Recording:
 
     Args:
         tables: the recorded tables, always with `entities`. The others are read from the simulator
-            at every tick.
+            at every tick. By default entities, links and contacts.
         entities: the names of the recorded entities; None for all. The body that carries a recorded
             sensor is recorded, too.
         every: n, to record every n-th tick, beginning with the first.
@@ -33,18 +37,22 @@ class Recording:
             None for all.
         ticks: the number of ticks that are retained, at least, and at most half as many more; None
             for all. Where both are given, ticks older than either may be dropped.
+        max_bytes: the size of the retained rows, bytes, at most; the oldest ticks are dropped
+            first. None for no limit. By default 512 MiB in memory unless `seconds` or `ticks` is
+            given, and no limit in files.
 
     Raises:
         ArgumentError: a table is unknown, a number is not above 0, or a value is of the wrong
             type.
     """
 
-    tables: tuple[str, ...] = ("entities",)
+    tables: tuple[str, ...] = RECORDED_BY_DEFAULT
     entities: tuple[str, ...] | None = None
     every: int = 1
     changed: bool = False
     seconds: float | None = None
     ticks: int | None = None
+    max_bytes: int | Literal["default"] | None = "default"
 
     def __post_init__(self) -> None:
         for name in ("tables", "entities"):
@@ -62,9 +70,9 @@ class Recording:
                 )
         if "entities" not in self.tables:
             object.__setattr__(self, "tables", ("entities", *self.tables))
-        for name in ("every", "ticks"):
+        for name in ("every", "ticks", "max_bytes"):
             value = getattr(self, name)
-            if value is None and name == "ticks":
+            if name != "every" and (value is None or (name, value) == ("max_bytes", "default")):
                 continue
             rule = f"{name} is to be a whole number above 0"
             object.__setattr__(self, name, validation.integer_above_0(value, rule))
@@ -76,7 +84,22 @@ class Recording:
     @property
     def is_bounded(self) -> bool:
         """Whether older ticks are dropped."""
-        return self.seconds is not None or self.ticks is not None
+        has_size_limit = isinstance(self.max_bytes, int)
+        return has_size_limit or self.seconds is not None or self.ticks is not None
+
+    def with_size_limit(self, *, in_memory: bool) -> Recording:
+        """Returns the recording with `max_bytes` in place of its default."""
+        if self.max_bytes != "default":
+            return self
+        is_limited = in_memory and not self.is_bounded
+        return replace(self, max_bytes=DEFAULT_MAX_BYTES if is_limited else None)
+
+
+def bytes_before_dropping(recording: Recording) -> float:
+    """Returns the largest size of stored rows, bytes, that leaves room for the buffered ones."""
+    if not isinstance(recording.max_bytes, int):
+        return math.inf
+    return recording.max_bytes * (1 - 1 / RETENTION_PARTS)
 
 
 def chosen_members(members: Collection[EntityInfo], names: Collection[str]) -> list[EntityInfo]:
@@ -100,9 +123,48 @@ def check_names(recording: Recording, members: Collection[EntityInfo]) -> None:
             )
 
 
-def not_recorded_message(table: str, world: str) -> str:
-    """Returns the message that a table of a world has no history."""
-    return (
-        f"the table of {table} of {world!r} is not recorded: record it with "
-        f"tables=('entities', '{table}')"
-    )
+def recording_call(world: str, recording: Recording) -> str:
+    """Returns the call that starts a recording, as text.
+
+    >>> recording_call("sim", Recording(tables=("entities", "joints"), seconds=5))
+    "ss.record('sim', ssduck.Recording(tables=('entities', 'joints'), seconds=5.0))"
+    """
+    values = {field.name: getattr(recording, field.name) for field in fields(recording)}
+    if values["max_bytes"] in (None, DEFAULT_MAX_BYTES):  # the default of a file, or of memory
+        del values["max_bytes"]
+    differing = [f"{n}={value!r}" for n, value in values.items() if value != getattr(Recording, n)]
+    return f"ss.record({world!r}, ssduck.Recording({', '.join(differing)}))"
+
+
+def no_ticks_message(world: str) -> str:
+    """Returns the message that a world has no history."""
+    call = recording_call(world, Recording())
+    return f"the ticks of {world!r} are not recorded; {call} records them from then on"
+
+
+def not_recorded_message(
+    table: str, world: str, recording: Recording | None, *, is_live: bool = True
+) -> str:
+    """Returns the message that a table of a world has no history, with the call that records it.
+
+    Args:
+        table: the name of the table.
+        world: the name of the world.
+        recording: what is recorded of the world; None for nothing.
+        is_live: whether the world is recorded now; else it is a record.
+    """
+    recording = recording or Recording()
+    tables = tuple(name for name in RECORDABLE if name in (*recording.tables, table))
+    call = recording_call(world, replace(recording, tables=tables))
+    what_to_do = f"{call} records it from then on" if is_live else f"record a run with {call}"
+    return f"the table of {table} of {world!r} is not recorded; {what_to_do}"
+
+
+def longer_recording_message(world: str, recording: Recording) -> str:
+    """Returns the message that older ticks were dropped, with the call that keeps twice as much."""
+    limits = {name: getattr(recording, name) for name in ("seconds", "ticks", "max_bytes")}
+    doubled: dict[str, Any] = {
+        name: 2 * limit for name, limit in limits.items() if isinstance(limit, int | float)
+    }
+    call = recording_call(world, replace(recording, **doubled))
+    return f"older ticks were dropped; {call} keeps more from then on"

@@ -25,7 +25,15 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Indices
-from ssduck.schema import LINK_FACTOR, MARGINS, MASSES, entity_of, link_of
+from ssduck.schema import (
+    LINK_FACTOR,
+    MARGINS,
+    MASSES,
+    ON_DEMAND,
+    RECORDED_BY_DEFAULT,
+    entity_of,
+    link_of,
+)
 from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
 from ssduck.simulators.kinematics import (
@@ -79,7 +87,10 @@ class World(ManipulableSimulation, OpenRaveWorld):
             if info.sensor is not None and not info.sensor.powered:
                 self.snapshot.switch(info.id, on=False)
         with self.lock:
+            # So a recording with these tables begins without a second tick of the same time.
+            self.snapshot.recorded = ON_DEMAND.intersection(RECORDED_BY_DEFAULT)
             self._take_tick()
+            self._read_recorded()
 
     def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
         self.camera = camera

@@ -60,8 +60,9 @@ def test_no_line_is_wider_and_nothing_goes_without_a_mark(name, width):
 )
 def test_columns_are_left_out_in_the_middle(width, count):
     """As many as there is room for, from both sides; the note counts them."""
-    head, rule, first, *rest = fitted_table(display_table(WIDE)).lines(width)
+    head, types, rule, first, *rest = fitted_table(display_table(WIDE)).lines(width)
     names = head.split()
+    assert set(types.split()) <= {"double", "…"}
     assert rule == "─" * len(rule)
     assert len(rule) <= width
     if count == 31:
@@ -86,7 +87,7 @@ def test_texts_are_folded_at_spaces():
     lines = fitted_table(
         display_table([{"a": "one two three four five six", "b": "x" * 25}])
     ).lines(50)
-    assert lines[2:] == [
+    assert lines[3:] == [
         "one two three four       xxxxxxxxxxxxxxxxxxxxxxxxx",
         "five six",
     ]
@@ -112,8 +113,55 @@ def test_rows_beyond_are_counted_with_the_columns():
     rows = [dict.fromkeys(range(40), n) for n in range(30)]
     text = rich.console.Console(file=io.StringIO(), width=60)
     text.print(TableView(rows))
-    assert "first 20 of 30 rows, 40 columns (" in text.file.getvalue()
+    lines = text.file.getvalue().splitlines()
+    assert lines[-1].startswith("30 rows (20 shown), 40 columns (")
+    assert set(lines[13].split()) == {"·", "…"}
+    assert [line.split()[0] for line in lines[3:13]] == [str(n) for n in range(10)]
+    assert [line.split()[0] for line in lines[14:-1]] == [str(n) for n in range(20, 30)]
     assert len(repr(TableView(rows)).splitlines()[0].split()) == 40  # no terminal: whole
+
+
+@pytest.mark.parametrize(
+    ("rows", "shown"),
+    [(0, "·"), (1, "0 ·"), (2, "0 · 4"), (3, "0 1 · 4"), (4, "0 1 · 3 4"), (5, "0 1 2 3 4")],
+)
+def test_the_first_and_the_last_rows_are_shown(rows, shown):
+    """Also of lists of plain values, and in HTML."""
+    note = [f"5 rows ({rows} shown)"] if rows < 5 else []
+    for value in ([{"n": n} for n in range(5)], [[n] for n in range(5)], list(range(5))):
+        view = TableView(value, rows)
+        lines = repr(view).splitlines()[2 if isinstance(value[0], dict) else 0 :]
+        if not rows and isinstance(value[0], list):
+            assert lines[-1:] == note  # there are no columns to mark
+            continue
+        assert lines == [*shown.split(), *note]
+        cells = re.findall("<td>(.*?)</td>", view._repr_html_())
+        assert cells == shown.split()
+        assert ("".join(note) in view._repr_html_()) or not note
+
+
+def test_a_column_of_the_other_side_takes_room_that_is_left():
+    rows = [{"a": "x" * 9, "b": "y" * 9, "c": "z" * 9, "d": "w" * 80, "e": 10**40}]
+    head = fitted_table(display_table(rows)).lines(75)[0].split()
+    assert head == ["a", "b", "…", "e"]
+
+
+TYPES = [
+    ([{"a": 1}, {"a": None}], "bigint"),
+    ([{"a": 1}, {"a": 0.5}], "double"),
+    ([{"a": True}], "boolean"),
+    ([{"a": "x"}], "varchar"),
+    ([{"a": [[1], [0.5]]}], "double[][]"),
+    ([{"a": []}], "list"),
+    ([{"a": {"b": 1}}], "struct"),
+    ([{"a": 1}, {"a": "x"}], ""),
+    ([{"a": None}], ""),
+]
+
+
+@pytest.mark.parametrize(("value", "type"), TYPES)
+def test_types_of_values(value, type):
+    assert list(display_table(value).types) == [type]
 
 
 def test_shown_on_a_terminal_fits(monkeypatch):

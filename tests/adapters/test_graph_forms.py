@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.adapters.network import _quoted
 from ssduck.errors import ArgumentError, UnsupportedError
+from tests.support.cases import sampled
 
 NINE = {
     *(("table", f"cup_{name}") for name in ("58a2", "905a", "b6af", "d441")),
@@ -38,7 +39,7 @@ def test_a_relation_that_is_false_is_no_edge(kitchen):
     assert len(graph) == 29
 
 
-@pytest.mark.parametrize("form", ["graph", "graph(multi=True)", "dot"])
+@sampled("form", ["graph", "graph(multi=True)", "dot"], every=3)
 def test_a_trigger_is_told_of_another_graph_only(form):
     """Of what stays where it is: nodes tell their positions."""
     with ssduck.load("kitchen") as ss:

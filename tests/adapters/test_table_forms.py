@@ -406,11 +406,12 @@ def test_a_missing_library_is_told_with_its_extra(kitchen, monkeypatch, form, mo
 
 def test_shown_in_a_terminal(kitchen):
     assert repr(kitchen.show("SELECT id, z FROM kitchen;", 2)).splitlines() == [
-        "id                          z",
-        "----------------------  -----",
-        "fridge_webcam           1.499",
-        "cooker_motion_detector  0.699",
-        "first 2 of 37 rows",
+        "id                 z",
+        "-------------  -----",
+        "fridge_webcam  1.499",
+        "·                  ·",
+        "shaker          0.98",
+        "37 rows (2 shown)",
     ]
     assert repr(kitchen.show("SELECT id, z FROM kitchen WHERE isRobot(this);")).count("\n") == 5
     assert str(kitchen.eval(f"{ROBOTS} table;")).startswith("id            position ")
@@ -433,12 +434,13 @@ def test_shown_values(value, text):
 
 def test_shown_in_a_notebook():
     page = TableView([{"<b>": f"<i>{n}"} for n in range(143)])._repr_html_()
-    assert "<th>&lt;b&gt;</th>" in page
-    assert "<td>&lt;i&gt;19</td>" in page
-    assert "19" in page
-    assert "&lt;i&gt;20" not in page
-    assert page.endswith("<p>first 20 of 143 rows</p>")
-    assert "first" not in TableView([{"n": n} for n in range(20)])._repr_html_()
+    assert "<th>&lt;b&gt;<br><small>varchar</small></th>" in page
+    assert "<td>&lt;i&gt;9</td>" in page
+    assert "<td>·</td>" in page
+    assert "<td>&lt;i&gt;142</td>" in page
+    assert "&lt;i&gt;10<" not in page
+    assert page.endswith("<p>143 rows (20 shown), 1 column</p>")
+    assert "shown" not in TableView([{"n": n} for n in range(20)])._repr_html_()
 
 
 def test_shown_by_rich(kitchen):
@@ -446,7 +448,7 @@ def test_shown_by_rich(kitchen):
     console = rich.console.Console(file=out, width=100)
     console.print(kitchen.show("SELECT id FROM kitchen;", 1), kitchen.eval(f"{ROBOTS} table;"))
     assert "fridge_webcam" in out.getvalue()
-    assert "first 1 of 37 rows" in out.getvalue()
+    assert "37 rows (1 shown)" in out.getvalue()
     assert "roomba_625x" in out.getvalue()
 
 

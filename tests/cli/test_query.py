@@ -234,3 +234,57 @@ def test_warnings_are_one_line_each_and_told_once(here, monkeypatch):
     result = ssduck_("query", "two.toml", "1;")
     assert (result.exit_code, result.stdout) == (0, "1\n")
     assert result.stderr == "warning: a [shape] is odd\nwarning: another\n"
+
+
+# -- query: formats and files ---------------------------------------------------------------------
+
+
+MANY = ["--sql", "SELECT i, -i AS j FROM range(100) r(i)"]
+
+
+def test_many_rows_are_elided_on_a_terminal_only(here):
+    terminal = {"FORCE_COLOR": "1", "COLUMNS": "80", "TERM": "xterm"}
+    written = answer("query", "two.toml", *MANY, env=terminal)
+    lines = re.sub(r"\x1b\[[\d;]*m", "", written).splitlines()
+    assert lines[-1] == "100 rows (40 shown)"
+    assert [line.split()[0] for line in lines[3:-1]] == [*map(str, range(20)), "·"] + [
+        *map(str, range(80, 100))
+    ]
+    assert answer("query", "two.toml", *MANY, "--rows", "100", env=terminal).count("\n") == 103
+    assert answer("query", "two.toml", *MANY).count("\n") == 102
+    assert answer("query", "two.toml", *MANY, "--rows", "3").splitlines()[2:] == [
+        " 0    0",
+        " 1   -1",
+        " ·    ·",
+        "99  -99",
+        "100 rows (3 shown)",
+    ]
+    for format in ("csv", "json", "markdown"):
+        assert "·" not in answer("query", "two.toml", *MANY, "-F", format, env=terminal)
+
+
+@pytest.mark.parametrize("flags", [["-F", "csv", "-o", "a"], ["-o", "a.csv"]])
+def test_a_result_goes_to_a_file(here, flags):
+    assert answer("query", "two.toml", *MANY, *flags) == ""
+    rows = list(csv.reader((here / flags[-1]).read_text().splitlines()))
+    assert rows == [["i", "j"], *([str(i), str(-i)] for i in range(100))]
+    assert sorted(path.name for path in here.iterdir()) == sorted(
+        [flags[-1], "box.urdf", "two.toml"]
+    )
+
+
+WRONG_FORMATS = [
+    (["-F", "parquet"], 2, "name a file, as in -o result.parquet"),
+    (["-F", "csv", "--rows", "3"], 2, "--rows is for tables on standard output"),
+    (["-o", "a.txt", "--rows", "3"], 2, "--rows is for tables on standard output"),
+    (["--rows", "-1"], 2, "--rows"),
+    (["-o", "a.xls"], 1, "a.xls: the suffix '.xls' is of no format"),
+    (["-o", "no/a.csv"], 1, "no/a.csv: No such file"),
+]
+
+
+@pytest.mark.parametrize(("flags", "code", "told"), WRONG_FORMATS)
+def test_wrong_formats(here, flags, code, told):
+    result = ssduck_("query", "two.toml", "[1, 2];", *flags)
+    assert (result.exit_code, result.stdout) == (code, "")
+    assert told in result.stderr

@@ -388,6 +388,7 @@ assert signal.set_wakeup_fd(-1) == -1
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="it has no fork")
 def test_a_child_does_not_tell_its_parents_line():
     done = subprocess.run(

@@ -225,7 +225,7 @@ def test_the_contacts_have_second_names():
     assert not any(TABLES[table].second_names for table in RECORDABLE if table != "contacts")
 
 
-@pytest.mark.parametrize("name", [r.name for r in RELATIONS.values() if not r.alias_of])
+@sampled("name", [r.name for r in RELATIONS.values() if not r.alias_of], every=4)
 @pytest.mark.parametrize("schema", ["", "sim"])
 def test_every_relation_has_a_name_that_needs_no_quotes(one, name, schema):
     relation = RELATIONS[name]

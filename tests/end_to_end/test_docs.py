@@ -130,7 +130,7 @@ def examples(text):
     ]
 
 
-@pytest.mark.parametrize(("page", "texts"), blocks("selectscript").items())
+@sampled(("page", "texts"), blocks("selectscript").items(), every=2)
 def test_selectscript_examples_run(page, texts):
     with ssduck.load("kitchen") as ss:
         for text in texts:

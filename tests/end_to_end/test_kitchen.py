@@ -162,6 +162,7 @@ def test_everything_stands_still(settled):
         assert moved < (0.01 if entity.name.startswith(("plate", "cup")) else 0.02), entity.name
 
 
+@pytest.mark.slow
 def test_the_plate_is_still_in_the_microwave(settled):
     ss, _ = settled
     kitchen = ss.call_variable("kitchen")

@@ -444,16 +444,16 @@ def test_an_stl_file(tmp_path):
 
 # (file name, its text, words of the complaint)
 DAMAGED = [
-    ("empty.obj", "", "holds no triangles"),
-    ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "holds no triangles"),
-    ("names.obj", "o a\no b\n", "holds no triangles"),
+    ("empty.obj", "", "has no triangles"),
+    ("points.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no triangles"),
+    ("names.obj", "o a\no b\n", "has no triangles"),
     ("letters.obj", "v 0 0 x\nf 1 1 1\n", "cannot be read as a mesh"),
-    ("missing.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a vertex that is not there"),
-    ("before.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 1 2\n", "a vertex that is not there"),
+    ("missing.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "a missing vertex"),
+    ("before.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -4 1 2\n", "a missing vertex"),
     ("nan.obj", "v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "no finite number"),
     ("inf.obj", "v 0 0 inf\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "no finite number"),
-    ("empty.stl", "", "cannot be read as a mesh|holds no triangles"),
-    ("text.stl", "this is no mesh", "cannot be read as a mesh|holds no triangles"),
+    ("empty.stl", "", "cannot be read as a mesh|has no triangles"),
+    ("text.stl", "this is no mesh", "cannot be read as a mesh|has no triangles"),
     ("mesh.nonsense", "this is no mesh", "cannot be read as a mesh"),
 ]
 
@@ -486,4 +486,4 @@ def test_no_more_files_are_kept_than_a_scene_has(write):
     path = write("a.obj", TETRAHEDRON)
     for size in range(1, mesh_files.CACHED_FILES + 20):
         load_hulls(path, (float(size), 1.0, 1.0))
-    assert mesh_files._hulls.cache_info().currsize == mesh_files.CACHED_FILES
+    assert mesh_files._cached_hulls.cache_info().currsize == mesh_files.CACHED_FILES

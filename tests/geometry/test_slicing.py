@@ -81,7 +81,7 @@ def met_by_fcl(geometry, place, turn, low, high, larger):
     return found
 
 
-@pytest.mark.parametrize("turn", TURNS)
+@sampled("turn", TURNS, every=2)
 @pytest.mark.parametrize("kind", CONVEX)
 def test_convex_shapes_meet_the_cells_that_fcl_says(kind, turn):
     geometry, place = CONVEX[kind], [0.013, -0.027, 0.031]

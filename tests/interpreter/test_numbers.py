@@ -24,6 +24,7 @@ from ssduck.cli.app import app
 from ssduck.errors import SelectScriptError
 from ssduck.openrave import OccupancyGridMap
 from ssduck.recording.replay.replayed_world import ReplayedWorld
+from tests.support.cases import sampled
 
 HUGE = 10**400
 NO_NUMBERS = ["1", "", None, [1], {}, 1j, math.nan, True, False]
@@ -197,6 +198,7 @@ CALLS = {
     "Recording(changed)": ("flag", False, lambda _, v: ssduck.Recording(changed=v)),
     "Recording(seconds)": ("seconds above 0", True, lambda _, v: ssduck.Recording(seconds=v)),
     "Recording(ticks)": ("above 0", True, lambda _, v: ssduck.Recording(ticks=v)),
+    "Recording(max_bytes)": ("above 0", True, lambda _, v: ssduck.Recording(max_bytes=v)),
     "OccupancyGrid.at(point)": ("inside", False, lambda _, v: occupied().at(v, 0.5)),
     "OccupancyGrid.centres(axis)": ("index", False, lambda _, v: occupied().centres(v)),
     "OccupancyGrid.load(unknown)": (
@@ -366,7 +368,7 @@ OPTIONS = [
 ]
 
 
-@pytest.mark.parametrize("arguments", OPTIONS, ids=" ".join)
+@sampled("arguments", OPTIONS, every=4, ids=" ".join)
 def test_a_number_on_the_command_line(things, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "record").symlink_to(things.record)

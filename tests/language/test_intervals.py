@@ -219,7 +219,7 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
     pybullet.removeBody(body, client)
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("program", "error", "told"),
     [
         ("holds(1 < 2);", ArgumentError, "holds takes an expression of entities"),
@@ -232,6 +232,7 @@ def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
         ("meets([1, 2], 3);", ArgumentError, r"an interval is \[start, end\]"),
         ("meets([2, 1], [1, 2]);", ArgumentError, r"an interval is \[start, end\]"),
     ],
+    every=3,
 )
 def test_what_is_no_expression_over_time(
     lab: Any, program: str, error: type[Exception], told: str

@@ -172,6 +172,7 @@ def test_rows_of_two_ticks_are_an_error(live) -> None:
             )
 
 
+@pytest.mark.slow
 def test_a_what_if_world_is_another_run(live) -> None:
     world = live.call_variable("lab")
     first = next(iter(world)).name

@@ -13,6 +13,7 @@ import ssduck
 from ssduck.errors import RemovedEntityError, SelectScriptError, SimulatorError
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.scenes import SensorSpec, find_scene
+from tests.support.cases import sampled
 
 
 @pytest.fixture
@@ -63,7 +64,7 @@ MODEL_NAMES = [
 ]
 
 
-@pytest.mark.parametrize(("model", "name"), MODEL_NAMES)
+@sampled(("model", "name"), MODEL_NAMES, every=4)
 def test_the_name_of_a_body_is_its_models_as_an_identifier(client, write, model, name):
     urdf = f'<robot name="{model}"><link name="l"/></robot>'
     pybullet.loadURDF(str(write("model.urdf", urdf)), physicsClientId=client)

@@ -15,6 +15,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
+from tests.support.cases import sampled
 from tests.support.urdf import collision, joint, link, robot
 
 BOX = collision('<box size="0.1 0.1 0.1"/>')
@@ -97,7 +98,7 @@ def test_efforts_are_bounds(crane, effort, holds):
     assert (at(crane, "lift").position > -0.05) == holds
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("arguments", "error", "says"),
     [
         ({"positions": {"lift": 1.1}}, StateError, "1.1 is not from -1 to 1"),
@@ -117,6 +118,7 @@ def test_efforts_are_bounds(crane, effort, holds):
         ),
         ({"positions": {"push": 0.1}, "velocities": {"push": 0.1}}, ArgumentError, "'push'"),
     ],
+    every=3,
 )
 def test_what_cannot_be_done_is_refused_and_changes_nothing(crane, arguments, error, says):
     with pytest.raises(error, match=says):

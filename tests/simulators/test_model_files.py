@@ -11,6 +11,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import SceneError
+from ssduck.simulators.pybullet.ignored_parts import IGNORED
+from tests.support import urdf
 from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
 
 LIBRARY = Path(pybullet_data.getDataPath())
@@ -40,6 +42,7 @@ MJCF = mjcf_of(
         '<geom type="cylinder" size="0.1 0.2"/></body>',
     ),
     model="my lab",
+    before='<compiler angle="degree"/>',
 )
 
 
@@ -231,6 +234,220 @@ def test_sensors_and_constraints_on_bodies_of_a_file(load):
     assert pybullet.getNumConstraints(client_of(world)) == 1
 
 
+# -- what PyBullet ignores -----------------------------------------------------------------------
+
+FALL = mjcf_of(
+    '<geom type="plane" size="5 5 0.1"/>',
+    '<body name="b" pos="0 0 0.5"{body}><geom type="box" name="g" size="0.2 0.1 0.3"{geom}/>{in_body}'
+    '<body name="k" pos="0 0 0.6"><joint name="h" type="hinge" axis="0 1 0" limited="true" '
+    'range="-40 40"{joint}/><geom type="box" size="0.1 0.1 0.3"/></body></body>{in_world}',
+    before='<compiler angle="degree"/>',
+    after="{end}",
+)
+FALL_SDF = sdf_of(
+    "{in_world}",
+    sdf_model(
+        "r",
+        "{in_model}",
+        sdf_link("base", extra="{in_link}"),
+        '<link name="arm"><pose{pose}>0 0 0.8 0 0 0</pose>' + sdf_link("x")[15:],
+        HINGE.replace("</limit>", "</limit>{in_axis}").replace("</joint>", "{in_joint}</joint>"),
+        pose="0 0 1 0 0 0",
+    ),
+).replace("</collision>", "{in_collision}</collision>", 1)
+FALL_URDF = (
+    '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" '
+    'iyy="0.1" iyz="0" izz="0.1"/></inertial></link><link name="b"><inertial><origin xyz="0.3 0 0"/>'
+    '<mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
+    '{in_link}</link><joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/>{in_joint}</joint>'
+    "{end}</robot>"
+)
+SLOTS = ("body", "geom", "joint", "in_body", "in_world", "end", "in_model", "in_link", "in_axis")
+SLOTS += ("in_joint", "in_collision", "pose")
+OTHER = sdf_model("other")
+# (format, slot of the text, the part, words of the warning)
+PARTS = [
+    ("mjcf", "end", '<include file="x.xml"/>', "<include>"),
+    ("mjcf", "end", '<actuator><motor joint="h"/></actuator>', "<actuator>"),
+    ("mjcf", "end", '<sensor><jointpos joint="h"/></sensor>', "<sensor>"),
+    ("mjcf", "end", '<tendon><fixed name="t"/></tendon>', "<tendon>"),
+    ("mjcf", "end", '<equality><weld body1="b"/></equality>', "<equality>"),
+    ("mjcf", "end", '<contact><exclude body1="b" body2="k"/></contact>', "<contact>"),
+    ("mjcf", "end", '<keyframe><key qpos="1"/></keyframe>', "<keyframe>"),
+    ("mjcf", "end", '<option gravity="0 0 1" timestep="0.5"/>', "<option>"),
+    ("mjcf", "end", '<size nkey="1"/>', "<size>"),
+    ("mjcf", "end", "<extension/>", "<extension>"),
+    ("mjcf", "end", "<deformable/>", "<deformable>"),
+    ("mjcf", "in_world", '<light pos="0 0 3"/>', "<light>"),
+    ("mjcf", "in_body", '<camera name="c"/>', "<camera> of c"),
+    ("mjcf", "in_body", '<composite type="grid"/>', "<composite> of b"),
+    ("mjcf", "in_body", '<flexcomp name="f"/>', "<flexcomp> of f"),
+    ("mjcf", "in_world", f"<frame>{mjcf_body('q')}</frame>", "<frame>"),
+    ("mjcf", "in_world", f"<replicate>{mjcf_body('q')}</replicate>", "<replicate>"),
+    ("mjcf", "in_body", '<attach model="m"/>', "<attach> of b"),
+    ("mjcf", "in_body", '<plugin instance="m"/>', "<plugin> of b"),
+    *(("mjcf", "body", f' euler="{v}"', "<body euler> of b") for v in ("0 90 0", "0 0 1")),
+    ("mjcf", "body", ' axisangle="0 1 0 90"', "<body axisangle> of b"),
+    ("mjcf", "body", ' zaxis="1 0 0"', "<body zaxis> of b"),
+    ("mjcf", "body", ' xyaxes="0 1 0 1 0 0"', "<body xyaxes> of b"),
+    ("mjcf", "body", ' mocap="true"', "<body mocap> of b"),
+    ("mjcf", "body", ' gravcomp="1"', "<body gravcomp> of b"),
+    ("mjcf", "geom", ' euler="0 90 0"', "<geom euler> of g"),
+    ("mjcf", "geom", ' zaxis="1 0 0"', "<geom zaxis> of g"),
+    ("mjcf", "geom", ' xyaxes="0 1 0 1 0 0"', "<geom xyaxes> of g"),
+    ("mjcf", "geom", ' mass="3"', "<geom mass> of g"),
+    ("mjcf", "geom", ' density="5"', "<geom density> of g"),
+    *(
+        ("mjcf", "joint", f' {name}="3"', f"<joint {name}> of h")
+        for name in ("damping", "stiffness", "armature", "frictionloss", "springref", "ref")
+    ),
+    ("sdf", "in_world", "<include><uri>model://x</uri></include>", "<include>"),
+    ("sdf", "in_world", '<light name="sun" type="point"/>', "<light> of sun"),
+    ("sdf", "in_link", '<sensor name="s" type="ray"/>', "<sensor> of s"),
+    ("sdf", "in_model", '<plugin name="p" filename="f"/>', "<plugin> of p"),
+    ("sdf", "in_world", '<actor name="a"/>', "<actor> of a"),
+    ("sdf", "in_world", "<physics><max_step_size>0.1</max_step_size></physics>", "<physics>"),
+    ("sdf", "in_model", '<frame name="f"/>', "<frame> of f"),
+    ("sdf", "in_model", '<gripper name="g"/>', "<gripper> of g"),
+    (
+        "sdf",
+        "in_collision",
+        "<surface><friction><ode><mu>0.1</mu></ode></friction></surface>",
+        "<surface> of c",
+    ),
+    ("sdf", "in_model", OTHER, "<model> of other"),
+    ("sdf", "in_joint", "<pose>0 0 0.5 0 0 0</pose>", "<pose> of j"),
+    ("sdf", "in_joint", "<axis2><xyz>1 0 0</xyz></axis2>", "<axis2> of j"),
+    ("sdf", "in_axis", "<dynamics><friction>5</friction></dynamics>", "<friction> of j"),
+    ("sdf", "in_link", "<velocity_decay><linear>9</linear></velocity_decay>", "<velocity_decay>"),
+    ("sdf", "in_model", "<self_collide>1</self_collide>", "<self_collide> of r"),
+    ("sdf", "in_world", "<gravity>0 0 1</gravity>", "<gravity>"),
+    ("sdf", "in_world", "<wind><linear_velocity>9 0 0</linear_velocity></wind>", "<wind>"),
+    ("sdf", "in_world", '<state world_name="w"/>', "<state>"),
+    ("sdf", "pose", ' relative_to="base"', "<pose relative_to> of arm"),
+    ("urdf", "in_joint", '<mimic joint="k"/>', "<mimic> of j"),
+    ("urdf", "end", '<transmission name="t"/>', "<transmission> of t"),
+    ("urdf", "end", '<gazebo reference="a"><selfCollide>1</selfCollide></gazebo>', "<gazebo>"),
+    ("urdf", "in_link", '<sensor name="s"/>', "<sensor> of s"),
+    ("urdf", "end", '<ros2_control name="c"/>', "<ros2_control> of c"),
+    ("urdf", "in_joint", '<safety_controller k_velocity="1"/>', "<safety_controller> of j"),
+    ("urdf", "in_joint", '<dynamics friction="9"/>', "<dynamics friction> of j"),
+]
+TEXTS = {"mjcf": FALL, "sdf": FALL_SDF, "urdf": FALL_URDF}
+FILES = {"mjcf": "a.xml", "sdf": "a.sdf", "urdf": "a.urdf"}
+LOADERS = {"mjcf": pybullet.loadMJCF, "sdf": pybullet.loadSDF, "urdf": pybullet.loadURDF}
+
+
+def filled(format, slot="", part=""):
+    """The text of a file with a part in a slot."""
+    return TEXTS[format].format(**{name: part if name == slot else "" for name in SLOTS})
+
+
+def motion(path, format):
+    """Where PyBullet has the links after some steps, with the bodies' properties."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+    bodies = LOADERS[format](str(path), physicsClientId=client)
+    bodies = (bodies,) if format == "urdf" else bodies
+    for body in bodies:
+        for joint in range(pybullet.getNumJoints(body, client)):
+            pybullet.setJointMotorControl2(
+                body, joint, pybullet.VELOCITY_CONTROL, force=0, physicsClientId=client
+            )
+            pybullet.resetJointState(body, joint, 0.1, physicsClientId=client)
+    for _ in range(120):
+        pybullet.stepSimulation(client)
+    found = [pybullet.getBasePositionAndOrientation(body, client) for body in bodies]
+    found += states(client, bodies) + states(client, bodies, pybullet.getAABB)
+    pybullet.disconnect(client)
+    return found
+
+
+@pytest.mark.parametrize(("format", "slot", "part", "words"), PARTS)
+def test_an_ignored_part_is_warned_of(load, write, format, slot, part, words):
+    """PyBullet moves the bodies as if the part were not there."""
+    plain = motion(write("plain/" + FILES[format], filled(format)), format)
+    text = filled(format, slot, part)
+    assert part in text
+    assert motion(write("part/" + FILES[format], text), format) == plain
+    with pytest.warns(UserWarning, match="PyBullet ignores") as caught:
+        load(f'[[body]]\nname = "one"\n{format} = "part/{FILES[format]}"\nfixed = true\n')
+    (warning,) = caught
+    message = str(warning.message)
+    assert f"part/{FILES[format]} (one" in message
+    assert f": PyBullet ignores {words}" in message
+
+
+def test_all_entries_of_the_table_are_tested():
+    entries = {(format, path) for format, paths in IGNORED.items() for path in paths}
+    assert len(entries) <= len(PARTS) + 1  # a second world has a test of its own
+    tested = {words.partition(" of ")[0].strip("<>") for _, _, _, words in PARTS} | {"world"}
+    for _, path in entries:
+        tag = path.rpartition("/")[2].removesuffix("[2]")
+        assert tag.replace("[@", " ").rstrip("]") in tested, path
+
+
+@pytest.mark.parametrize("format", TEXTS)
+def test_a_file_without_such_parts_is_not_warned_of(load, format, recwarn):
+    load(
+        f'[[body]]\nname = "a"\nfixed = true\n{format} = "{FILES[format]}"\n',
+        **{FILES[format].replace(".", "_"): filled(format)},
+    )
+    for text in (' mass="0"', ' euler="0 0 0"', ' density="0.0"'):
+        load('[[body]]\nmjcf = "b.xml"\nfixed = true\n', b_xml=filled("mjcf", "geom", text))
+    assert not recwarn.list
+
+
+def test_other_warnings_about_files(load):
+    """What MuJoCo reads otherwise, what PyBullet says, and each file once."""
+    body = mjcf_body(
+        "b", parts='<geom type="ellipsoid" size="1 1 1"/><geom type="sphere" size="1"/>'
+    )
+    wall = '<body name="wall"><geom type="box" size="1 1 1"/></body>'
+    entry = '[[body]]\nmjcf = "a.xml"\n'
+    with pytest.warns(UserWarning, match="does not fix wall") as caught:
+        load(entry + entry, a_xml=mjcf_of(body, wall))
+    (warning,) = caught
+    assert "a.xml (b, wall, b_2, wall_2): PyBullet does not fix wall, " in str(warning.message)
+    assert "unhandled geom type 'ellipsoid'" in str(warning.message)
+    hinge = '<body name="b"><joint name="h" range="-90 90"/><geom type="box" size="1 1 1"/></body>'
+    with pytest.warns(UserWarning, match="takes angles for radians without <compiler>"):
+        load(entry, a_xml=mjcf_of(hinge))
+    worlds = sdf_of(sdf_model("a")).replace("</sdf>", '<world name="w2"></world></sdf>')
+    with pytest.warns(UserWarning, match="PyBullet ignores <world>"):
+        load('[[body]]\nsdf = "a.sdf"\n', a_sdf=worlds)
+    xacro = (
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="x"/>'
+    )
+    with pytest.warns(UserWarning, match="PyBullet ignores <xacro:include>"):
+        load('[[body]]\nname = "a"\nurdf = "a.urdf"\n', a_urdf=xacro + '<link name="l"/></robot>')
+    floating = filled("urdf").replace("revolute", "floating")
+    with pytest.warns(UserWarning, match="ignores the motion of floating joints of j"):
+        load('[[body]]\nname = "a"\nurdf = "a.urdf"\n', a_urdf=floating)
+
+
+def test_an_excerpt_does_not_warn_again(load, recwarn):
+    with pytest.warns(UserWarning, match="<joint ref>"):
+        ss, world = load('[[body]]\nmjcf = "a.xml"\n', a_xml=filled("mjcf", "joint", ' ref="1"'))
+    ss.eval("SELECT this FROM room AS environment;")
+    world.what_if({})
+    assert not recwarn.list
+
+
+# -- what is wrong -------------------------------------------------------------------------------
+
+
+def test_unread_parts_may_be_odd(load):
+    """They do not crash PyBullet."""
+    sdf = filled("sdf", "in_link", '<sensor name=""><pose/></sensor>')
+    with pytest.warns(UserWarning, match="<sensor>"):
+        load('[[body]]\nsdf = "a.sdf"\n', a_sdf=sdf)
+    part = '<transmission name="t"><joint name="j"/></transmission>'
+    with pytest.warns(UserWarning, match="<transmission> of t"):
+        load('[[body]]\nname = "a"\nurdf = "a.urdf"\n', a_urdf=filled("urdf", "end", part))
+
+
 ROOTS = sdf_of(sdf_model("two", sdf_link("a"), sdf_link("b")))
 # (text of the scene, files, key, words of the reason, nearest right names)
 MISTAKES = [
@@ -239,6 +456,33 @@ MISTAKES = [
     ('[[body]]\nsdf = "a.xml"', {"a_xml": MJCF}, "body[0].sdf", "end in .sdf", ("mjcf",)),
     ('[[body]]\nsdf = "a.sdf"', {"a_sdf": "no XML"}, "body[0].sdf", "cannot be loaded", ()),
     ('[[body]]\nsdf = "a.sdf"', {"a_sdf": ROOTS}, "body[0].sdf", "2 links without a parent (a", ()),
+    *(
+        ('[[body]]\nsdf = "a.sdf"', {"a_sdf": text}, "body[0].sdf", words, ())
+        for text, words in [
+            (sdf_of(sdf_model("m", "<static></static>", sdf_link())), "a <static> is empty"),
+            (SDF.replace("<mass>1.0</mass>", "<mass> </mass>"), "a <mass> is empty"),
+            (SDF.replace('name="base"', 'name=""'), "a <link> has an empty name"),
+            (SDF.replace('type="revolute"', ""), "the joint 'j' has no type"),
+        ]
+    ),
+    *(
+        ('[[body]]\nmjcf = "a.xml"', {"a_xml": text}, "body[0].mjcf", words, ())
+        for text, words in [
+            (MJCF.replace('name="cube"', 'name=""'), "a <body> has an empty name"),
+            (MJCF.replace('range="-40 40"', ""), "the limited joint 'hip' has no range"),
+            (MJCF.replace('size="0.2"', ""), "a <geom> of the type 'sphere' has no size"),
+        ]
+    ),
+    *(
+        ('[[body]]\nname = "u"\nurdf = "a.urdf"', {"a_urdf": text}, "body[0].urdf", words, ())
+        for text, words in [
+            (urdf.robot(urdf.link("a"), urdf.link("b")), "2 links without a parent (a, b)"),
+            (
+                urdf.robot(urdf.link("a"), urdf.link("b"), urdf.joint("", "fixed", "a", "b")),
+                "a <joint> has an empty",
+            ),
+        ]
+    ),
     ('[[body]]\nmjcf = "a.xml"', {"a_xml": "<mujoco"}, "body[0].mjcf", "cannot be loaded", ()),
     ('[[body]]\nsdf = "a.sdf"\nname = ""', {"a_sdf": SDF}, "body[0].name", "expected a text", ()),
     (

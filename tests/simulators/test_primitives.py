@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pybullet
 import pytest
+from typer.testing import CliRunner
 
 import ssduck
+from ssduck.cli.app import app
 from ssduck.errors import SceneError
 from ssduck.simulators.scene_bodies import Material, Primitive
 from ssduck.simulators.scenes import find_scene, read_scene
+from tests.support.cases import sampled
 
 HALF_TURN = 0.7071067811865476
 # (keys of the body, PyBullet's arguments of the collision shape, mass)
@@ -68,7 +71,7 @@ def client_of(world):
     return world.simulator.client
 
 
-@pytest.mark.parametrize("name", BODIES)
+@sampled("name", BODIES, every=2)
 def test_a_primitive_is_what_pybullet_makes(load, client, name):
     keys, arguments, mass = BODIES[name]
     kind = keys.split(" ", 1)[0]
@@ -310,3 +313,38 @@ def test_a_scene_of_primitives_is_recorded(load, tmp_path):
         assert record.eval("SELECT mass FROM room WHERE id == 'floor' AS list;") == [0.0]
         for name, pose in states.items():
             assert np.allclose(record.call_variable("room")[name].pose, pose, atol=1e-12)
+
+
+def test_primitives_at_a_past_tick_and_in_a_duckdb_file(write, tmp_path):
+    path = write("room.toml", STACK.replace("0, 0, 0.5]", "0, 0, 2]"))
+    above = "SELECT id FROM room{{{}}} WHERE above(room.floor, this) AND clearance(this, room.crate) > {} AS list;"
+    with ssduck.load(path, tmp_path / "run.duckdb") as ss:
+        world = ss.call_variable("room")
+        world.run(1.5)
+        assert ss.eval(above.format(0.1, 1.0)) == ["ball"]
+        assert ss.eval(above.format(1.5, 1.0)) == []
+        assert ss.eval("clearance(room.floor, room.crate);") < 2e-3
+    with ssduck.open(tmp_path / "run.duckdb") as record:
+        assert record.eval(above.format(0.1, 1.0)) == ["ball"]
+        assert record.eval("SELECT type, mass FROM room WHERE id == 'floor' AS list;") == [
+            "kinbody",
+            0.0,
+        ]
+
+
+def test_what_if_a_primitive_were_elsewhere(load):
+    _, world = load(STACK)
+    moved = world.what_if({"crate": [1, 0, 0, 0, 5, 5, 0.1]})
+    assert moved["crate"].aabb[0] == pytest.approx([4.8, 4.8, -0.1])
+    assert world["crate"].aabb[0] == pytest.approx([-0.2, -0.2, 0.0])
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("other", moved)
+        assert ss.eval("penetration(other.floor, other.crate);") == pytest.approx(0.1, abs=1e-9)
+
+
+def test_the_command_line_takes_such_scenes(write):
+    path = write("room.toml", STACK)
+    query = "SELECT id FROM room WHERE isKinbody(this) AS list;"
+    result = CliRunner().invoke(app, ["query", str(path), query], prog_name="ssduck")
+    assert result.exit_code == 0, result.output
+    assert all(name in result.stdout for name in ("floor", "crate", "ball"))

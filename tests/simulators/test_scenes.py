@@ -588,7 +588,12 @@ def test_a_sdf_of_several_bodies(write):
 
 
 def test_a_mjcf_of_several_bodies():
-    with ssduck.load(LIBRARY / "mjcf" / "hello_mjcf.xml") as ss:
+    file = LIBRARY / "mjcf" / "hello_mjcf.xml"
+    with pytest.warns(
+        UserWarning, match=re.escape(f"{file} (body_0, body_1): PyBullet ignores <light>")
+    ):
+        ss = ssduck.load(file)
+    with ss:
         world = ss.call_variable("hello_mjcf")
         assert len(world) == 2
         boxes = [e.aabb for e in world if e.mass > 0]
@@ -596,7 +601,10 @@ def test_a_mjcf_of_several_bodies():
 
 
 def test_a_model_with_shapes_that_pybullet_does_not_tell():
-    with ssduck.load(LIBRARY / "mjcf" / "humanoid.xml") as ss:
+    words = "<joint damping> of abdomen_z, abdomen_y, abdomen_x and 6 more; .*does not fix torso, "
+    with pytest.warns(UserWarning, match=words):
+        ss = ssduck.load(LIBRARY / "mjcf" / "humanoid.xml")
+    with ss:
         assert ss.sql("SELECT DISTINCT exact FROM shapes").fetchall() == [(True,)]
         kinds = ss.eval("SELECT type FROM humanoid AS list;")
         assert sorted(kinds) == ["kinbody", "robot"]

@@ -15,6 +15,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.recording.spec import Recording
+from tests.support.cases import sampled
 from tests.support.stage import Stage
 from tests.support.urdf import collision, joint, link, robot
 
@@ -78,7 +79,7 @@ SHARES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "position", "share"), SHARES)
+@sampled(("name", "position", "share"), SHARES, every=3)
 def test_shares_are_of_the_range_from_the_closed_end(scene, name, position, share):
     ss, slow, world, closed = scene
     put(world, closed, **{name: position})

@@ -19,6 +19,7 @@ from ssduck.sql.relations.geometry_query import GeometryQuery
 from ssduck.sql.relations.registry import RELATIONS, geometry_udfs
 from ssduck.sql.relations.relation import Parameter
 from ssduck.sql.relations.shapes import shape_relation
+from tests.support.cases import sampled
 
 EDGE = 1e-9
 
@@ -156,7 +157,7 @@ def oracle(relation, a, b):
     return all(lo < value < hi for lo, value, hi in zip(low, b.position, high, strict=True))
 
 
-@pytest.mark.parametrize("relation", ["above", "below", "within"])
+@sampled("relation", ["above", "below", "within"], every=3)
 def test_random_scenes_agree_with_a_loop(relation):
     random = np.random.default_rng(7)
     places = [

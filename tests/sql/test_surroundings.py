@@ -177,7 +177,7 @@ PAST = [
 ]
 
 
-@pytest.mark.parametrize(("half", "holds"), PAST)
+@sampled(("half", "holds"), PAST, every=4)
 def test_what_reaches_past_the_walls_at_both_ends_is_not_in_them(stage, write, half, holds):
     stage.urdf("tube", write("tube.urdf", of_boxes(FRONT, BACK, LEFT, RIGHT)))
     stage.box("rod", half=[half, 0.01, 0.01])
@@ -325,9 +325,7 @@ def test_supports_at_its_edges(stage, place, holds):
         assert ss.eval("supports(plank, block);") is is_below
 
 
-@pytest.mark.parametrize(
-    ("degrees", "holds"), [(0, True), (29.9, True), (30.1, False), (60, False)]
-)
+@sampled(("degrees", "holds"), [(0, True), (29.9, True), (30.1, False), (60, False)], every=4)
 def test_supports_on_a_slope(stage, degrees, holds):
     turn = Rotation.from_euler("y", degrees, degrees=True)
     stage.box("slope", half=[0.5, 0.5, 0.1], turn=turn.as_quat())

@@ -49,7 +49,8 @@ def past_of(record: Record, age: float | None) -> Past:
                 f"{times[-1]:g} s, and it is {record.world.time:g} s"
             )
         return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
-    tick = int(numbers[index_at(name, age, times, record.world.time)])
+    advice = record.dropped_ticks_message
+    tick = int(numbers[index_at(name, age, times, record.world.time, advice)])
     return Past(record, tick, tick, is_window=False)
 
 
@@ -115,6 +116,7 @@ class Past:
             )
             raise EvaluationError(
                 f"tick {self.first} of {self.world.name!r} is kept no longer; {kept}"
+                f"{self.record.dropped_ticks_message}"
             )
 
     def __iter__(self) -> Iterator[Handle]:

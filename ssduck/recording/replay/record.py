@@ -27,9 +27,9 @@ from ssduck.recording.replay.batch_queries import EntityShapes, Ids, LinkPosesOv
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
-from ssduck.recording.spec import not_recorded_message
+from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
-from ssduck.schema import LINK_FACTOR, ON_DEMAND, POSE, TABLES, entity_of, link_of
+from ssduck.schema import LINK_FACTOR, ON_DEMAND, POSE, RECORDABLE, TABLES, entity_of, link_of
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
 from ssduck.world.handles import Handle, RecordedTick
@@ -65,6 +65,7 @@ class Record:
         geometries: the numbers of geometries by their keys; None for those of the world.
         run: the number of the run; None for that of the world.
         mass_changes: the bodies whose masses changed after they were recorded; None for none.
+        recording: what is recorded; None for a record of another time.
     """
 
     def __init__(
@@ -78,7 +79,9 @@ class Record:
         geometries: dict[str, int] | None = None,
         run: int | None = None,
         mass_changes: MassChanges | None = None,
+        recording: Recording | None = None,
     ) -> None:
+        self.recording = recording
         self._world: weakref.ref[World] | None = None
         if world is not None:
             self.world = world
@@ -203,12 +206,20 @@ class Record:
         if self._mass_changes is not None:  # masses do not change in a replayed world
             self._mass_changes.warn(self.world)
 
+    @property
+    def dropped_ticks_message(self) -> str:
+        """What to do to keep older ticks, after a semicolon; empty if none were dropped."""
+        if self.recording is None or not self.ticks.has_dropped:
+            return ""
+        return f"; {longer_recording_message(self.world.name, self.recording)}"
+
     def _index_of(self, tick: int) -> int:
         self.check_open()
         place = int(np.searchsorted(self.ticks.numbers, tick))
         if place == len(self.ticks) or self.ticks.numbers[place] != tick:
             raise EvaluationError(
                 f"tick {tick} of {self.world.name!r} is not recorded, or is kept no longer"
+                f"{self.dropped_ticks_message}"
             )
         return place
 
@@ -308,7 +319,7 @@ class Record:
             return self._row_cache.rows(table, tick)
 
 
-def index_at(world: str, time: float, times: Array, now: float) -> int:
+def index_at(world: str, time: float, times: Array, now: float, advice: str = "") -> int:
     """Returns the index of the last tick until a time.
 
     Args:
@@ -316,6 +327,7 @@ def index_at(world: str, time: float, times: Array, now: float) -> int:
         time: the simulated time, s.
         times: the times of the ticks, s, (n,).
         now: the current time of the world, s.
+        advice: is added to the error of a time before the first tick.
 
     Raises:
         EvaluationError: the time is before the first tick, or later than now.
@@ -324,7 +336,7 @@ def index_at(world: str, time: float, times: Array, now: float) -> int:
     if place < 0 or time > max(now, float(times[-1])) + TIME_TOLERANCE:
         raise EvaluationError(
             f"{world!r} is recorded from {times[0]:g} s to {times[-1]:g} s; there is no tick at "
-            f"{time:g} s"
+            f"{time:g} s{advice if place < 0 else ''}"
         )
     return place
 
@@ -337,9 +349,11 @@ def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
 
 def _unavailable(record: Record) -> dict[str, str]:
     """Returns the tables that are unavailable at a past tick, with the reasons."""
-    world = record.world.name
+    world, recording = record.world.name, record.recording
+    is_live = recording is not None
+    recording = recording or Recording(tables=tuple(record.tables & set(RECORDABLE)))
     return {
-        table: not_recorded_message(table, world)
+        table: not_recorded_message(table, world, recording, is_live=is_live)
         for table in ON_DEMAND - record.tables
         if not TABLES[table].follows_from_poses
     }

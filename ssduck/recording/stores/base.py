@@ -119,6 +119,8 @@ class TickStore(ABC):
     def drop_before(self, tick: int) -> int:
         """Drops rows of ticks before a number, as far as whole parts are older.
 
+        Drops the oldest parts as well while the rows exceed `recording.max_bytes`.
+
         Returns:
             The first tick that is still stored, or any before it: 0 if nothing is ever dropped.
         """

@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.spec import RETENTION_PARTS, Recording
+from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
@@ -72,6 +72,9 @@ class DuckDBStore(TickStore, TickArchive):
         self._used_slots: list[tuple[int, int]] = [(0, 0)]
         # The number of ticks of the last slot, and its first and last time.
         self._slot_ticks, self._slot_times = 0, (0.0, 0.0)
+        # The size of the rows that were added to each slot in use, bytes, oldest first.
+        self._slot_bytes = [0]
+        self._max_bytes = bytes_before_dropping(recording)
         self._is_new = world is not None
         # The columns that the stored rows of each table of an older record have.
         self._present_columns: dict[str, frozenset[str]] = {}
@@ -129,6 +132,7 @@ class DuckDBStore(TickStore, TickArchive):
             self._slot_ticks + len(times),
             (first, float(times[-1])),
         )
+        self._slot_bytes[-1] += sum(added.nbytes for added in rows.values())
         self._connection.checkpoint()
 
     def _choose_slot(self, tick: int) -> None:
@@ -144,15 +148,21 @@ class DuckDBStore(TickStore, TickArchive):
         # Batches end a tick before a quarter is over.
         if recording.seconds is not None and seconds >= recording.seconds / RETENTION_PARTS / 2:
             is_full = True
+        if isinstance(recording.max_bytes, int):
+            is_full |= self._slot_bytes[-1] >= recording.max_bytes / RETENTION_PARTS
         free = set(range(SLOTS)) - {number for number, _ in self._used_slots}
         if is_full and free:
             self._used_slots.append((free.pop(), tick))
+            self._slot_bytes.append(0)
             self._slot_ticks = 0
 
     def drop_before(self, tick: int) -> int:
         """Drops slots whose ticks are all older; returns the first tick of the oldest one left."""
-        while len(self._used_slots) > 1 and self._used_slots[1][1] <= tick:
+        while len(self._used_slots) > 1 and (
+            self._used_slots[1][1] <= tick or sum(self._slot_bytes) > self._max_bytes
+        ):
             slot, _ = self._used_slots.pop(0)
+            del self._slot_bytes[0]
             for table in self.tables:
                 self._create_slot(table, slot, replace=True)
         return self._used_slots[0][1]

@@ -18,7 +18,7 @@ import pyarrow as pa
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.background_writer import NO_LOCK, BufferedRows, CommitLock
 from ssduck.recording.buffers import buffer_schema
-from ssduck.recording.spec import RETENTION_PARTS, Recording
+from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
     PAIR_COLUMNS,
@@ -67,6 +67,7 @@ class MemoryStore(TickStore, TickArchive):
         self.visible_rows = (self._stored,)
         # The first tick of each part, its first and its last time.
         self._parts: list[tuple[int, float, float]] = []
+        self._max_bytes = bytes_before_dropping(recording)
 
     @property
     def nbytes(self) -> int:
@@ -90,7 +91,8 @@ class MemoryStore(TickStore, TickArchive):
 
     def _add(self, rows: Mapping[str, pa.Table]) -> None:
         numbers, times = (rows["ticks"][name].to_numpy() for name in ("tick", "time"))
-        is_joined = self._is_joined(len(numbers), float(times[-1]))
+        size = sum(table.nbytes for table in rows.values())
+        is_joined = self._is_joined(len(numbers), float(times[-1]), size)
         new = dict(rows)
         if is_joined:
             for table, stored in self._stored.items():
@@ -104,16 +106,20 @@ class MemoryStore(TickStore, TickArchive):
             first, start = int(numbers[0]), float(times[0])
         self._parts.append((first, start, float(times[-1])))
 
-    def _is_joined(self, ticks: int, end: float) -> bool:
+    def _is_joined(self, ticks: int, end: float, size: int) -> bool:
         """Checks whether further ticks are joined with the last part, as it is small.
 
         Args:
             ticks: the number of further ticks.
             end: the time of the last one, s.
+            size: the size of their rows, bytes.
         """
         if not self._parts or max(map(_last_rows, self._stored.values())) > _MIN_ROWS:
             return False
         recording = self.recording
+        size += sum(stored.parts[-1].nbytes for stored in self._stored.values())
+        if isinstance(recording.max_bytes, int) and size > recording.max_bytes / RETENTION_PARTS:
+            return False
         ticks += self._stored["ticks"].parts[-1].num_rows
         if recording.ticks is not None and ticks > recording.ticks // RETENTION_PARTS:
             return False
@@ -122,7 +128,7 @@ class MemoryStore(TickStore, TickArchive):
 
     def drop_before(self, tick: int) -> int:
         """Drops parts whose ticks are all older; returns the first tick of the oldest one left."""
-        while len(self._parts) > 1 and self._parts[1][0] <= tick:
+        while len(self._parts) > 1 and (self._parts[1][0] <= tick or self.nbytes > self._max_bytes):
             del self._parts[0]
             for stored in self._stored.values():
                 del stored.parts[0]

@@ -224,7 +224,7 @@ class _Copier:
         spec = BodySpec(None, None, path, own_inertia=description is not None)
         # PyBullet caches meshes by file name, for ever; another copy may have used that name.
         pybullet.setPhysicsEngineParameter(enableFileCaching=0, physicsClientId=self.client)
-        (handle,) = load_model(spec, "", self.client)
+        (handle,) = load_model(spec, "", self.client).handles
         if self.loaded.elastic:
             make_elastic(handle, self.client)
         pybullet.setPhysicsEngineParameter(enableFileCaching=1, physicsClientId=self.client)

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
+from ssduck.formatting import joined_names
+from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
 from ssduck.simulators.scene_bodies import BodySpec
+
+# Elements of SDF files whose text PyBullet reads without a check.
+_TEXTS = frozenset(
+    (
+        *("parent", "child", "pose", "static", "mass", "ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+        *("uri", "scale", "size", "radius", "length", "normal", "diffuse", "lateral_friction"),
+        *("xyz", "lower", "upper", "effort", "damping", "friction"),
+    )
+)
+# Elements of SDF models that PyBullet does not read.
+_UNREAD = ("plugin", "sensor", "surface", "frame", "gripper")
+# The types of MJCF shapes that need a size.
+_SIZED = ("box", "sphere", "capsule", "cylinder")
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,20 +49,49 @@ class ModelFile:
         return cls(spec.source, root)
 
     def check(self) -> None:
-        """Checks that PyBullet can read the file; some files crash it.
+        """Checks that the file does not crash PyBullet 3.2.7.
 
         Raises:
-            SceneError: a model of an SDF file has several links without a parent.
+            SceneError: the file would crash it.
         """
+        if self.format == "mjcf":
+            for world in self.root.iterfind("worldbody"):
+                self._check_world(world)
         for model in self._models():
-            links = {link.get("name") for link in model.findall("link")}
-            children = {(child.text or "").strip() for child in model.iterfind("joint/child")}
-            roots = sorted(str(name) for name in links - children)
-            if len(roots) > 1:
-                raise SceneError(
-                    f"the model {model.get('name')!r} has {len(roots)} links without a parent "
-                    f"({', '.join(roots)}); PyBullet needs a joint that connects them"
-                )
+            _check_names(part for part in model if part.tag in ("link", "joint"))
+            for joint in model.iterfind("joint"):
+                if joint.get("type") is None:
+                    raise SceneError(f"the joint {joint.get('name')!r} has no type")
+            if self.format == "sdf":
+                _check_texts(model)
+            _check_roots(model)
+
+    def _check_world(self, world: ET.Element) -> None:
+        """Checks the `<worldbody>` of an MJCF file."""
+        _check_names(part for part in world.iter() if part.tag in ("body", "joint", "geom"))
+        sizes = (geom.get("size") for geom in self.root.iterfind(".//default/geom"))
+        has_default_size = any(sizes)
+        for geom in world.iter("geom"):
+            if geom.get("type") in _SIZED and geom.get("size") is None and not has_default_size:
+                raise SceneError(f"a <geom> of the type {geom.get('type')!r} has no size")
+        for joint in world.iter("joint"):
+            if joint.get("limited") == "true" and joint.get("range") is None:
+                raise SceneError(f"the limited joint {joint.get('name', '')!r} has no range")
+
+    def ignored(self, fixed: bool) -> list[str]:
+        """Returns what PyBullet ignores or reads otherwise, in words; see `ignored_parts`.
+
+        Args:
+            fixed: whether the scene fixes all bodies of the file.
+        """
+        parts = ignored_parts(self.format, self.root)
+        found = [f"ignores {'; '.join(parts)}"] if parts else []
+        if self.format == "mjcf":
+            free = [] if fixed else free_bodies(self.root)
+            found += [f"does not fix {joined_names(free)}, without a joint"] if free else []
+            if has_unknown_angles(self.root):
+                found.append("takes angles for radians without <compiler>, MuJoCo for degrees")
+        return found
 
     def static_models(self) -> set[int]:
         """Returns the indices of the static models of an SDF file.
@@ -64,8 +109,38 @@ class ModelFile:
         return {part.get("name") for tag in ("body", "geom") for part in self.root.iter(tag)}
 
     def _models(self) -> list[ET.Element]:
-        """Returns the models of an SDF file that PyBullet loads, in its order."""
+        """Returns the models of a URDF or SDF file that PyBullet loads, in its order."""
         if self.format != "sdf":
-            return []
+            return [self.root] if self.format == "urdf" else []
         world = self.root.find("world")
         return (self.root if world is None else world).findall("model")
+
+
+def _check_names(parts: Iterable[ET.Element]) -> None:
+    for part in parts:
+        if part.get("name") == "":
+            raise SceneError(f"a <{part.tag}> has an empty name")
+
+
+def _check_texts(part: ET.Element) -> None:
+    """Checks the texts that PyBullet reads in a model of an SDF file."""
+    if part.tag in _UNREAD:
+        return
+    if part.tag in _TEXTS and not len(part) and not (part.text or "").strip():
+        raise SceneError(f"a <{part.tag}> is empty")
+    for child in part:
+        _check_texts(child)
+
+
+def _check_roots(model: ET.Element) -> None:
+    """Checks that a model of a URDF or SDF file has one link without a parent."""
+    links = {link.get("name") for link in model.findall("link")}
+    children = {
+        child.get("link") or (child.text or "").strip() for child in model.iterfind("joint/child")
+    }
+    roots = sorted(str(name) for name in links - children)
+    if len(roots) > 1:
+        raise SceneError(
+            f"the model {model.get('name')!r} has {len(roots)} links without a parent "
+            f"({joined_names(roots)}); PyBullet needs joints that connect them"
+        )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
 
 # The beginning of each of Bullet's messages, which do not end in a new line.
 _MESSAGE_START = re.compile(r"b3(?:Error|Warning)\[[^]]*\]:")
+# Messages about parts of files that are not loaded, and the beginning of some of them.
+_SKIPPED = re.compile(r"cannot find|unhandled geom type|geom requires|multiple root links")
+_FILE_AND_LINE = re.compile(r"^.*:\d+: ")
 _SHAPES = {
     "box": pybullet.GEOM_BOX,
     "sphere": pybullet.GEOM_SPHERE,
@@ -27,8 +31,20 @@ _SHAPES = {
 }
 
 
-def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
-    """Loads the model of a scene entry and returns the numbers of its bodies.
+class LoadedModel(NamedTuple):
+    """The bodies of a scene entry.
+
+    Attributes:
+        handles: PyBullet's numbers of the bodies.
+        messages: what PyBullet says of parts of the file that it skips.
+    """
+
+    handles: Sequence[int]
+    messages: tuple[str, ...] = ()
+
+
+def load_model(spec: BodySpec, place: str, client: int) -> LoadedModel:
+    """Loads the model of a scene entry.
 
     Args:
         spec: the entry.
@@ -40,24 +56,29 @@ def load_model(spec: BodySpec, place: str, client: int) -> Sequence[int]:
     """
     if isinstance(spec.model, Primitive):
         with captured():  # PyBullet warns about the picture of a plane, and draws it
-            return (_create_primitive(spec, spec.model, client),)
+            return LoadedModel((_create_primitive(spec, spec.model, client),))
     where = f"{place}{spec.source}: " if place else ""
+    failure: Exception | None = None
+    handles: Sequence[int] = ()
     with captured() as lines:
         try:
-            return _load_file(spec, client)
+            handles = _load_file(spec, client)
         except (pybullet.error, UnicodeEncodeError, SceneError) as error:
             failure = error
     messages = [part.strip() for part in _MESSAGE_START.split(" ".join(lines)) if part.strip()]
+    if failure is None:
+        skipped = (message for message in messages if _SKIPPED.search(message))
+        return LoadedModel(handles, tuple(_FILE_AND_LINE.sub("", message) for message in skipped))
     reason = "; ".join(messages) or str(failure)
     raise SceneError(f"{where}{spec.model} cannot be loaded: {reason}") from failure
 
 
 def _load_file(spec: BodySpec, client: int) -> Sequence[int]:
     file = str(spec.model)
-    if spec.source == "urdf":
-        return (_load_urdf(spec, file, client),)
     model_file = ModelFile.read(spec)
     model_file.check()
+    if spec.source == "urdf":
+        return (_load_urdf(spec, file, client),)
     load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF
     handles: Sequence[int] = load(file, physicsClientId=client)
     static = model_file.static_models()

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
-from ssduck.errors import SceneError, nearest
+from ssduck.errors import SceneError, nearest, warn
+from ssduck.formatting import joined_names
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint, Kind, MotorTarget
 from ssduck.simulators.kinematics import LIMIT_TOLERANCE
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of
 from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.model_files import ModelFile
 from ssduck.simulators.pybullet.model_loader import load_model, names_in_file
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, Primitive
 from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
@@ -51,6 +54,7 @@ class LoadedBodies:
         described: the descriptions of bodies, if known already.
         disabled: bodies that begin without collisions.
         hidden: bodies that begin hidden.
+        skipped: what PyBullet says of parts of model files that it skips.
         time: the initial simulated time, s.
         elastic: whether nothing loses energy.
     """
@@ -62,6 +66,7 @@ class LoadedBodies:
     described: dict[int, BodyDescription] = field(default_factory=dict)
     disabled: set[int] = field(default_factory=set)
     hidden: set[int] = field(default_factory=set)
+    skipped: dict[Path, tuple[str, ...]] = field(default_factory=dict)
     time: float = 0.0
     elastic: bool = False
 
@@ -86,6 +91,7 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
         place = "" if is_model else f"{scene.path}: body[{index}]."
         entries.append((spec, load_body(spec, place, loaded, client)))
     loaded.names = _names(scene, entries, client)
+    _warn_of_ignored_parts(entries, loaded)
     _create_constraints(scene, loaded, client)
     # The contacts and rays of the first tick are those of the present poses.
     pybullet.performCollisionDetection(client)
@@ -111,6 +117,23 @@ def _names(
             names[handle] = unique_name(name, taken)
             taken.add(names[handle])
     return names
+
+
+def _warn_of_ignored_parts(
+    entries: Sequence[tuple[BodySpec, Sequence[int]]], loaded: LoadedBodies
+) -> None:
+    """Warns of each model file with parts that PyBullet ignores."""
+    names: dict[Path, list[str]] = {}
+    parts: dict[Path, list[str]] = {}
+    for spec, handles in entries:
+        if isinstance(spec.model, Path):
+            names.setdefault(spec.model, []).extend(loaded.names[handle] for handle in handles)
+            if spec.model not in parts:
+                parts[spec.model] = ModelFile.read(spec).ignored(spec.fixed)
+    for file, found in parts.items():
+        said = [f"PyBullet {part}" for part in found] + list(loaded.skipped.get(file, ()))
+        if said:
+            warn(f"{file} ({joined_names(names[file])}): {'; '.join(said)}")
 
 
 def set_elastic(client: int) -> None:
@@ -167,7 +190,9 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
     Raises:
         SceneError: the model cannot be loaded: file, key and reason.
     """
-    handles = load_model(spec, place, client)
+    handles, messages = load_model(spec, place, client)
+    if messages and isinstance(spec.model, Path):
+        loaded.skipped[spec.model] = messages
     joints = [_joints_of(handle, client) for handle in handles]
     _check_joints(spec, [joint for of_body in joints for joint in of_body], place)
     for number, handle in enumerate(handles):

@@ -58,7 +58,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "s",
         aliases=("timeOf",),
     ),
-    entity_relation("obj", "entity", "object.name", "Returns the entity itself."),
+    entity_relation("obj", "entity", "object.name", "Returns the object itself."),
     *(
         entity_relation(
             kind,
@@ -73,7 +73,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
             f"is{kind}",
             "boolean",
             f"object.kind = '{kind.lower()}'",
-            f"Checks if the entity is a {kind.lower()}.",
+            f"Checks if object is of type {kind}.",  # as the published tutorial prints it
         )
         for kind in ("Robot", "Sensor", "Kinbody")
     ),

@@ -320,6 +320,7 @@ def test_many_corners_that_are_as_deep():
     assert tick.calls.calls < len(slab.vertices)
 
 
+@pytest.mark.slow
 def test_few_corners_and_triangles_of_deep_meshes_are_looked_at(monkeypatch):
     looked = []
     turns = surfaces._winding_signs

@@ -39,7 +39,7 @@ def boxes_apart(a, b):
     return max(np.max(np.subtract(low, higher)), np.max(np.subtract(lower, high)))
 
 
-@pytest.mark.parametrize("condition", COMPARED + ANYWAY)
+@sampled("condition", COMPARED + ANYWAY, every=4)
 def test_what_is_compared_with_a_number(row, condition, monkeypatch):
     monkeypatch.setattr(queries, "FEW_ROWS", 0)
     ss, slow, world = row
@@ -58,7 +58,7 @@ def test_what_is_compared_with_a_number(row, condition, monkeypatch):
             assert compared <= near < 10
 
 
-@pytest.mark.parametrize(("program", "expected"), FORMS)
+@sampled(("program", "expected"), FORMS, every=2)
 def test_forms_of_selectscript(row, program, expected, monkeypatch):
     monkeypatch.setattr(queries, "FEW_ROWS", 0)
     ss, slow, _ = row

@@ -134,7 +134,7 @@ def in_sql(condition):
     return text
 
 
-@pytest.mark.parametrize(("condition", "position", "holds"), EDGES)
+@sampled(("condition", "position", "holds"), EDGES, every=2)
 def test_edges(pair, condition, position, holds):
     ss, slow, b = pair
     b.move(position)
@@ -258,7 +258,7 @@ def viewed():
     made.close()
 
 
-@pytest.mark.parametrize(("degrees", "offset", "side"), TURNED)
+@sampled(("degrees", "offset", "side"), TURNED, every=3)
 def test_sides(viewed, degrees, offset, side):
     *both, world = viewed
     angle = math.radians(degrees)

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from tests.support.cases import sampled
 from tests.support.triggering import HEIGHT, Times, falling, state
 
 # -- when it is evaluated ------------------------------------------------------------------------
@@ -59,7 +60,7 @@ EVALUATED = [
 ]
 
 
-@pytest.mark.parametrize(("steps", "interval", "evaluations", "ticks"), EVALUATED)
+@sampled(("steps", "interval", "evaluations", "ticks"), EVALUATED, every=3)
 def test_how_often(ss, sim, steps, interval, evaluations, ticks):
     ss.add_trigger("t", HEIGHT, interval, lambda _: None)
     before = sim.snapshot.number

@@ -20,6 +20,7 @@ import ssduck
 from ssduck.errors import ArgumentError, UnknownNameError
 from ssduck.interpreter.triggers.diff import canonical_key, copy_of, difference, is_true, rows_of
 from ssduck.interpreter.triggers.registry import TriggerWarning
+from tests.support.cases import sampled
 from tests.support.triggering import HEIGHT, NAN, Times, state
 
 # -- what fires ----------------------------------------------------------------------------------
@@ -51,7 +52,7 @@ FIRED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("options", "results", "expected"), FIRED)
+@sampled(("options", "results", "expected"), FIRED, every=2)
 def test_what_fires(ss, sim, options, results, expected):
     got = []
     ss.add_variable("v", results[0])
@@ -239,7 +240,7 @@ def test_numbers_of_any_kind(ss, sim, interval):
     assert type(state(ss, "t").interval) is float
 
 
-@pytest.mark.parametrize(
+@sampled(
     ("arguments", "said"),
     [
         ({"interval": -0.1}, "interval: -0.1 is no time; seconds, 0 or more"),
@@ -259,6 +260,7 @@ def test_numbers_of_any_kind(ss, sim, interval):
         ({"program": 3}, "program: 3 is neither a text nor a compiled program"),
         ({"callback": 3}, "callback: 3 is no function"),
     ],
+    every=4,
 )
 def test_wrong_arguments(ss, sim, arguments, said):
     given = {"name": "t", "program": HEIGHT, "interval": 1, "callback": print, **arguments}

@@ -84,6 +84,7 @@ def test_the_time_of_day_goes_along(tmp_path, client):
         assert rows(opened, "ticks") == wanted[:1]
 
 
+@pytest.mark.slow
 def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     opened = kitchen[2]["folder"]
     world = opened.call_variable("kitchen")

@@ -177,6 +177,7 @@ def test_a_concave_mesh_without_a_file_is_copied(client, tmp_path):
     assert copy["bowl"].aabb[0] == pytest.approx([-0.1, -0.1, -0.1])
 
 
+@pytest.mark.slow
 def test_what_stands_in_for_a_shape_is_told_of(client):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_HEIGHTFIELD,

@@ -1,0 +1,201 @@
+"""Writes values in the formats of files and of the command line: `FORMATS` has them all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO, TextIO
+
+from ssduck.adapters.display import (
+    DisplayTable,
+    RowsOfColumns,
+    are_numeric,
+    as_json,
+    cell_text,
+    display_table,
+    numbered_duplicates,
+    on_one_line,
+    print_table,
+    table_lines,
+)
+from ssduck.adapters.files import replace_file
+from ssduck.errors import ArgumentError, UnknownNameError, nearest
+
+# Characters that Markdown would interpret: [ only in links, _ only beside a word.
+_MARKDOWN = re.compile(r"[\\`*|~]|\[(?=[^]]*\]\()|(?<!\w)_|_(?!\w)")
+
+
+def _table(value: Any, stream: TextIO) -> None:
+    if value is None:
+        return
+    stream.writelines(f"{line}\n" for line in table_lines(display_table(value)))
+
+
+def _json(value: Any, stream: TextIO) -> None:
+    if isinstance(value, RowsOfColumns):
+        columns = numbered_duplicates(value.columns)
+        value = [dict(zip(columns, row, strict=True)) for row in value]
+    # Only streams in memory have no encoding.
+    ascii_only = (stream.encoding or "utf-8").lower() not in ("utf-8", "utf8")
+    to_text = partial(json.dumps, ensure_ascii=ascii_only)
+    if not (isinstance(value, list) and any(isinstance(row, list | dict) for row in value)):
+        stream.write(f"{to_text(as_json(value))}\n")
+        return
+    start = "[\n"
+    for row in value:  # one row per line is readable for people, too
+        stream.write(start + to_text(as_json(row)))
+        start = ",\n"
+    stream.write("\n]\n")
+
+
+def _csv(value: Any, stream: TextIO) -> None:
+    table = display_table(value)
+    writer = csv.writer(stream, lineterminator="\n")
+    if table.columns:
+        writer.writerow(table.columns)
+    writer.writerows([[cell_text(element) for element in row] for row in table.rows])
+
+
+def _markdown(value: Any, stream: TextIO) -> None:
+    stream.writelines(f"{line}\n" for line in markdown_lines(display_table(value)))
+
+
+def markdown_lines(table: DisplayTable) -> Iterator[str]:
+    """Yields the lines of a table in Markdown; numbers are aligned right."""
+    count = max([len(table.columns), *map(len, table.rows)], default=0)
+    names = [*table.columns, *[""] * (count - len(table.columns))]
+    numeric = [*are_numeric(table), *[False] * count]
+    if not count:
+        return
+    yield _markdown_row(map(_escaped, names))
+    yield _markdown_row("---:" if right else "---" for right in numeric[:count])
+    for row in table.rows:
+        yield _markdown_row([*map(_escaped, row), *[""] * (count - len(row))])
+
+
+def _markdown_row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _escaped(value: Any) -> str:
+    """Returns the text of a value with all characters escaped that Markdown would interpret."""
+    text = _MARKDOWN.sub(r"\\\g<0>", on_one_line(value))
+    return text.replace("&", "&amp;").replace("<", "&lt;")
+
+
+def _parquet(value: Any, stream: BinaryIO) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from ssduck.adapters.columns import array_of
+
+    if isinstance(value, RowsOfColumns):
+        table = value.arrow().rename_columns(numbered_duplicates(value.columns))
+    else:
+        rows = display_table(value)
+        if not rows.columns:
+            raise ArgumentError("the rows are lists without names; Parquet needs named columns")
+        columns = zip(*rows.rows, strict=True) if rows.rows else [()] * len(rows.columns)
+        pairs = zip(rows.columns, columns, strict=True)
+        table = pa.table({name: array_of(name, column) for name, column in pairs})
+    pq.write_table(table, stream)
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of files.
+
+    Attributes:
+        name: the name, as after `--format`.
+        write: writes a value to a text or binary stream.
+        suffixes: the suffixes of its files.
+        is_binary: whether the stream is binary.
+    """
+
+    name: str
+    write: Callable[[Any, Any], None]
+    suffixes: tuple[str, ...]
+    is_binary: bool = False
+
+
+FORMATS = {
+    format.name: format
+    for format in (
+        Format("table", _table, (".txt",)),
+        Format("csv", _csv, (".csv",)),
+        Format("json", _json, (".json",)),
+        Format("parquet", _parquet, (".parquet",), is_binary=True),
+        Format("markdown", _markdown, (".md", ".markdown")),
+    )
+}
+
+
+def format_of(path: Path) -> Format:
+    """Returns the format of a file by its suffix.
+
+    Raises:
+        UnknownNameError: no format has the suffix.
+    """
+    by_suffix = {suffix: format for format in FORMATS.values() for suffix in format.suffixes}
+    suffix = path.suffix.lower()
+    if suffix not in by_suffix:
+        raise UnknownNameError(
+            f"{path}: the suffix {suffix!r} is of no format; known are {', '.join(by_suffix)}",
+            suggestions=nearest(suffix, by_suffix),
+        )
+    return by_suffix[suffix]
+
+
+def text_of(value: Any, format: Format) -> str:
+    """Returns a value in a text format."""
+    stream = io.StringIO()
+    format.write(value, stream)
+    return stream.getvalue()
+
+
+def save(value: Any, path: Path, format: Format | None = None) -> Path:
+    """Writes a value to a file and atomically replaces an existing file of that name.
+
+    Args:
+        value: the value, with all its rows and columns.
+        path: the file.
+        format: the format; by default that of the file's suffix.
+
+    Raises:
+        UnknownNameError: no format has the suffix.
+        ArgumentError: the file cannot be written, or the format cannot hold the value.
+    """
+    chosen = format or format_of(path)
+
+    def write(stream: BinaryIO) -> None:
+        if chosen.is_binary:
+            chosen.write(value, stream)
+            return
+        text = io.TextIOWrapper(stream, encoding="utf-8", newline="\n")
+        chosen.write(value, text)
+        text.detach()  # flushes, and leaves the stream open
+
+    replace_file(path, write)
+    return path
+
+
+def print_value(value: Any, format: Format, max_rows: int | None = None) -> None:
+    """Writes a value to standard output.
+
+    Args:
+        value: the value.
+        format: a text format.
+        max_rows: the maximal number of rows of a table; None for all.
+    """
+    if format.name != "table":
+        format.write(value, sys.stdout)
+    elif value is not None:
+        table = display_table(value)
+        print_table(table if max_rows is None else table.shortened(max_rows))

@@ -1,0 +1,100 @@
+"""What is recorded by default, its bound in bytes, and the calls that keep more."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import EvaluationError, SqlError
+from tests.support.cases import sampled
+from tests.support.pasts import _step
+
+
+@sampled("table", ["links", "joints", "shapes", "contacts", "sensings"], every=3)
+def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, table: str) -> None:
+    falling.record("lab", Recording(tables=("entities",)))
+    with pytest.raises(SqlError, match=f"the table of {table} of 'lab' is not recorded") as raised:
+        falling.sql(f"SELECT * FROM {table}_history")
+    call = re.search(r"ss\.record\(.*\)\)", str(raised.value))
+    assert call is not None
+    eval(call.group(), {"ss": falling, "ssduck": ssduck})  # noqa: S307  # the advice as it stands
+    _step(falling, 100)
+    assert falling.sql(f"SELECT count(*) FROM {table}_history").fetchone() != (0,) or (
+        table in ("joints", "sensings")  # there are none in this world
+    )
+
+
+def test_entities_links_and_contacts_are_recorded_by_default(
+    falling: ssduck.Interpreter, tmp_path: Any
+) -> None:
+    client = falling.call_variable("lab").simulator.client
+    rows = []
+    for step in range(1, 241):
+        _step(falling, 1)
+        points = pybullet.getContactPoints(physicsClientId=client)
+        rows += [(step + 1, point[9]) for point in points if point[8] <= 0]  # the shapes meet
+    kept = falling.sql("SELECT tick, force FROM contacts_history").fetchall()
+    assert sorted(kept) == sorted(rows) != []
+    assert falling.sql("SELECT count(*) FROM links_history").fetchall() == [(241 * 3,)]
+    falling.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as record:
+        kept = record.sql("SELECT tick, force FROM contacts_history").fetchall()
+        assert sorted(kept) == sorted(rows)
+    world = falling.call_variable("lab")
+    with ssduck.Interpreter(tmp_path / "run.duckdb") as file:
+        file.add_variable("lab", world)
+        world.step(1)
+    with ssduck.open(tmp_path / "run.duckdb") as record:
+        tables = ssduck.episodes(tmp_path / "run.duckdb")[0].tables
+        assert set(tables) == {"entities", "links", "contacts"}
+        assert record.sql("SELECT count(*) FROM contacts_history").fetchone() != (0,)
+
+
+@pytest.mark.parametrize("changed", [False, True], ids=["memory", "tables"])
+def test_the_size_of_what_is_kept_is_bounded(falling: ssduck.Interpreter, changed: bool) -> None:
+    limit = 400_000
+    falling.record("lab", Recording(max_bytes=limit, changed=changed))
+    world, history = falling.call_variable("lab"), falling._database._worlds.bound[0].history
+    assert history is not None
+    assert history.recorder is not None
+    for _ in range(20):
+        _step(falling, 100)
+        rows = [
+            falling.sql(f"FROM {table}_history").arrow()
+            for table in ("entities", "links", "contacts")
+        ]
+        buffers = [buffer.row_bytes * buffer.count for buffer in history.recorder.buffers.values()]
+        if not changed:
+            assert history.store.nbytes + sum(buffers) <= limit
+        times = falling.past("lab").times
+        assert times[-1] == world.time
+        assert len(times) == len(set(rows[0]["tick"].to_pylist()))
+    assert 50 < len(times) < 2000
+    falling.past("lab", times[0])
+    with pytest.raises(
+        EvaluationError, match=r"recorded from .*ssduck.Recording\(.*max_bytes=800000\)"
+    ):
+        falling.past("lab", times[0] - 1 / 240)
+    with pytest.raises(EvaluationError, match="max_bytes=800000"):
+        falling.eval("SELECT z FROM lab{0.0} AS list;")
+
+
+def test_one_tick_is_kept_however_small_the_limit_is(falling: ssduck.Interpreter) -> None:
+    falling.record("lab", Recording(max_bytes=1))
+    _step(falling, 20)
+    assert 1 <= len(falling.past("lab").ticks) <= 3
+    assert falling.past("lab").times[-1] == falling.call_variable("lab").time
+
+
+def test_a_size_limit_is_the_default_in_memory_only() -> None:
+    default = Recording()
+    assert default.with_size_limit(in_memory=True).max_bytes == 512 * 2**20
+    assert default.with_size_limit(in_memory=False).max_bytes is None
+    assert Recording(seconds=600).with_size_limit(in_memory=True).max_bytes is None
+    assert Recording(max_bytes=None).with_size_limit(in_memory=True).max_bytes is None
+    assert Recording(max_bytes=7).with_size_limit(in_memory=False).max_bytes == 7
