@@ -8,7 +8,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import MASSES, ON_DEMAND, TABLES
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import Entity
-from ssduck.world.handles import Handle, RecordedTick
+from ssduck.world.handles import RecordedTick
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
@@ -62,10 +62,6 @@ class PastWorld(World):
     def entity(self, id: int) -> Entity:
         """Returns the handle of an entity at this tick, by its id."""
         return self._record.entity(self.snapshot.number, id)
-
-    def handle(self, id: int) -> Handle:
-        """Returns the handle of an entity or a link at this tick, by its id."""
-        return self._record.handle(self.snapshot.number, id)
 
     def __contains__(self, thing: object) -> bool:
         """Checks whether there is an entity of a name, or a given entity."""
