@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
+from ssduck.world.pictures import renderable
 from ssduck.world.world import World
 
 if TYPE_CHECKING:
@@ -37,18 +37,12 @@ def highlighted(world: World, entities: Iterable[Handle], width: int, height: in
     from PIL import Image
 
     body_ids = {_visible_body(entity) for entity in entities}
-    if not world.is_final:
-        return Image.fromarray(_render_highlighted(world, body_ids, width, height))
-    with warnings.catch_warnings():
-        # A picture does not show the velocities of joints.
-        warnings.filterwarnings("ignore", message=".*velocities of joints are not recorded")
-        twin = world.excerpt(list(world))
-    try:
-        names = {world.entity(id).name for id in body_ids}
-        ids = {entity.id for entity in twin if entity.name in names}
-        return Image.fromarray(_render_highlighted(twin, ids, width, height))
-    finally:
-        twin.close()
+    names = {world.entity(id).name for id in body_ids}
+    with renderable(world) as rendered:
+        ids = body_ids
+        if rendered is not world:
+            ids = {entity.id for entity in rendered if entity.name in names}
+        return Image.fromarray(_render_highlighted(rendered, ids, width, height))
 
 
 def _visible_body(entity: Handle) -> int:

@@ -19,6 +19,7 @@ from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
     SceneError,
+    SelectScriptError,
     UnknownNameError,
     UnsupportedError,
     nearest,
@@ -444,6 +445,15 @@ class World(ManipulableSimulation, OpenRaveWorld):
 
     def __repr__(self) -> str:
         return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+
+    def _repr_png_(self) -> bytes | None:
+        """Returns a picture for notebooks; None if the world cannot be rendered."""
+        from ssduck.world.pictures import png
+
+        try:
+            return png(self)
+        except SelectScriptError:  # its simulation is closed, say; the text is shown then
+            return None
 
     # -- sensors --------------------------------------------------------------------------
 

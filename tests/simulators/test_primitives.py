@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pybullet
 import pytest
@@ -200,6 +202,19 @@ def test_an_excerpt_of_primitives_goes_on_as_the_original(load):
     for one, other in zip(world.step(100), copy.step(100), strict=True):
         assert other.name == one.name
         assert other.pose == pytest.approx(one.pose, abs=1e-9)
+
+
+def test_a_saved_excerpt_has_the_same_primitives(load, tmp_path):
+    ss, world = load(STACK)
+    world.step(30)
+    copy = ss.eval("SELECT this FROM room WHERE id != 'ball' AS environment;")
+    copy.save(tmp_path / "saved")
+    scene = read_scene(tmp_path / "saved" / "scene.toml")
+    before = read_scene(tmp_path / "room.toml")
+    assert [body.name for body in scene.bodies] == ["floor", "crate"]
+    assert scene.bodies[0] == replace(before.floor, kind="kinbody")
+    assert scene.bodies[1].model == before.bodies[0].model
+    assert scene.bodies[1].position == pytest.approx(world["crate"].position, abs=1e-15)
 
 
 def test_sensors_and_constraints_on_primitives(load):
