@@ -110,7 +110,7 @@ class NarrowPhase:
 
     def regrouped(self, shapes: Indices, starts: Sequence[int]) -> NarrowPhase:
         """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
-        placed = [part[shapes] for part in (self._positions, self._orientations, self._boxes)]
+        placed = self._positions[shapes], self._orientations[shapes], self._boxes[shapes]
         margins = np.array(self._margins)[shapes]
         return NarrowPhase(self._solids, shapes, *placed, starts, self.calls, margins)
 
