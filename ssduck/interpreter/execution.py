@@ -41,7 +41,8 @@ from ssduck.sql.dialects import in_dialect
 from ssduck.sql.explain import explained
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.translator import unknown_function
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
+from ssduck.world.links import Link
 from ssduck.world.world import World
 
 
@@ -261,14 +262,17 @@ class Execution(Namespace, ABC):
         if pinned is None:
             return None
         values_by_name = {f"argument_{index}": value for index, value in enumerate(pinned)}
-        worlds = [value.world for value in values if isinstance(value, Entity)]
-        with self._database.pinned(RELATIONS[node.name].inputs, worlds):
+        worlds = [value.world for value in values if isinstance(value, Handle)]
+        tables = RELATIONS[node.name].inputs
+        if any(isinstance(value, Link) for value in values):
+            tables |= {"links"}
+        with self._database.pinned(tables, worlds):
             for argument, value in zip(node.arguments, pinned, strict=True):
-                if isinstance(value, Entity) and not value.is_there:
+                if isinstance(value, Handle) and not value.is_there:
                     error = value.removed()
                     error.span = argument.span
                     raise error
-                moment = value.moment if isinstance(value, Entity) else None
+                moment = value.moment if isinstance(value, Handle) else None
                 if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
             return self._planner.relation(query, Frame(self, placeholders=values_by_name))

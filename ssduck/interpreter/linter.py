@@ -39,7 +39,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The functions that return the name of an entity.
@@ -347,7 +347,7 @@ class Linter:
             if isinstance(variable, Past):
                 return [variable.world]
             if not isinstance(variable, list) or not any(
-                isinstance(e, Entity) for e in variable[:1]
+                isinstance(e, Handle) for e in variable[:1]
             ):
                 return []
         elif site.is_bare:

@@ -522,8 +522,9 @@ def _derived_items(rows: Subquery, name: str) -> FromItem:
         value = replace(item, expression=column_of(name, "value"), elements=None)
         return _derived_element(rows, name, value, {"value": item.sql})
     assert item.column is not None
-    columns = {column: item.column(column) for column in ENTITY_COLUMNS}
-    value = entity_value(item.sql_type.schema, name)
+    table = item.sql_type.table
+    columns = {column: item.column(column) for column in ENTITY_COLUMNS[table]}
+    value = entity_value(item.sql_type.schema, name, table)
     if item.sql_type.nullable or item.sql_type.past:
         raise NotSqlError
     return _derived_element(rows, name, value, columns)

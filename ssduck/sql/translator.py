@@ -189,7 +189,7 @@ class _Translator:
         name = self.context.alias(source_type.alias)
         if source_type.sql_type is None:
             assert source_type.schema is not None
-            return world_table(source_type.schema, name)
+            return world_table(source_type.schema, name, source_type.table)
         if source_type.sql_type.type == "record":
             table = self.result.tables[source_type.alias] = f"the rows of {name}"
             return record_table(name, table, source_type.sql_type)
@@ -210,7 +210,7 @@ class _Translator:
         assert source_type.schema is not None
         if source_type.past_kind == "now":
             self.sql.ticks.present.add(column_of(name, "tick").sql())
-            return present_table(source_type.schema, name)
+            return present_table(source_type.schema, name, source_type.table)
         first, last = (
             self.context.parameter(
                 end, ParameterBinding("", source=source_type.alias, end=end, sql_type=INTEGER)
@@ -227,7 +227,7 @@ class _Translator:
             self.sql.ticks.tick_ranges[tick.sql()] = TickRange(
                 source_type.schema, first, last, tick, id
             )
-        return past_table(source_type.schema, name, first, last, id)
+        return past_table(source_type.schema, name, first, last, id, source_type.table)
 
     def _tick_joins(self) -> Iterator[exp.Expr]:
         """Joins sources that are several ticks of one world by their ticks."""
@@ -280,7 +280,7 @@ class _Translator:
         live = (
             s
             for s in self.result.source_types
-            if s.has_values and s.sql_type is None and not s.past_kind
+            if s.has_values and s.sql_type is None and not s.past_kind and s.table == "entities"
         )
         worlds = {source_type.alias: source_type.schema for source_type in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}

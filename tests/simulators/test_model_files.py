@@ -409,10 +409,10 @@ def test_other_warnings_about_files(load):
     )
     wall = '<body name="wall"><geom type="box" size="1 1 1"/></body>'
     entry = '[[body]]\nmjcf = "a.xml"\n'
-    with pytest.warns(UserWarning, match="does not fix wall") as caught:
+    with pytest.warns(UserWarning, match="leaves wall free; MuJoCo") as caught:
         load(entry + entry, a_xml=mjcf_of(body, wall))
     (warning,) = caught
-    assert "a.xml (b, wall, b_2, wall_2): PyBullet does not fix wall, " in str(warning.message)
+    assert "a.xml (b, wall, b_2, wall_2): PyBullet leaves wall free; " in str(warning.message)
     assert "unhandled geom type 'ellipsoid'" in str(warning.message)
     hinge = '<body name="b"><joint name="h" range="-90 90"/><geom type="box" size="1 1 1"/></body>'
     with pytest.warns(UserWarning, match="takes angles for radians without <compiler>"):
