@@ -39,10 +39,13 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
-_NAME = "id"
+# The functions that return the name of an entity.
+_NAME_FUNCTIONS = ("id", "name")
+# The functions that SQL's users know as columns; so common as variables that they may hide them.
+_COLUMNS = frozenset(("name", "kind"))
 
 
 @dataclass(frozen=True)
@@ -205,11 +208,11 @@ def _collect_name_site(
     facts: StatementFacts,
 ) -> None:
     match side:
-        case Call(name=name, arguments=(This(alias=alias),)) if name == _NAME:
+        case Call(name=name, arguments=(This(alias=alias),)) if name in _NAME_FUNCTIONS:
             source, is_bare = only_source if alias is None else outer_sources.get(alias), False
-        case QualifiedName(alias=alias, key=name) if name == _NAME:
+        case QualifiedName(alias=alias, key=name) if name in _NAME_FUNCTIONS:
             source, is_bare = outer_sources.get(alias), True
-        case Name(name=name) if name == _NAME and only_source is not None:
+        case Name(name=name) if name in _NAME_FUNCTIONS and only_source is not None:
             source, is_bare = only_source, True
         case _:
             return
@@ -278,14 +281,15 @@ class Linter:
 
     def _hiding_names(self, facts: StatementFacts) -> Iterator[SelectScriptError]:
         for name, span in facts.assigned:
-            if self._is_function(name):
+            if self._is_function(name) and name not in _COLUMNS:
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.columns:
             if self._variable(name) is not None:
                 message = f"{name} is the variable here, and not the column of that name"
                 yield ArgumentError(message, span=span)
         for name, span in facts.bare:
-            if self._is_function(name) and self._variable(name) is not None:
+            is_hidden = self._is_function(name) and self._variable(name) is not None
+            if is_hidden and name not in _COLUMNS:
                 yield ArgumentError(hiding_message(name), span=span)
         for name, span in facts.aliases:
             if self._is_function(name) and self._variable(name) is None:
@@ -343,7 +347,7 @@ class Linter:
             if isinstance(variable, Past):
                 return [variable.world]
             if not isinstance(variable, list) or not any(
-                isinstance(e, Entity) for e in variable[:1]
+                isinstance(e, Handle) for e in variable[:1]
             ):
                 return []
         elif site.is_bare:
