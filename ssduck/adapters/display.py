@@ -182,13 +182,15 @@ def as_json(value: Any) -> Any:
 def _other_as_json(value: Any) -> Any:
     import numpy as np
 
-    from ssduck.world.entities import Entity
+    from ssduck.world.handles import Handle
     from ssduck.world.world import World
 
     match value:
         case np.ndarray() | np.generic():
             return as_json(value.tolist())
-        case Entity() | World():
+        case Handle():
+            return value.full_name
+        case World():
             return value.name
         case Decimal():
             return float(value)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.world.entities import Entity, Sensor
+from ssduck.world.entities import Sensor
+from ssduck.world.handles import Handle
 from ssduck.world.pictures import renderable
 from ssduck.world.world import World
 
@@ -21,7 +22,7 @@ _FADE = 0.72
 _WIDTH = 2
 
 
-def highlighted(world: World, entities: Iterable[Entity], width: int, height: int) -> Image.Image:
+def highlighted(world: World, entities: Iterable[Handle], width: int, height: int) -> Image.Image:
     """Returns a picture by the world's camera with entities outlined and all else faded.
 
     Args:
@@ -44,11 +45,11 @@ def highlighted(world: World, entities: Iterable[Entity], width: int, height: in
         return Image.fromarray(_render_highlighted(rendered, ids, width, height))
 
 
-def _visible_body(entity: Entity) -> int:
+def _visible_body(entity: Handle) -> int:
     """Returns the id of the body that represents an entity in the picture."""
     if not entity.is_there:
         raise entity.removed()
-    return entity.host if isinstance(entity, Sensor) else entity.id
+    return entity.host if isinstance(entity, Sensor) else entity.entity.id
 
 
 def _render_highlighted(

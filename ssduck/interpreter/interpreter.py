@@ -418,6 +418,11 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         Raises:
             SqlError: DuckDB refuses the statement.
             ArgumentError: the statement is no text.
+            UnknownNameError: the interpreter is strict, and no entity has a name that the statement
+                compares.
+
+        Warns:
+            ProgramWarning: the same in an interpreter that is not strict.
 
         >>> import ssduck
         >>> with ssduck.Interpreter() as ss:
@@ -429,6 +434,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             if not self._program_texts:
                 self._drop_unused_worlds()
                 self._database.connection.meter = UsageMeter(self._limits)
+            self._report(self._linter.check_sql(text))
             return Result(self._database.table(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:

@@ -12,6 +12,7 @@ from PIL import Image
 import ssduck
 from ssduck.cli.app import app
 from ssduck.demos.kitchen import KITCHEN
+from tests.support.cases import sampled
 from tests.support.command_line import ROOT, answer, run, ssduck_
 
 PAGE = (ROOT / "docs" / "reference" / "command-line.md").read_text(encoding="utf-8")
@@ -128,7 +129,7 @@ EXAMPLES = [
 ]
 
 
-@pytest.mark.parametrize(("line", "shown"), EXAMPLES, ids=[line for line, _ in EXAMPLES])
+@sampled(("line", "shown"), EXAMPLES, every=3, ids=[line for line, _ in EXAMPLES])
 def test_examples_of_the_manual(tmp_path, monkeypatch, line, shown):
     monkeypatch.chdir(tmp_path)
     words = shlex.split(line)

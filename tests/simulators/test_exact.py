@@ -87,7 +87,7 @@ MODELS = sorted(path.name for path in (LIBRARY / "mjcf").glob("*.xml"))
 MARGIN = 0.04
 
 
-@pytest.mark.parametrize("model", MODELS)
+@sampled("model", MODELS, every=3)
 def test_shapes_of_mjcf_files_are_where_rays_meet_them(client, model):
     """PyBullet's own rays are the oracle: what they end on is a surface."""
     handles = pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)

@@ -129,6 +129,7 @@ def test_what_if_is_moving_the_body_and_asking_again_in_the_kitchen(kitchen, dat
     assert_same(told(maybe), guess)
 
 
+@pytest.mark.slow
 def test_each_entity_of_the_kitchen_by_itself(kitchen):
     for name in [entity.name for entity in kitchen if entity.kind != "sensor"]:
         pose = kitchen[name].pose
