@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ _MAX_CONTEXT = 60
 _MAX_NAME_LENGTH = 200
 _PACKAGE = __name__.partition(".")[0]
 # Frames of decorators, context managers and cached properties lie between those of the package.
+_NOTEBOOK_PACKAGES = frozenset(("IPython", "ipykernel"))
 _SKIPPED_PACKAGES = frozenset((_PACKAGE, "contextlib", "functools", "numpy"))
 
 
@@ -110,6 +112,10 @@ class SelectScriptError(Exception):
             return text
         return f"{text}\n  line {self.line}, column {self.column}\n{self._underlined()}"
 
+    def _render_traceback_(self) -> list[str]:
+        """Returns the lines that notebooks show: the user's own lines, and the error."""
+        return [*_outside_lines(self), f"{type(self).__name__}: {self}"]
+
     def _underlined(self) -> str:
         """Returns the line of the error, or a part of a long one, with the place underlined."""
         assert self.text is not None
@@ -128,6 +134,25 @@ class SelectScriptError(Exception):
         # Tabs are kept, so that the mark is below the marked text.
         indent = "".join("\t" if letter == "\t" else " " for letter in before)
         return f"    {line}\n    {indent}{'^' * width}"
+
+
+def _outside_lines(error: BaseException) -> list[str]:
+    """Returns the lines of code outside ssduck that led to an error, in the order of the calls.
+
+    If a user's function raised the error's cause, its lines follow those of the caller.
+    """
+    frames = list(traceback.walk_tb(error.__traceback__))
+    inner = [n for n, (frame, _) in enumerate(frames) if _package(frame.f_globals) == _PACKAGE]
+    frames = frames[: inner[0]] if inner else frames
+    frames = [pair for pair in frames if _package(pair[0].f_globals) not in _NOTEBOOK_PACKAGES]
+    lines = traceback.StackSummary.extract(iter(frames)).format()
+    cause = error.__cause__
+    if isinstance(error, FunctionError) and cause is not None:
+        frames = list(traceback.walk_tb(cause.__traceback__))
+        while frames and _package(frames[0][0].f_globals) in _SKIPPED_PACKAGES:
+            del frames[0]
+        lines += traceback.StackSummary.extract(iter(frames)).format()
+    return [line.rstrip("\n") for line in lines]
 
 
 class ProgramWarning(UserWarning):

@@ -28,10 +28,17 @@ FORGOTTEN_AFTER = 240
 # A pair of entities in SQL is one number, the first id times this plus the second: DuckDB passes
 # and sorts one number faster than two.
 ID_FACTOR = 1 << 32
+# The id of a link is (its number + 1) times this plus the id of its entity; so ids of entities are
+# fewer, and ids of links are fewer than `MAX_IDS`.
+LINK_FACTOR = 1 << 22
+MAX_IDS = 1 << 31
+MAX_LINKS = MAX_IDS // LINK_FACTOR - 1
 # The numbers of an entity that may be infinite; the others are finite or unknown.
 BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
+# The tables whose rows are values of programs.
+EntityTable: TypeAlias = Literal["entities", "links"]
 ColumnType: TypeAlias = Literal["double", "integer", "string", "boolean", "points", "triples"]
 # Where a record stores a column: with the rows of each tick, once for each entity in the *model*
 # of the table, or in both.
@@ -121,6 +128,7 @@ class Table:
         is_on_demand: whether it is read from the simulator only when it is requested.
         is_recordable: whether users choose to record it.
         has_history: whether its rows belong to ticks.
+        view_columns: the columns that only its views have: they follow from others.
         follows_from_poses: whether it can be computed for a past tick without being recorded.
     """
 
@@ -134,6 +142,7 @@ class Table:
     is_on_demand: bool = False
     is_recordable: bool = True
     has_history: bool = True
+    view_columns: tuple[Column, ...] = ()
     follows_from_poses: bool = False
 
     @cached_property
@@ -283,6 +292,16 @@ _LINKS = Table(
     key=("entity", "link"),
     entity_columns=("entity",),
     is_on_demand=True,
+    view_columns=(
+        Column(
+            "id", "integer", "id of the link, among those of entities: (link + 1) * 2^22 + entity"
+        ),
+        Column("full_name", "string", "names of entity and link, unique in the world"),
+        Column("kind", "string", "link"),
+        Column("enabled", "boolean", "whether its entity takes part in collisions"),
+        Column("visible", "boolean", "whether its entity is drawn"),
+        Column("run", "integer", "random number of the run that the row belongs to"),
+    ),
     follows_from_poses=True,
 )
 _JOINTS = Table(
@@ -433,6 +452,29 @@ HISTORIES: Mapping[str, Table] = {name: RECORDED[name] for name in ("ticks", *RE
 MODELS: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.model}
 # The recorded poses of links, where the table of links is not recorded.
 FRAMES = _FRAMES.name
+
+
+def link_id(entity: int, link: int) -> int:
+    """Returns the id of a link.
+
+    >>> link_id(3, 0), entity_of(link_id(3, 7)), link_of(link_id(3, 7))
+    (4194307, 3, 7)
+
+    Args:
+        entity: the id of its entity.
+        link: its number; the base is 0.
+    """
+    return (link + 1) * LINK_FACTOR + entity
+
+
+def entity_of(id: int) -> int:
+    """Returns the id of the entity of a link; of an entity its own."""
+    return id % LINK_FACTOR
+
+
+def link_of(id: int) -> int:
+    """Returns the number of a link; -1 for the id of an entity."""
+    return id // LINK_FACTOR - 1
 
 
 def recorded_tables(chosen: tuple[str, ...]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from ssduck.errors import ArgumentError
 from ssduck.language.clauses import Rows
 from ssduck.language.tree import Query
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 
 if TYPE_CHECKING:
     from ssduck.world.world import World
@@ -78,12 +78,12 @@ class Selection:
         return names[0] if names else ()
 
     @cached_property
-    def entities(self) -> list[Entity]:
+    def entities(self) -> list[Handle]:
         """The entities in the rows and in lists in them, each once, in order of appearance.
 
         If the query reads a range of ticks, each entity appears once for each tick.
         """
-        entities: dict[tuple[Entity, int | None], Entity] = {}
+        entities: dict[tuple[Handle, int | None], Handle] = {}
         for row in self.rows:
             _collect_entities(row, entities)
         return list(entities.values())
@@ -177,8 +177,8 @@ def _refuse_reading(_: int | None) -> Rows:
     raise ArgumentError("the query has ended; a form must read its rows before it returns")
 
 
-def _collect_entities(value: Any, entities: dict[tuple[Entity, int | None], Entity]) -> None:
-    if isinstance(value, Entity):
+def _collect_entities(value: Any, entities: dict[tuple[Handle, int | None], Handle]) -> None:
+    if isinstance(value, Handle):
         tick = None if value.moment is None else value.moment.tick
         entities.setdefault((value, tick), value)
     elif isinstance(value, list | tuple):

@@ -14,7 +14,7 @@ from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
 from ssduck.formatting import error_text, short_repr, type_in_words
 from ssduck.sql.types import EXACT
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The bounds of 64-bit integers and of 38-digit decimals, which also carry DuckDB's HUGEINT.
@@ -71,7 +71,9 @@ def plain_value(value: Any) -> Any:
     [0.5, [0, 1]]
     """
     match value:
-        case Entity() | World():
+        case Handle():
+            return value.full_name
+        case World():
             return value.name
         case np.ndarray() | np.generic():
             return value.tolist()

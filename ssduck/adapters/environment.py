@@ -7,8 +7,11 @@ from ssduck.world.world import World
 
 
 def environment(selection: Selection) -> World:
-    """Returns a new, running world of the selected entities; see `World.excerpt`."""
-    return selection.world.excerpt(selection.entities)
+    """Returns a new, running world of the selected entities, and those of links.
+
+    See `World.excerpt`.
+    """
+    return selection.world.excerpt([handle.entity for handle in selection.entities])
 
 
 WORLDS = (

@@ -23,7 +23,8 @@ from ssduck.geometry.rasterize import Rasterizer
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.language.tree import Call, Name, Query, This, UnresolvedName
 from ssduck.simulators.sensor_types import SENSOR_TYPES
-from ssduck.world.entities import Entity, Sensor
+from ssduck.world.entities import Sensor
+from ssduck.world.handles import Handle
 
 # The number of cells whose visibility is computed at a time.
 _BATCH = 1_000_000
@@ -169,12 +170,12 @@ def _pyramid(blur: int) -> Array:
     return weights
 
 
-def _entity_values(selection: Selection) -> list[tuple[Entity, float]]:
+def _entity_values(selection: Selection) -> list[tuple[Handle, float]]:
     """Returns the entity of each row and the sum of the numbers of the row."""
     names = selection.columns
     entity_values = []
     for row in selection.rows:
-        entities = [value for value in row if isinstance(value, Entity)]
+        entities = [value for value in row if isinstance(value, Handle)]
         if not entities:
             raise ArgumentError(
                 "a row has no entity, whose position selects the cell of its values"
@@ -182,7 +183,7 @@ def _entity_values(selection: Selection) -> list[tuple[Entity, float]]:
         values = [
             _sum(value, name)
             for name, value in zip(names, row, strict=True)
-            if not isinstance(value, Entity)
+            if not isinstance(value, Handle)
         ]
         entity_values.append((entities[0], math.fsum(values)))
     return entity_values
@@ -274,10 +275,10 @@ def _check_count(counts: Sequence[float]) -> None:
         )
 
 
-def _finite_position(entity: Entity) -> list[float]:
+def _finite_position(entity: Handle) -> list[float]:
     position = entity.position
     if not np.isfinite(position).all():
-        raise ArgumentError(f"{entity.name!r}: the position is not a number")
+        raise ArgumentError(f"{entity.full_name!r}: the position is not a number")
     return position
 
 

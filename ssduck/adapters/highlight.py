@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.world.entities import Entity, Sensor
+from ssduck.world.entities import Sensor
+from ssduck.world.handles import Handle
+from ssduck.world.pictures import renderable
 from ssduck.world.world import World
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ _FADE = 0.72
 _WIDTH = 2
 
 
-def highlighted(world: World, entities: Iterable[Entity], width: int, height: int) -> Image.Image:
+def highlighted(world: World, entities: Iterable[Handle], width: int, height: int) -> Image.Image:
     """Returns a picture by the world's camera with entities outlined and all else faded.
 
     Args:
@@ -36,25 +37,19 @@ def highlighted(world: World, entities: Iterable[Entity], width: int, height: in
     from PIL import Image
 
     body_ids = {_visible_body(entity) for entity in entities}
-    if not world.is_final:
-        return Image.fromarray(_render_highlighted(world, body_ids, width, height))
-    with warnings.catch_warnings():
-        # A picture does not show the velocities of joints.
-        warnings.filterwarnings("ignore", message=".*velocities of joints are not recorded")
-        twin = world.excerpt(list(world))
-    try:
-        names = {world.entity(id).name for id in body_ids}
-        ids = {entity.id for entity in twin if entity.name in names}
-        return Image.fromarray(_render_highlighted(twin, ids, width, height))
-    finally:
-        twin.close()
+    names = {world.entity(id).name for id in body_ids}
+    with renderable(world) as rendered:
+        ids = body_ids
+        if rendered is not world:
+            ids = {entity.id for entity in rendered if entity.name in names}
+        return Image.fromarray(_render_highlighted(rendered, ids, width, height))
 
 
-def _visible_body(entity: Entity) -> int:
+def _visible_body(entity: Handle) -> int:
     """Returns the id of the body that represents an entity in the picture."""
     if not entity.is_there:
         raise entity.removed()
-    return entity.host if isinstance(entity, Sensor) else entity.id
+    return entity.host if isinstance(entity, Sensor) else entity.entity.id
 
 
 def _render_highlighted(

@@ -14,7 +14,7 @@ from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
 from ssduck.language.tree import Call, ListLiteral, Name, Node, Query, This
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 
 # Distinguishes edges between the same nodes: the relation or the row number, None if single.
 Key: TypeAlias = str | int | None
@@ -30,26 +30,27 @@ class _Network:
         edges: the attributes of each edge, by its start, its end and its key.
     """
 
-    entities: dict[str, Entity] = field(default_factory=dict)
+    entities: dict[str, Handle] = field(default_factory=dict)
     nodes: dict[str, dict[str, Any]] = field(default_factory=dict)
     edges: dict[tuple[str, str, Key], dict[str, Any]] = field(default_factory=dict)
 
-    def node(self, entity: Entity) -> str:
+    def node(self, entity: Handle) -> str:
         """Returns the name of the node of an entity, which it adds if necessary."""
-        known = self.entities.setdefault(entity.name, entity)
+        known = self.entities.setdefault(entity.full_name, entity)
         if known is not entity and known != entity:
             raise ArgumentError(
-                f"two worlds have an entity {entity.name!r}; a graph needs entities of one world"
+                f"two worlds have an entity {entity.full_name!r}; a graph needs entities "
+                "of one world"
             )
-        self.nodes.setdefault(entity.name, {})
-        return entity.name
+        self.nodes.setdefault(entity.full_name, {})
+        return entity.full_name
 
-    def describe(self, entity: Entity, attributes: Mapping[str, Any]) -> None:
+    def describe(self, entity: Handle, attributes: Mapping[str, Any]) -> None:
         """Adds attributes to the node of an entity."""
         name = self.node(entity)
         _set_attributes(self.nodes[name], attributes, name, "name the columns by to(…, 'name')")
 
-    def connect(self, a: Entity, b: Entity, key: Key, attributes: Mapping[str, Any]) -> None:
+    def connect(self, a: Handle, b: Handle, key: Key, attributes: Mapping[str, Any]) -> None:
         """Adds an edge, or adds attributes to an existing one."""
         start, end = self.node(a), self.node(b)
         edge = self.edges.setdefault((start, end, key), {})
@@ -113,9 +114,9 @@ def _network(selection: Selection, *, multi: bool) -> _Network:
 
 def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
     """Adds a clause: an edge between two entities, or an attribute of a single one."""
-    entities = [value for value in clause.arguments if isinstance(value, Entity)]
+    entities = [value for value in clause.arguments if isinstance(value, Handle)]
     relation, result = clause.relation, clause.result
-    if isinstance(result, Entity):
+    if isinstance(result, Handle):
         entities, result = [*entities, result], True
     for entity in entities:
         network.node(entity)
@@ -133,7 +134,7 @@ def _add_clause(network: _Network, clause: Clause, key: Key) -> None:
 
 def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], key: Key) -> None:
     """Adds a row: an edge between its first two entities, with the other columns as attributes."""
-    entity_columns = [column for column, value in enumerate(row) if isinstance(value, Entity)][:2]
+    entity_columns = [column for column, value in enumerate(row) if isinstance(value, Handle)][:2]
     other_columns = [column for column in range(len(row)) if column not in entity_columns]
     attributes = {
         name: plain_value(row[column])
@@ -154,9 +155,11 @@ def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], ke
 
 
 def _graph(selection: Selection, multi: bool = False) -> Any:
-    networkx = library("networkx", "graph")
+    library("networkx", "graph")
+    from ssduck.adapters.entity_graphs import EntityGraph, EntityMultiGraph
+
     network = _network(selection, multi=multi)
-    graph = networkx.MultiDiGraph() if multi else networkx.DiGraph()
+    graph: Any = EntityMultiGraph() if multi else EntityGraph()
     for name, attributes in network.nodes.items():
         # Selected values take precedence: the query's id is a name.
         graph.add_nodes_from([(name, _entity_attributes(network.entities[name]) | attributes)])
@@ -165,10 +168,10 @@ def _graph(selection: Selection, multi: bool = False) -> Any:
     return graph
 
 
-def _entity_attributes(entity: Entity) -> dict[str, Any]:
+def _entity_attributes(entity: Handle) -> dict[str, Any]:
     """Returns the attributes of every node: metres, and quaternions w, x, y, z."""
     return {
-        "name": entity.name,
+        "name": entity.full_name,
         "kind": entity.kind,
         "id": entity.id,
         "position": entity.position,
@@ -176,7 +179,7 @@ def _entity_attributes(entity: Entity) -> dict[str, Any]:
     }
 
 
-_SHAPES = {"robot": "box", "kinbody": "ellipse", "sensor": "diamond"}
+_SHAPES = {"robot": "box", "kinbody": "ellipse", "sensor": "diamond", "link": "ellipse"}
 
 
 def _dot(selection: Selection) -> str:

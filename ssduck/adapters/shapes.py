@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.world.entities import Entity, Sensor
+from ssduck.world.entities import Sensor
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The table that these result forms read.
@@ -22,7 +23,7 @@ def shapes_of(selection: Selection) -> PlacedSolids:
     return placed_shapes(selection.world, entities)
 
 
-def placed_shapes(world: World, entities: Sequence[Entity]) -> PlacedSolids:
+def placed_shapes(world: World, entities: Sequence[Handle]) -> PlacedSolids:
     """Returns the shapes of entities at the tick of their world.
 
     Raises:
@@ -36,6 +37,6 @@ def placed_shapes(world: World, entities: Sequence[Entity]) -> PlacedSolids:
     shapes = world.snapshot.shapes()
     ids = [entity.id for entity in entities]
     for id in shapes.unknown(ids)[:1]:
-        name = world.entity(id).name
+        name = world.handle(id).full_name
         raise ArgumentError(f"{name!r}: the pose is not a number; exclude the entity by WHERE")
     return shapes.placed(ids)

@@ -28,7 +28,7 @@ _COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
 
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
     placed = shapes_of(selection)
-    ids = {entity.id: entity.name for entity in selection.entities}
+    ids = {entity.id: entity.full_name for entity in selection.entities}
     mean_distance = validation.length(spacing, "spacing")
     return sample_points(
         placed, ids, mean_distance, validation.integer_between(seed, "seed", 0, sys.maxsize)
@@ -36,22 +36,22 @@ def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCl
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
-    import trimesh
+    from ssduck.adapters.mesh_scene import MeshScene
 
     placed = shapes_of(selection)
-    scene = trimesh.Scene(base_frame="world")
+    scene = MeshScene(base_frame="world")
     entities = {entity.id: entity for entity in selection.entities}
     counts: Counter[int] = Counter()
     for (solid, position, matrix), owner in zip(placed, placed.owners.tolist(), strict=True):
         entity = entities[owner]
         surface = _triangles(solid)
         if surface is None:
-            raise ArgumentError(f"{entity.name!r} has a plane, which is infinite; exclude it")
+            raise ArgumentError(f"{entity.full_name!r} has a plane, which is infinite; exclude it")
         surface.visual.face_colors = _COLOURS[entity.kind]
-        surface.metadata["entity"] = entity.name
+        surface.metadata["entity"] = entity.full_name
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, position
-        name = f"{entity.name}/{counts[owner]}"
+        name = f"{entity.full_name}/{counts[owner]}"
         counts[owner] += 1
         scene.add_geometry(surface, node_name=name, geom_name=name, transform=pose)
     return scene

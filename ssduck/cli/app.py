@@ -158,6 +158,9 @@ def _ssduck(
         typer.echo(context.get_help())
 
 
+# Its folders have the names of demonstrations and scenes.
+_DEMO_FOLDER = Path("ssduck-demo")
+
 _DemoName = Annotated[
     str,
     typer.Argument(metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."),
@@ -168,7 +171,7 @@ _OutputFolder = Annotated[
         "--out",
         metavar="FOLDER",
         help="The folder for pictures and files. It is made if necessary; other files in it stay.",
-        show_default="demo-NAME; for kitchen and scenes, the current folder",
+        show_default="ssduck-demo/NAME",
     ),
 ]
 _PictureFile = Annotated[
@@ -179,7 +182,7 @@ _PictureFile = Annotated[
         metavar="FILE",
         help="For kitchen and scenes: the file of the picture, in the format of its ending. "
         "An existing file is replaced.",
-        show_default="NAME.png after the scene, or a free name beside it",
+        show_default="NAME.png in the folder, or a free name beside it",
     ),
 ]
 
@@ -221,17 +224,16 @@ def demo(
         other = "--no-picture" if out is None else "--out"
         raise typer.BadParameter(f"--output and {other} exclude each other")
     if name not in NAMES or name == "kitchen":
-        folder = _created_folder(out or Path()) if picture else None
-        _demonstrate_scene(name, folder, output, with_sql=sql)
+        _demonstrate_scene(name, out, output, with_picture=picture, with_sql=sql)
         return
     if output is not None or not picture or not sql:
         raise typer.BadParameter("--output, --no-picture and --no-sql are for scenes")
-    if not run_of(name)(_created_folder(out or Path(f"demo-{name}")), print_line, seed=seed):
+    if not run_of(name)(_created_folder(out or _DEMO_FOLDER / name), print_line, seed=seed):
         raise SelectScriptError(f"the demonstration {name!r} did not succeed: see above")
 
 
 def _demonstrate_scene(
-    name: str, folder: Path | None, output: Path | None, *, with_sql: bool
+    name: str, out: Path | None, output: Path | None, *, with_picture: bool, with_sql: bool
 ) -> None:
     """Demonstrates a scene by queries, with a picture in a folder or a file, if requested.
 
@@ -248,6 +250,9 @@ def _demonstrate_scene(
         message = f"there is no demonstration {name!r}: {', '.join(NAMES)}; and {error.message}"
         names = dict.fromkeys((*nearest(name, NAMES), *error.suggestions))
         raise UnknownNameError(message, suggestions=tuple(names)) from error
+    folder = None
+    if with_picture and output is None:
+        folder = _created_folder(out or _DEMO_FOLDER / scene.name)
     ask(scene, print_line, folder=folder, picture=output, with_sql=with_sql)
 
 

@@ -20,7 +20,7 @@ from ssduck.recording.replay.lookups import LOOKUPS
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
-from ssduck.schema import POSE, RECORDED
+from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
 from ssduck.simulators.joints import EntityJoints
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.world import World
@@ -73,7 +73,7 @@ class BoundWorld:
     history: WorldHistory | None = None
     named_world: World | None = None
     planned_margins: float = 0.0
-    _poses: OrderedDict[int, Poses] = field(default_factory=OrderedDict)
+    _poses: OrderedDict[tuple[int, EntityTable], Poses] = field(default_factory=OrderedDict)
     _changed_margins: set[str] = field(default_factory=set)
 
     @property
@@ -106,7 +106,7 @@ class BoundWorld:
                 f"to the run {run_number}: its shapes are not known here; open the record of "
                 "that run, or write the name of its world before the relation"
             )
-        poses = self._poses_at(tick)
+        poses = self._poses_at(tick, "links" if id >= LINK_FACTOR else "entities")
         if id not in poses:
             raise EvaluationError(
                 f"a row (id {id}, tick {tick}) belongs to no entity: {self.world.name!r} has "
@@ -120,30 +120,37 @@ class BoundWorld:
                 "of shapes use recorded poses; what_if makes a world with other poses"
             )
 
-    def _poses_at(self, tick: int) -> Poses:
-        """Returns the poses of the entities at a tick, by id, from a cache if possible."""
-        if tick not in self._poses:
-            poses = self._read_poses(tick)
+    def _poses_at(self, tick: int, table: EntityTable) -> Poses:
+        """Returns the poses of the entities or links at a tick, by id, cached if possible."""
+        key = tick, table
+        if key not in self._poses:
+            poses = self._read_poses(tick, table)
             while self._poses and (len(self._poses) + 1) * len(poses) > MAX_POSES:
                 self._poses.popitem(last=False)
-            self._poses[tick] = poses
-        return self._poses[tick]
+            self._poses[key] = poses
+        return self._poses[key]
 
-    def _read_poses(self, tick: int) -> Poses:
-        """Returns the poses of the entities at a tick, by id."""
+    def _read_poses(self, tick: int, table: EntityTable) -> Poses:
+        """Returns the poses of the entities or links at a tick, by id."""
         snapshot = self.world.snapshot
+        poses: Poses = {}
         if tick == snapshot.number:
-            table = snapshot.tables["entities"]
-            ids, columns = table["id"], table.doubles("x", "qz")
+            live = snapshot.tables[table]
+            rows: Mapping[str, Any] = {name: live[name] for name in TABLES[table].key}
+            columns = live.doubles("x", "qz")
         elif self.history is None:
             raise UnsupportedError(_NO_SHAPES.format(self.world.name, snapshot.number))
         else:
-            rows = self.history.record.rows("entities", tick)
-            ids, columns = rows["id"], np.array([rows[name] for name in POSE])
-        poses = columns.T.tolist()
+            rows = self.history.record.rows(table, tick)
+            columns = np.array([rows[name] for name in POSE])
+            if table == "links":  # a body of one link has its pose, and no row of its own
+                entities = self._poses_at(tick, "entities")
+                poses = {link_id(id, 0): pose for id, pose in entities.items()}
+        ids: Any = rows["id"] if table == "entities" else link_id(rows["entity"], rows["link"])
+        numbers = columns.T.tolist()
         if np.isnan(columns).any():
-            poses = [[None if math.isnan(number) else number for number in pose] for pose in poses]
-        return dict(zip(ids.tolist(), map(tuple, poses), strict=True))
+            numbers = [[None if math.isnan(one) else one for one in pose] for pose in numbers]
+        return poses | dict(zip(ids.tolist(), map(tuple, numbers), strict=True))
 
     def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
         """Returns the rows that DuckDB reads in place, each with its table and its name."""
@@ -217,6 +224,10 @@ class BoundWorld:
         Raises:
             UnsupportedError: they are not recorded.
         """
+        if id >= LINK_FACTOR:
+            raise UnsupportedError(
+                "a link has no joints of its own: ask its entity, as in joint(entity(link), name)"
+            )
         snapshot = self.world.snapshot
         if tick == snapshot.number and "joints" not in snapshot.unavailable:
             member, rows = snapshot.entities[snapshot.rows[id]], snapshot.tables["joints"]

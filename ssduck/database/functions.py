@@ -24,6 +24,7 @@ from ssduck.language.memo import Memo
 from ssduck.recording.replay.record import PREDICATE_COLUMNS, Record
 from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
+from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
 from ssduck.sql.relations.geometry_query import MARGINS_UDF, PAIR_SEARCHES, GeometryUdf
@@ -184,7 +185,11 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
             )
         ids = arguments[1:id_count:2]
         tick = ticks.pop() if ticks else None
-        shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else ids)
+        has_links = max(ids, default=0) >= LINK_FACTOR
+        entities = [entity_of(id) for id in ids] if has_links else ids
+        shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else entities)
+        if has_links:
+            shapes = shapes.of(ids, needs_whole_tick=udf.needs_whole_tick)
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(tick)
         return udf.function(shapes, *ids, *arguments[id_count:])

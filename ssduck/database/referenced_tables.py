@@ -26,7 +26,7 @@ def _with_read_columns(table: str) -> frozenset[str]:
 # The tables that a word in a statement refers to: a table's name, or a relation that reads tables.
 _TABLES_OF = {
     **{name.lower(): _with_read_columns(name) for name in TABLES},
-    **{relation.name.lower(): relation.inputs for relation in relations_with_tables()},
+    **{relation.name.lower(): relation.macro_inputs for relation in relations_with_tables()},
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)

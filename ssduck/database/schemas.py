@@ -13,7 +13,7 @@ from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.schema import HISTORIES, MODELS, TABLES, Table
+from ssduck.schema import HISTORIES, LINK_FACTOR, MODELS, TABLES, Table
 
 _HISTORY_VIEWS = {table.history_view: table for table in HISTORIES.values()}
 _MODEL_VIEWS = [table.model_view for table in MODELS.values()]
@@ -50,7 +50,7 @@ class Schemas:
         for table in TABLES.values():
             reason = bound.world.snapshot.unavailable.get(table.name)
             rows = _live_rows(bound, table, reason)
-            self._make_view(name, table.name, _with_second_names(table, rows))
+            self._make_view(name, table.name, _with_view_columns(table, rows, name))
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: BoundWorld) -> None:
@@ -65,7 +65,8 @@ class Schemas:
                 rows = history.store.select(table.name, waiting)
             if rows is None:
                 rows = _live_rows(bound, table, _not_recorded(table, name, history))
-            self._make_view(name, table.history_view, _with_second_names(table, rows))
+            columns = _with_view_columns(table, rows, name, "entities_history")
+            self._make_view(name, table.history_view, columns)
         for view, rows in history.store.models().items() if history is not None else ():
             self._make_view(name, view, rows)
 
@@ -133,7 +134,11 @@ class Schemas:
             if store is not None and name in store.views:
                 rows = f"SELECT * FROM {store.place(name)}"  # noqa: S608
                 table = _HISTORY_VIEWS.get(name)
-                view = rows if table is None else _with_second_names(table, rows)
+                view = (
+                    rows
+                    if table is None
+                    else _with_view_columns(table, rows, schema, "entities_history")
+                )
                 self._make_view(schema, name, view)
             else:
                 view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
@@ -158,14 +163,51 @@ def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str
     return not_recorded_message(table.name, world, recording, is_live=is_live)
 
 
-def _with_second_names(table: Table, rows: str) -> str:
-    """Returns the SELECT of a table's rows, with the second names of columns at the end."""
+def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "entities") -> str:
+    """Returns the SELECT of a table's rows, with the columns that only views have at the end.
+
+    Args:
+        table: the table.
+        rows: its rows.
+        schema: the schema of the view.
+        entities: the view of the entities of the same ticks.
+    """
+    if table.view_columns:
+        place = f"{quoted(schema)}.{quoted(entities)}"
+        columns = ", ".join(
+            f"{value} AS {quoted(name)}" for name, value in _link_columns(place).items()
+        )
+        return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
     if not table.second_names:
         return rows
     columns = ", ".join(
         f"{quoted(name)} AS {quoted(second)}" for name, second in table.second_names.items()
     )
     return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
+
+
+def _link_columns(entities: str) -> dict[str, str]:
+    """Returns the columns that only views of links have, in SQL.
+
+    Subqueries that depend on no row run once, and a join could change the order of the rows.
+
+    Args:
+        entities: the view of the entities of the same ticks.
+    """
+
+    def is_not_among(condition: str) -> str:
+        absent = f"SELECT tick, id FROM {entities} WHERE {condition} AND kind <> 'sensor'"  # noqa: S608
+        return f"(tick, entity) NOT IN ({absent})"
+
+    names = f"SELECT map(list(id), list(name)) FROM (SELECT DISTINCT id, name FROM {entities})"  # noqa: S608
+    return {
+        "id": f"(link + 1) * {LINK_FACTOR} + entity",
+        "full_name": f"map_extract_value(({names}), entity) || '.' || name",
+        "kind": "'link'",
+        "enabled": is_not_among("NOT enabled"),
+        "visible": is_not_among("NOT visible"),
+        "run": f"(SELECT any_value(run) FROM {entities})",  # noqa: S608
+    }
 
 
 def _live_rows(bound: BoundWorld, table: Table, reason: str | None = None) -> str:

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from ssduck.recording.replay.record import Record
 from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, EXACT, IDS, INTEGER, STRING, SqlType, merged
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The largest number of keys of a dict that become columns.
@@ -40,11 +40,12 @@ def sql_type_of(value: Any, schema_of: SchemaOf) -> SqlType:
             return _text((value,))
         case None:
             return SqlType("nothing")
-        case Entity() if not value.is_there:  # SQL has no row of a removed entity
+        case Handle() if not value.is_there:  # SQL has no row of a removed entity
             return ANY
-        case Entity():
+        case Handle():
             past = value.moment is not None
-            return SqlType("entity", schema=schema_of(value.world), past=past)
+            schema, table = schema_of(value.world), value.TABLE
+            return SqlType("entity", schema=schema, past=past, table=table)
         case list():
             return _list((value,), schema_of)
         case dict():
@@ -155,7 +156,7 @@ def to_sql(value: Any) -> Any:
     >>> to_sql([1, "cup"])
     [1, 'cup']
     """
-    if isinstance(value, Entity):
+    if isinstance(value, Handle):
         if value.moment is not None:
             return value.moment.tick * IDS + value.id
         return value.column("id")
@@ -180,8 +181,8 @@ def converter(
     schema = sql_type.schema
     if sql_type.type == "entity" and schema is not None:
         if sql_type.past:
-            return lambda key: None if key is None else records[schema].entity(*divmod(key, IDS))
-        return lambda value: None if value is None else worlds[schema].entity(value)
+            return lambda key: None if key is None else records[schema].handle(*divmod(key, IDS))
+        return lambda value: None if value is None else worlds[schema].handle(value)
     if sql_type.type == "list" and sql_type.element is not None:
         convert_element = converter(sql_type.element, worlds, records)
         return (

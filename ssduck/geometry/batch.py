@@ -103,6 +103,7 @@ class ShapeTable:
         entities: Indices,
         margins: Array | None = None,
     ) -> None:
+        self._solids, self._solid_indices = solids, solid_indices
         self.entities = entities
         self.margins = np.zeros(len(solid_indices)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
@@ -128,6 +129,15 @@ class ShapeTable:
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
+
+    def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
+        """Returns the table of some of the shapes, which belong to other entities.
+
+        Args:
+            shapes: (m,), the numbers of the shapes.
+            entities: (m,), the index of each shape's entity.
+        """
+        return ShapeTable(self._solids, self._solid_indices[shapes], entities, self.margins[shapes])
 
 
 @dataclass(frozen=True, eq=False)

@@ -86,12 +86,9 @@ class NarrowPhase:
         margins: Array | None = None,
     ) -> None:
         self.calls = calls
-        self._margins: list[float] = (
-            [0.0] * len(solid_indices) if margins is None else margins.tolist()
-        )
-        self._solids: list[Solid] = [
-            solids[number] for number in np.asarray(solid_indices).tolist()
-        ]
+        indices = np.asarray(solid_indices).tolist()
+        self._margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
+        self._solids: list[Solid] = [solids[index] for index in indices]
         self._positions, self._orientations, self._boxes = positions, orientations, boxes
         self._starts = list(starts)
         self._placed_solids: dict[int, PlacedSolid] = {}
@@ -110,6 +107,12 @@ class NarrowPhase:
         self._compared: set[int] = set()
         # DuckDB calls from its own threads. Without the lock, pairs would be compared twice.
         self._lock = RLock()
+
+    def regrouped(self, shapes: Indices, starts: Sequence[int]) -> NarrowPhase:
+        """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
+        placed = self._positions[shapes], self._orientations[shapes], self._boxes[shapes]
+        margins = np.array(self._margins)[shapes]
+        return NarrowPhase(self._solids, shapes, *placed, starts, self.calls, margins)
 
     # -- relations ------------------------------------------------------------------------
 
@@ -588,10 +591,8 @@ class NarrowPhase:
         """Returns a point of each shape, transformed to the world."""
         local = np.array(points, dtype=np.float64).reshape(-1, 3)
         with np.errstate(invalid="ignore"):
-            transformed: list[list[float]] = (
-                self._positions + rotate(self._matrices, local)
-            ).tolist()
-        return transformed
+            moved: list[list[float]] = (self._positions + rotate(self._matrices, local)).tolist()
+        return moved
 
     @cached_property
     def _matrices(self) -> Array:

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from threading import RLock
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.arrays import Array
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
 from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.schema import ID_FACTOR
+from ssduck.schema import ID_FACTOR, LINK_FACTOR
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
 MIN_PAIRS_AT_ONCE = 64
+# The number of sets of links for which queries are cached.
+MAX_LINK_QUERIES = 64
 # The rounding error of distances between boxes, m.
 BOX_TOLERANCE = 1e-9
 
@@ -56,6 +59,7 @@ class ShapeQueries:
         table: the properties of the shapes.
         boxes: (6, n), of the entities in the order of `ids`: lower corners, upper corners.
         ids: (n,), the ids.
+        links: (shapes,), the number of each shape's link; None if links are not queried.
     """
 
     def __init__(
@@ -65,6 +69,7 @@ class ShapeQueries:
         table: ShapeTable,
         boxes: Array,
         ids: Ids,
+        links: Indices | None = None,
     ) -> None:
         self._narrow = narrow
         self._neighbours = NeighbourRelations(narrow, self._near_pairs)
@@ -72,12 +77,65 @@ class ShapeQueries:
         self._table = table
         self._boxes = boxes
         self._ids = ids
+        self._links = links
+        self._by_links: dict[frozenset[int], ShapeQueries] = {}
+        self._lock = RLock()
         self._overlapping: dict[float, list[int]] = {}
         self._overlapping_with_margins: dict[float, list[int]] = {}
         # The number of pairs that were compared one by one, by predicate.
         self._pair_counts: Counter[PairPredicate] = Counter()
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
+
+    def of(self, ids: Iterable[int], *, needs_whole_tick: bool = False) -> ShapeQueries:
+        """Returns the queries in which ids of links stand for the shapes of these links.
+
+        Args:
+            ids: ids of entities and links.
+            needs_whole_tick: whether the answers depend on everything in the tick. Then each of
+                the links is a body of its own there, and the rest of its entity another one.
+        """
+        links = frozenset(id for id in ids if id >= LINK_FACTOR)
+        if not links:
+            return self
+        key = links if needs_whole_tick else frozenset[int]()
+        with self._lock:
+            if key not in self._by_links:
+                if len(self._by_links) > MAX_LINK_QUERIES:
+                    self._by_links.clear()
+                self._by_links[key] = self._with_parts(key)
+            return self._by_links[key]
+
+    def _with_parts(self, parts: frozenset[int]) -> ShapeQueries:
+        """Returns queries with some links beside the rest of their entities; all if none is given.
+
+        All links stand beside their whole entities: their shapes are there twice.
+        """
+        assert self._links is not None
+        table, owner_ids = self._table, {number: id for id, number in self._numbers.items()}
+        count = 1 + max(self._numbers.values(), default=0)
+        ids_of_shapes = np.array([owner_ids[owner] for owner in table.entities.tolist()], np.int64)
+        link_ids = (self._links + 1) * LINK_FACTOR + ids_of_shapes
+        shapes = np.arange(len(link_ids))
+        is_part = np.isin(link_ids, list(parts)) if parts else np.ones(len(link_ids), dtype=bool)
+        found = np.unique(link_ids[is_part])
+        part_owners = count + np.searchsorted(found, link_ids[is_part])
+        owners = np.concatenate(
+            (table.entities[~is_part] if parts else table.entities, part_owners)
+        )
+        shapes = np.concatenate((shapes[~is_part] if parts else shapes, shapes[is_part]))
+        order = np.argsort(owners, kind="stable")
+        owners, shapes = owners[order], shapes[order]
+        numbers = _Numbers(self._numbers)
+        numbers |= {id: count + place for place, id in enumerate(found.tolist())}
+        numbers.empty = count + len(found)
+        starts = np.searchsorted(owners, np.arange(numbers.empty + 2))
+        narrow = self._narrow.regrouped(shapes, starts.tolist())
+        groups = [number for number in range(numbers.empty) if starts[number] < starts[number + 1]]
+        id_of = {number: id for id, number in numbers.items()}
+        boxes = np.array([narrow.box(number) for number in groups]).reshape(-1, 6).T
+        ids = np.array([id_of[number] for number in groups], np.int64)
+        return ShapeQueries(narrow, numbers, table.regrouped(shapes, owners), boxes, ids)
 
     def all_colliding(self, min_depth: float) -> list[int]:
         """Returns the pairs that are deeper in each other than a depth, m, as numbers.
@@ -277,11 +335,25 @@ class ShapeQueries:
 
     def unknown(self, ids: Sequence[int]) -> list[int]:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
-        return [id for id in ids if not self._narrow.is_known(self._numbers[id])]
+        queries = self.of(ids)
+        return [id for id in ids if not queries._narrow.is_known(queries._numbers[id])]  # noqa: SLF001
 
     def placed(self, ids: Sequence[int]) -> PlacedSolids:
         """Returns the shapes of some entities in the world."""
-        return self._narrow.placed([self._numbers[id] for id in ids], ids)
+        queries = self.of(ids)
+        return queries._narrow.placed([queries._numbers[id] for id in ids], ids)  # noqa: SLF001
+
+
+class _Numbers(dict[int, int]):
+    """The numbers of ids in a narrow phase; those of links without shapes are `empty`."""
+
+    empty = 0
+
+    def __missing__(self, id: int) -> int:
+        """Returns the number of a link without shapes."""
+        if id < LINK_FACTOR:
+            raise KeyError(id)
+        return self.empty
 
 
 def depth(min_depth: float) -> float:

@@ -14,6 +14,7 @@ from ssduck.adapters.registry import tables_read_by
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
+from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
 from ssduck.interpreter.output import help_of_result_forms
 from ssduck.interpreter.sources import worlds_in
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
@@ -56,6 +57,7 @@ class Namespace:
         # The language's own functions that users' functions override, by name.
         self._overrides: dict[str, Function | None] = {}
         self._functions.update((command.name, command) for command in self._commands())
+        self._functions.update(LINK_FUNCTIONS)
         self._functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
         for name, allen in RELATIONS_OF_INTERVALS.items():
             if name not in RELATIONS:
@@ -90,6 +92,11 @@ class Namespace:
     def is_function(self, name: str) -> bool:
         """Checks whether a function or a relation has that name."""
         return name in RELATIONS or name in self._functions
+
+    def is_world_without(self, name: str, entity: str) -> bool:
+        """Checks whether a variable is a world that has no entity of a name."""
+        value = self._variables.get(name)
+        return isinstance(value, World) and entity not in value
 
     def variable_or_none(self, name: str) -> Any:
         """Returns the value of a variable; None if there is none."""
@@ -331,6 +338,8 @@ class Namespace:
     def tables_read(self, node: Node) -> frozenset[str]:
         """Returns the tables that the relations in a node look up."""
         tables = tables_of(node) | tables_read_by(forms_of(node))
+        if mentions_links(node, self._variables):
+            tables |= {"links"}
         for name in variables_of(node):
             value = self._variables.get(name)
             if isinstance(value, LazyList):

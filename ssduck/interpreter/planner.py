@@ -35,7 +35,7 @@ from ssduck.sql.subqueries import is_inline
 from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import NotInlineError, translate
 from ssduck.sql.types import Signature, SqlType
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The largest number of cached plans; when it is reached, all are dropped.
@@ -218,7 +218,7 @@ class Planner:
             elements = frame.own_elements()
             values = with_present_ticks(self._values(query, frame), elements)
             self._check_records(query, values)
-            if any(isinstance(value, Entity) and value.moment is not None for value in elements):
+            if any(isinstance(value, Handle) and value.moment is not None for value in elements):
                 raise NotSqlError  # its handles depend on a row of an outer query
             shapes = source_types(query, values, self._database.schema_of)
             if may_be_small and query.sources and is_small(query, shapes, values):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, cast
@@ -19,9 +19,11 @@ from ssduck.language.clauses import LockstepSource
 from ssduck.language.tree import Query
 from ssduck.recording.replay.past import Past, PresentTick
 from ssduck.recording.replay.record import Record
+from ssduck.schema import EntityTable
 from ssduck.sql.plan import PastKind, SourceType
 from ssduck.sql.types import ANY, INTEGER, SqlType
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
+from ssduck.world.links import Links
 from ssduck.world.world import World
 
 # Longer lists are not examined: they may have entities of any world.
@@ -46,7 +48,7 @@ def elements_of(value: Any) -> Sequence[Any]:
     """
     if isinstance(value, list | tuple):
         return value
-    if isinstance(value, World | Past | PresentTick):
+    if isinstance(value, World | Links | Past | PresentTick):
         return list(value)
     if isinstance(value, np.ndarray) and value.ndim and value.dtype.names is None:
         rows: list[Any] = value.tolist()
@@ -156,13 +158,19 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
         return SourceType(alias, has_values=False)
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
+    if isinstance(value, Links):
+        return SourceType(alias, schema_of(value.world), table="links")
     if isinstance(value, Past):
         past_kind: PastKind = "window" if value.is_window else "instant"
         return SourceType(
-            alias, schema_of(value.world), past_kind=past_kind, is_one_entity=value.id is not None
+            alias,
+            schema_of(value.world),
+            past_kind=past_kind,
+            is_one_entity=value.id is not None,
+            table=value.table,
         )
     if isinstance(value, PresentTick):
-        return SourceType(alias, schema_of(value.world), past_kind="now")
+        return SourceType(alias, schema_of(value.world), past_kind="now", table=value.table)
     elements = elements_of(value)
     sql_type = _element_type(elements, schema_of)
     dicts = any(issubclass(kind, dict) for kind in set(map(type, elements)))
@@ -225,18 +233,22 @@ def with_present_ticks(values: Sequence[Any], elements: Sequence[Any]) -> list[A
     records = {
         value.world: cast("Record", value.moment.record)
         for value in elements
-        if isinstance(value, Entity) and value.moment is not None
+        if isinstance(value, Handle) and value.moment is not None
     }
     for value in values:
         if isinstance(value, Past):
             value.check()
             records[value.world] = value.record
-    return [
-        PresentTick(records[value], value.snapshot.number)
-        if isinstance(value, World) and value in records
-        else value
-        for value in values
-    ]
+    return [_with_present_tick(value, records) for value in values]
+
+
+def _with_present_tick(value: Any, records: Mapping[World, Record]) -> Any:
+    """Returns a world, or its links, at its current tick if its past is a source, too."""
+    world = value.world if isinstance(value, Links) else value
+    if not isinstance(world, World) or world not in records:
+        return value
+    table: EntityTable = "entities" if value is world else "links"
+    return PresentTick(records[world], world.snapshot.number, table)
 
 
 def worlds_in(value: Any) -> list[World] | None:
@@ -244,9 +256,9 @@ def worlds_in(value: Any) -> list[World] | None:
     match value:
         case World():
             return [value]
-        case Past() | PresentTick():
+        case Past() | PresentTick() | Links():
             return [value.world]
-        case Entity():
+        case Handle():
             return [value.world]
         case None | str() | int() | float() | Result():
             return []

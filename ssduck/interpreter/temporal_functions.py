@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -35,7 +35,7 @@ from ssduck.language.tree import (
 )
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.replay.record import Record
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The number of ticks that `since` reads first; each further read is twice as long.
@@ -221,7 +221,7 @@ class TemporalEvaluator:
         expression = call.arguments[0]
         places = list(_places(expression, call))
         values = [frame.value(place) for place in places]
-        handles = [isinstance(value, Entity) and value.moment is None for value in values]
+        handles = [isinstance(value, Handle) and value.moment is None for value in values]
         worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
         if not worlds:
             raise ArgumentError(
@@ -249,9 +249,9 @@ class TemporalEvaluator:
         return queries[handles]
 
 
-def _of_entity(past: Past, entity: Entity) -> Past:
+def _of_entity(past: Past, entity: Handle) -> Past:
     """Returns the past of one entity."""
-    return Past(past.record, past.first, past.last, is_window=True, id=entity.id)
+    return replace(past, is_window=True, id=entity.id, table=entity.TABLE)
 
 
 def _places(node: Node, call: Call) -> Iterator[Node]:

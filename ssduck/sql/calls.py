@@ -84,7 +84,8 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     over_ticks = sql.ticks.over_all_ticks(relation, values, count)
     if over_ticks is not None:
         return over_ticks
-    formula = relation.expressions[count]
+    has_links = any(value.sql_type.table == "links" for value in values.values())
+    formula = (relation.link_expressions if has_links else relation.expressions)[count]
     if relation.result == "entity":
         (entity,) = values.values()
 
@@ -94,7 +95,7 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
         return SqlValue(None, replace(entity.sql_type, nullable=relation.name != "obj"), column)
     if relation.tables:
         formula = in_world(relation, formula, values)
-    result = expanded(formula, values)
+    result = expanded(formula, values, relation.link_name if has_links else None)
     domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
     if isinstance(result, exp.Array):
         elements = tuple(SqlValue(part, DOUBLE, domain=domain) for part in result.expressions)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from sqlglot import exp
 
-from ssduck.schema import ID_FACTOR
+from ssduck.schema import ID_FACTOR, TABLES, EntityTable
 from ssduck.sql.relations.geometry_query import PairSearch
 from ssduck.sql.sql_values import NotSqlError, SqlValue
 from ssduck.sql.types import ANY, BOOLEAN, IDS, SqlType
@@ -40,54 +40,59 @@ def product_of(elements: Sequence[FromItem]) -> exp.Select:
     return select
 
 
-def world_table(schema: str, name: str) -> FromItem:
-    """Returns the entities of a world."""
-    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name))
-    return FromItem(
-        entity_value(schema, name),
-        table,
-        (
-            ascending(
-                exp.NEQ(this=column_of(name, "kind"), expression=exp.Literal.string("sensor"))
-            ),
-            ascending(column_of(name, "id")),
-        ),
-    )
+def world_table(schema: str, name: str, table: EntityTable = "entities") -> FromItem:
+    """Returns the entities of a world, or their links."""
+    rows = exp.table_(table, db=schema, alias=exp.to_identifier(name))
+    return FromItem(entity_value(schema, name, table), rows, _order_of(name, table))
+
+
+def _order_of(name: str, table: EntityTable) -> tuple[exp.Ordered, ...]:
+    """Returns the keys of the order of entities, sensors first, or of links."""
+    if table == "links":
+        return ascending(column_of(name, "entity")), ascending(column_of(name, "link"))
+    is_body = exp.NEQ(this=column_of(name, "kind"), expression=exp.Literal.string("sensor"))
+    return ascending(is_body), ascending(column_of(name, "id"))
 
 
 def past_table(
-    schema: str, name: str, first: exp.Expr, last: exp.Expr, id: exp.Expr | None = None
+    schema: str,
+    name: str,
+    first: exp.Expr,
+    last: exp.Expr,
+    id: exp.Expr | None = None,
+    table: EntityTable = "entities",
 ) -> FromItem:
-    """Returns the entities of a world at recorded ticks, or one of them."""
+    """Returns the entities of a world, or their links, at recorded ticks, or one of them."""
     rows = exp.Select(expressions=[exp.Star()])
-    rows.from_(exp.table_("entities_history", db=schema), copy=False)
+    rows.from_(exp.table_(TABLES[table].history_view, db=schema), copy=False)
     rows.where(exp.Between(this=exp.column("tick"), low=first, high=last), copy=False)
     if id is not None:
         rows.where(exp.EQ(this=exp.column("id"), expression=id), copy=False)
-    return replace(_past(schema, name), table=rows.subquery(exp.to_identifier(name, quoted=True)))
+    subquery = rows.subquery(exp.to_identifier(name, quoted=True))
+    return replace(_past(schema, name, table), table=subquery)
 
 
-def present_table(schema: str, name: str) -> FromItem:
-    """Returns the entities of a world at its current tick, beside its past."""
-    table = exp.table_("entities", db=schema, alias=exp.to_identifier(name, quoted=True))
-    return replace(_past(schema, name), table=table)
+def present_table(schema: str, name: str, table: EntityTable = "entities") -> FromItem:
+    """Returns the entities of a world, or their links, at its current tick, beside its past."""
+    rows = exp.table_(table, db=schema, alias=exp.to_identifier(name, quoted=True))
+    return replace(_past(schema, name, table), table=rows)
 
 
-def _past(schema: str, name: str) -> FromItem:
-    live = world_table(schema, name)
+def _past(schema: str, name: str, table: EntityTable) -> FromItem:
+    live = world_table(schema, name, table)
     position = (ascending(column_of(name, "tick")), *live.position)
-    return FromItem(past_value(schema, name), live.table, position)
+    return FromItem(past_value(schema, name, table), live.table, position)
 
 
-def past_value(schema: str, name: str) -> SqlValue:
-    """Returns the current row of a table of entities at recorded ticks."""
-    sql_type = SqlType("entity", schema=schema, past=True)
+def past_value(schema: str, name: str, table: EntityTable = "entities") -> SqlValue:
+    """Returns the current row of a table of entities or links at recorded ticks."""
+    sql_type = SqlType("entity", schema=schema, past=True, table=table)
     return SqlValue(None, sql_type, lambda column: column_of(name, column))
 
 
-def entity_value(schema: str | None, name: str) -> SqlValue:
-    """Returns the current row of a table of entities."""
-    sql_type = SqlType("entity", schema=schema)
+def entity_value(schema: str | None, name: str, table: EntityTable = "entities") -> SqlValue:
+    """Returns the current row of a table of entities or links."""
+    sql_type = SqlType("entity", schema=schema, table=table)
     return SqlValue(column_of(name, "id"), sql_type, lambda column: column_of(name, column))
 
 
@@ -110,9 +115,10 @@ def unnested(name: str, values: SqlValue) -> FromItem:
         return FromItem(value, table.subquery(alias), position)
     if sql_type.past:
         return _unnested_past(table, sql_type, name, position)
-    entities = exp.table_("entities", db=sql_type.schema, alias="e")
+    entities = exp.table_(sql_type.table, db=sql_type.schema, alias="e")
     joined = exp.select("e.*", "i.n").from_(table.subquery("i")).join(entities, using=["id"])
-    return FromItem(entity_value(sql_type.schema, name), joined.subquery(alias), position)
+    value = entity_value(sql_type.schema, name, sql_type.table)
+    return FromItem(value, joined.subquery(alias), position)
 
 
 @dataclass(frozen=True)
@@ -123,13 +129,16 @@ class JoinedEntity:
     join: exp.Join
 
 
-def joined_entity(schema: str, name: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+def joined_entity(
+    schema: str, name: str, tick: exp.Expr, id: exp.Expr, entity_table: EntityTable = "entities"
+) -> JoinedEntity:
     """Returns an entity at the tick of a row; unknown where it was not there."""
-    table = exp.table_("entities_history", db=schema, alias=exp.to_identifier(name, quoted=True))
+    history = TABLES[entity_table].history_view
+    table = exp.table_(history, db=schema, alias=exp.to_identifier(name, quoted=True))
     same_tick = exp.EQ(this=column_of(name, "tick"), expression=tick.copy())
     same_id = exp.EQ(this=column_of(name, "id"), expression=id.copy())
     join = exp.Join(this=table, side="LEFT", on=exp.and_(same_tick, same_id))
-    return JoinedEntity(past_value(schema, name), join)
+    return JoinedEntity(past_value(schema, name, entity_table), join)
 
 
 def pairs_over_ticks(
@@ -205,7 +214,8 @@ def _unnested_past(
 ) -> FromItem:
     """Entities at recorded ticks, by their keys."""
     assert sql_type.schema is not None
-    entities = exp.table_("entities_history", db=sql_type.schema, alias="e")
+    history = TABLES[sql_type.table].history_view
+    entities = exp.table_(history, db=sql_type.schema, alias="e")
     ids = exp.Literal.number(IDS)
     tick = exp.IntDiv(this=exp.column("id"), expression=ids)
     id = exp.Mod(this=exp.column("id"), expression=ids.copy())
@@ -216,7 +226,7 @@ def _unnested_past(
         exp.select("e.*", "i.n").from_(parts.subquery("i")).join(entities, using=["tick", "id"])
     )
     table = joined.subquery(exp.to_identifier(name, quoted=True))
-    return FromItem(past_value(sql_type.schema, name), table, position)
+    return FromItem(past_value(sql_type.schema, name, sql_type.table), table, position)
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from ssduck.sql.from_clause import JoinedEntity, TickRange, joined_entity, pairs
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.sql_values import NotSqlError, SqlValue, StatementContext
+from ssduck.sql.types import SqlType
 
 
 class QueryTicks:
@@ -70,7 +71,7 @@ class QueryTicks:
             is_constant = isinstance(id, exp.Parameter)
             if not is_constant or not self._is_of_own_row(tick):
                 raise NotSqlError
-            values[name] = self._joined_entity(str(row.sql_type.schema), tick, id).value
+            values[name] = self._joined_entity(handle.sql_type, tick, id).value
 
     def over_all_ticks(
         self, relation: Relation, values: Mapping[str, SqlValue], count: int
@@ -78,6 +79,8 @@ class QueryTicks:
         """Returns a relation of shapes at all ticks of a window; None if there is no window."""
         candidates = relation.candidate_pairs
         if candidates is None or candidates.search.predicate is None:
+            return None
+        if any(value.sql_type.table == "links" for value in values.values()):
             return None
         a, b, *numbers = values.values()
         if not (a.sql_type.past and b.sql_type.past):
@@ -120,10 +123,11 @@ class QueryTicks:
         if (
             value_of_id.sql_type.type == "entity"
             and value_of_id.sql_type.schema == span.schema
+            and value_of_id.sql_type.table == value.sql_type.table
             and value_of_id.column
         ):
             id = value_of_id.column("id")
-        elif value_of_id.sql_type.type == "string":
+        elif value_of_id.sql_type.type == "string" and value.sql_type.table == "entities":
             models = exp.table_("entities_model", db=span.schema)
             has_name = exp.EQ(this=exp.column("name"), expression=value_of_id.sql.copy())
             # Several entities may have had the name; 0 stands for any of them.
@@ -175,10 +179,12 @@ class QueryTicks:
         }
         return self._outer is None and tick.sql() in ticks
 
-    def _joined_entity(self, schema: str, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
+    def _joined_entity(self, handle: SqlType, tick: exp.Expr, id: exp.Expr) -> JoinedEntity:
         key = tick.sql(), id.sql()
         if key not in self.joined_entities:
             name = self._context.alias("handle then")
-            self.joined_entities[key] = joined_entity(schema, name, tick, id)
+            self.joined_entities[key] = joined_entity(
+                str(handle.schema), name, tick, id, handle.table
+            )
             self._parameters[id.sql()] = id
         return self.joined_entities[key]

@@ -10,6 +10,7 @@ from sqlglot import exp
 
 from ssduck.language.clauses import PythonClauses, SelectedValue
 from ssduck.language.tree import Call, Node, Query
+from ssduck.schema import EntityTable
 from ssduck.sql.types import Signature, SqlType
 
 PastKind: TypeAlias = Literal["", "instant", "window", "now"]
@@ -24,6 +25,7 @@ class SourceType:
         schema: the schema of a world.
         past_kind: the ticks of a world's past: one, several, or the current one beside its past.
         is_one_entity: whether it is the past of one entity.
+        table: the table of the world that has its elements.
         sql_type: the type of its values.
         has_values: whether its values are known before the query runs; if not, it is a part of it.
         dicts: whether some of its elements are dicts.
@@ -38,6 +40,7 @@ class SourceType:
     known: bool = True
     past_kind: PastKind = ""
     is_one_entity: bool = False
+    table: EntityTable = "entities"
 
 
 class TypeEnvironment(Protocol):
@@ -185,7 +188,8 @@ class Plan:
             if isinstance(c.name, Node) and self.is_in_python(c.name)
         ]
         keys = [key.value for key in python_clauses.order]
-        last = [node for node in (python_clauses.having, python_clauses.limit) if node is not None]
+        ends = (python_clauses.having, python_clauses.limit, python_clauses.offset)
+        last = [node for node in ends if node is not None]
         groups = [node for node in python_clauses.group if self.is_in_python(node)]
         return [*python_clauses.conditions, *columns, *names, *keys, *groups, *last]
 

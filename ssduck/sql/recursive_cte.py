@@ -150,7 +150,7 @@ class _Search:
             if sql_type.schema is None or sql_type.nullable or sql_type.past:
                 raise NotSqlError
             alias = self.sql.context.alias(f"state {name}")
-            self.entities[name] = world_table(sql_type.schema, alias)
+            self.entities[name] = world_table(sql_type.schema, alias, sql_type.table)
         return self.entities[name].value
 
     def _state_column(self, name: str) -> exp.Expr:

@@ -12,17 +12,22 @@ from typing import Any
 from sqlglot import exp
 
 from ssduck.language.tree import Node
-from ssduck.schema import TABLES
+from ssduck.schema import TABLES, EntityTable
 from ssduck.sql.plan import ParameterBinding, TypeEnvironment
 from ssduck.sql.relations.relation import ValueType
 from ssduck.sql.types import IDS, Signature, SqlType
 
+_TABLES: tuple[EntityTable, ...] = "links", "entities"
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
-    for column in TABLES["entities"].columns
+    for table in _TABLES
+    for column in (*TABLES[table].columns, *TABLES[table].view_columns)
     if column.type in ("double", "integer", "string", "boolean")
 }
-ENTITY_COLUMNS = tuple(_COLUMN_TYPES)
+ENTITY_COLUMNS = {
+    table: (*TABLES[table].names, *(column.name for column in TABLES[table].view_columns))
+    for table in _TABLES
+}
 
 
 # The largest number of nodes of a part that is written twice; longer ones would grow exponentially.

@@ -412,6 +412,8 @@ def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> 
     source_types = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
     resolved = resolve(query, source_types, inner.names, inner.locals)
     inner.context.bare |= resolved.bare
+    if is_grouped(resolved.query):
+        raise NotSqlError  # its aggregates turned out to be over all rows
     return resolved
 
 
@@ -438,6 +440,8 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
 
 
 def _limit(query: Query) -> int | None:
+    if query.offset is not None:
+        raise NotSqlError
     match query.limit:
         case None:
             return None
@@ -518,8 +522,9 @@ def _derived_items(rows: Subquery, name: str) -> FromItem:
         value = replace(item, expression=column_of(name, "value"), elements=None)
         return _derived_element(rows, name, value, {"value": item.sql})
     assert item.column is not None
-    columns = {column: item.column(column) for column in ENTITY_COLUMNS}
-    value = entity_value(item.sql_type.schema, name)
+    table = item.sql_type.table
+    columns = {column: item.column(column) for column in ENTITY_COLUMNS[table]}
+    value = entity_value(item.sql_type.schema, name, table)
     if item.sql_type.nullable or item.sql_type.past:
         raise NotSqlError
     return _derived_element(rows, name, value, columns)

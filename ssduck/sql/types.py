@@ -6,12 +6,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import reduce
 
+from ssduck.schema import MAX_IDS, EntityTable
 from ssduck.sql.relations.relation import ValueType
 
 # From this integer on, not every integer is a DOUBLE.
 EXACT = 2**53
-# The key of an entity at a recorded tick is tick * IDS + id: ids are fewer than this.
-IDS = 2**25
+# The key of an entity or a link at a recorded tick is tick * IDS + id: ids are fewer than this.
+IDS = MAX_IDS
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class SqlType:
         length: 3 for a list that may be a point.
         schema: the schema of an entity's world.
         past: whether it is an entity at a recorded tick.
+        table: the table of an entity's row; that of links if it is a link.
         nullable: whether the value may be missing.
         fields: the keys of a record and the types of their values.
     """
@@ -36,6 +38,7 @@ class SqlType:
     length: int | None = None
     schema: str | None = None
     past: bool = False
+    table: EntityTable = "entities"
     nullable: bool = False
     fields: tuple[tuple[str, SqlType], ...] = ()
 
@@ -137,6 +140,6 @@ def _both(a: SqlType, b: SqlType) -> SqlType:
     if a.type == b.type == "record" and [k for k, _ in a.fields] == [k for k, _ in b.fields]:
         pairs = zip(a.fields, b.fields, strict=True)
         return SqlType("record", fields=tuple((k, _both(t, u)) for (k, t), (_, u) in pairs))
-    if a.type == b.type != "record" and (a.schema, a.past) == (b.schema, b.past):
+    if a.type == b.type != "record" and (a.schema, a.past, a.table) == (b.schema, b.past, b.table):
         return replace(a, nullable=a.nullable or b.nullable)
     return ANY

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,35 +13,25 @@ import pyarrow as pa
 from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
-    RemovedEntityError,
     SelectScriptError,
+    UnknownNameError,
+    nearest,
 )
+from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.schema import MASSES
 from ssduck.simulators.interface import Body, Kind
 from ssduck.simulators.joints import openness
 from ssduck.simulators.kinematics import JointValues, unit
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
+from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.layout import EntityInfo
+from ssduck.world.links import Link, links_of
 from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
 from ssduck.world.sensor_readings import Reading
 
 if TYPE_CHECKING:
     from ssduck.world.world import World
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True, eq=False)
-class LinkState:
-    """A link at a tick, in the world frame: position (m), orientation (w, x, y, z), box, mass."""
-
-    name: str
-    position: list[float]
-    orientation: list[float]
-    aabb: tuple[list[float], list[float]]
-    mass: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,32 +58,7 @@ class JointState:
         return openness(self, self.position)
 
 
-class WorldArchive(Protocol):
-    """The recorded ticks of a world, as handles and past worlds use them."""
-
-    @property
-    def world(self) -> World:
-        """The recorded world."""
-
-    def at(self, tick: int) -> World:
-        """Returns the world at a tick."""
-
-    def entity(self, tick: int, id: int) -> Entity:
-        """Returns the handle of an entity at a tick."""
-
-    def warn_of_masses(self) -> None:
-        """Warns of masses that differ from the recorded ones."""
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedTick:
-    """A recorded tick, to which a handle is fixed."""
-
-    record: WorldArchive
-    tick: int
-
-
-class Entity(OpenRaveEntity):
+class Entity(Handle, OpenRaveEntity):
     """A handle of a robot, kinbody or sensor; its properties are those at its world's last tick.
 
     A handle from a query of the past, such as `FROM kitchen{12.5}`, is fixed to that tick.
@@ -107,27 +72,21 @@ class Entity(OpenRaveEntity):
         moment: the recorded tick to which the handle is fixed; None for the world's last tick.
     """
 
-    __slots__ = ("id", "kind", "moment", "name", "world")
+    __slots__ = ("kind",)
 
+    kind: Kind
     # The hint of the error for a program that indexes an entity.
     KEY_HINT = "functions tell of an entity: z(this), or k.z where k is a source"
 
     def __init__(
         self, world: World, id: int, name: str, kind: Kind, moment: RecordedTick | None = None
     ) -> None:
-        self.world = world
-        self.id = id
-        self.name = name
+        super().__init__(world, id, name, moment)
         self.kind = kind
-        self.moment = moment
 
-    @property
-    def state(self) -> World:
-        """The world at the tick of the handle."""
-        moment = self.moment
-        if moment is None or moment.tick == self.world.snapshot.number:
-            return self.world
-        return moment.record.at(moment.tick)
+    def pinned(self, moment: RecordedTick) -> Self:
+        """Returns the handle that stays at a recorded tick."""
+        return type(self)(self.world, self.id, self.name, self.kind, moment)
 
     @property
     def is_there(self) -> bool:
@@ -135,52 +94,53 @@ class Entity(OpenRaveEntity):
         return self.id in self.state.snapshot.rows
 
     @property
-    def position(self) -> list[float]:
-        """The origin of the link frame, [x, y, z], m, world frame."""
-        return self._numbers("x", "z")
+    def entity(self) -> Entity:
+        """The entity itself; of a link, its entity."""
+        return self
 
     @property
-    def orientation(self) -> list[float]:
-        """The orientation of the link frame, unit quaternion [w, x, y, z], world frame."""
-        return self._numbers("qw", "qz")
+    def info(self) -> EntityInfo:
+        """The description of the entity at the tick of the handle."""
+        state = self.state
+        with state.lock:
+            return state.snapshot.entities[self._row()]
 
     @property
-    def pose(self) -> list[float]:
-        """The orientation, then the position: [w, x, y, z, x, y, z]."""
-        return self.orientation + self.position
-
-    @property
-    def velocity(self) -> list[float]:
-        """The velocity of the link frame's origin, m/s, then the angular velocity, rad/s."""
-        return self._numbers("vx", "wz")
-
-    @property
-    def aabb(self) -> tuple[list[float], list[float]]:
-        """The lower and the upper corner of the exact axis-aligned box, m, world frame."""
-        return self._numbers("xmin", "zmin"), self._numbers("xmax", "zmax")
-
-    @property
-    def mass(self) -> float:
-        """The mass of all links, kg; 0 for a sensor and for a body that cannot move."""
-        with self.state.lock:
-            self.state.request_tables([MASSES])
-            return self._numbers("mass", "mass")[0]
-
-    @property
-    def links(self) -> list[LinkState]:
+    def links(self) -> list[Link]:
         """The links, the base first; requests the table of links from the world."""
-        table = self._table("links")
-        box = ("xmin", "ymin", "zmin"), ("xmax", "ymax", "zmax")
-        return [
-            LinkState(
-                name=row["name"],
-                position=[row[axis] for axis in ("x", "y", "z")],
-                orientation=[row[axis] for axis in ("qw", "qx", "qy", "qz")],
-                aabb=([row[axis] for axis in box[0]], [row[axis] for axis in box[1]]),
-                mass=row["mass"],
-            )
-            for row in table
-        ]
+        with self.state.lock:
+            self._row()
+            self.state.request_tables(["links"])
+            return links_of(self)
+
+    def link(self, name: str) -> Link:
+        """Returns the link of a name.
+
+        Raises:
+            UnknownNameError: no link has the name; the error suggests the nearest names.
+            RemovedEntityError: the entity is no longer in its world.
+        """
+        links = links_of(self)
+        for link in links:
+            if link.name == name:
+                return link
+        names = [link.name for link in links]
+        raise UnknownNameError(
+            f"{self.name!r} has no link {short_repr(name)}", suggestions=nearest(name, names)
+        )
+
+    def __getitem__(self, name: str) -> Link:
+        """Returns the link of a name; see `link`.
+
+        Raises:
+            TypeError: no link has a name like that.
+        """
+        try:
+            return self.link(name)
+        except UnknownNameError as error:
+            if error.suggestions:
+                raise
+            raise TypeError(error.message) from error
 
     @property
     def joints(self) -> list[JointState]:
@@ -345,45 +305,21 @@ class Entity(OpenRaveEntity):
             raise ArgumentError(f"{self.name} is a sensor; {verb} the body that it is mounted on")
         return info.body
 
-    def column(self, name: str) -> Any:
-        """Returns the entity's value in a column of the table of entities; None if unknown."""
-        return self.state.snapshot.value(self._row(), name)
-
     def _row(self) -> int:
         row = self.state.snapshot.rows.get(self.id)
         if row is None:
             raise self.removed()
         return row
 
-    def removed(self) -> RemovedEntityError:
-        """Returns the error for an entity that is no longer in its world."""
-        return RemovedEntityError(f"{self.name!r} is no longer in world {self.world.name!r}")
-
-    def _numbers(self, first: str, last: str) -> list[float]:
-        with self.state.lock:
-            column = self.state.snapshot.tables["entities"].doubles(first, last)[:, self._row()]
-            values: list[float] = column.tolist()
-        return values
-
     def _table(self, name: str) -> list[dict[str, Any]]:
         with self.state.lock:
             self._row()
-            self.state.request_tables([name, MASSES] if name == "links" else [name])
+            self.state.request_tables([name])
             self._row()  # the request may have taken a tick
             table = self.state.snapshot.tables[name]
             selected = table.arrow.filter(pa.array(table["entity"] == self.id))
             rows: list[dict[str, Any]] = selected.to_pylist()
         return rows
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Entity) and (self.world, self.id) == (other.world, other.id)
-
-    def __hash__(self) -> int:
-        return hash((id(self.world), self.id))
-
-    def __deepcopy__(self, _: dict[int, Any]) -> Entity:
-        """Returns the handle itself, as it is immutable."""
-        return self
 
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"

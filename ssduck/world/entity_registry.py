@@ -133,7 +133,8 @@ class EntityRegistry:
             host = by_name.get(spec.on)
             if host is None:
                 raise SceneError(
-                    f"there is no body {spec.on!r} for the sensor {spec.name!r}",
+                    f"sensor[{index}].on: there is no body {spec.on!r} for the sensor "
+                    f"{spec.name!r}",
                     suggestions=nearest(spec.on, by_name),
                 )
             mount = (host.id, _link_number(host, spec, index))

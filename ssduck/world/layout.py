@@ -81,6 +81,7 @@ class TableLayout:
         entities: the entities by row: sensors first, then bodies.
         rows: the rows, by the ids of the entities.
         bodies: the bodies in order, each after the id of its entity.
+        link_rows: the row of each body's first link, by the id of its entity.
         static_bodies: the bodies that never move.
         moving_bodies: the other bodies.
     """
@@ -94,6 +95,7 @@ class TableLayout:
         shapes = [len(body.shapes) for _, body in self.bodies]
         starts = zip(accumulate(links, initial=0), accumulate(shapes, initial=0), strict=True)
         first = dict(zip((id for id, _ in self.bodies), starts, strict=False))
+        self.link_rows = {id: link for id, (link, _) in first.items()}
         static = {id for id, body in self.bodies if not (is_external or body.movable)}
         self.static_bodies, self.moving_bodies = (
             BodyGroup(

@@ -303,7 +303,8 @@ class Snapshot:
             )
             entities = self.tables["entities"]
             boxes = entities.doubles("xmin", "zmax").copy()
-            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, entities["id"].copy())
+            ids, links = entities["id"].copy(), table["link"]
+            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, links)
         return self._shapes
 
     @property
@@ -333,9 +334,9 @@ class Snapshot:
             )
         return self._solids[1]
 
-    def value(self, row: int, column: str) -> Any:
-        """Returns a value of the table of entities; None if it is unknown."""
-        return self.tables["entities"].arrow[column][row].as_py()
+    def value(self, row: int, column: str, table: str = "entities") -> Any:
+        """Returns a value of a table; None if it is unknown."""
+        return self.tables[table].arrow[column][row].as_py()
 
     # -- a tick ---------------------------------------------------------------------------
 

@@ -19,13 +19,22 @@ from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
     SceneError,
+    SelectScriptError,
     UnknownNameError,
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import short_repr
+from ssduck.formatting import contents_of, short_repr
 from ssduck.geometry.arrays import Indices
-from ssduck.schema import MARGINS, MASSES, ON_DEMAND, RECORDED_BY_DEFAULT
+from ssduck.schema import (
+    LINK_FACTOR,
+    MARGINS,
+    MASSES,
+    ON_DEMAND,
+    RECORDED_BY_DEFAULT,
+    entity_of,
+    link_of,
+)
 from ssduck.simulators.backends import ShapesByBody, backend
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
 from ssduck.simulators.kinematics import (
@@ -36,6 +45,8 @@ from ssduck.simulators.kinematics import (
 from ssduck.simulators.scenes import Camera, Scene, SensorSpec, variable_name
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.excerpt import excerpt
+from ssduck.world.handles import Handle
+from ssduck.world.links import links_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
 from ssduck.world.running import run
@@ -430,8 +441,24 @@ class World(ManipulableSimulation, OpenRaveWorld):
         info = self.snapshot.entities[row]
         return HANDLES[info.kind](self, id, info.name, info.kind)
 
+    def handle(self, id: int) -> Handle:
+        """Returns the handle of a present entity or of a link of one, by its id."""
+        if id < LINK_FACTOR:
+            return self.entity(id)
+        return links_of(self.entity(entity_of(id)))[link_of(id)]
+
     def __repr__(self) -> str:
-        return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+        about = contents_of([(entity.name, entity.kind) for entity in self])
+        return f"<World {self.name!r}: {len(self)} entities{about}, t={self.time:g} s>"
+
+    def _repr_png_(self) -> bytes | None:
+        """Returns a picture for notebooks; None if the world cannot be rendered."""
+        from ssduck.world.pictures import png
+
+        try:
+            return png(self)
+        except SelectScriptError:  # its simulation is closed, say; the text is shown then
+            return None
 
     # -- sensors --------------------------------------------------------------------------
 

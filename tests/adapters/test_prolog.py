@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.adapters.logic import _asp_term, _atom, _float, _term
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
+from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
 PRINTED = (
@@ -168,7 +169,7 @@ COLUMNS = [
 ]
 
 
-@pytest.mark.parametrize(("columns", "sources", "clauses"), COLUMNS)
+@sampled(("columns", "sources", "clauses"), COLUMNS, every=3)
 def test_columns_become_clauses(plain, columns, sources, clauses):
     assert plain.eval(f"SELECT {columns} FROM {sources} AS prolog;") == clauses
 

@@ -111,7 +111,7 @@ SOURCES = [
 ]
 
 
-@pytest.mark.parametrize(("arguments", "input"), SOURCES)
+@sampled(("arguments", "input"), SOURCES, every=3)
 def test_sources_of_the_program(here, arguments, input):
     (here / "plain.ss").write_text("1 +\n\t1;\n")
     (here / "mark.ss").write_text("1 + 1;", encoding="utf-8-sig")
@@ -194,8 +194,8 @@ ERRORS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "told"), ERRORS, ids=[" ".join(a)[:60] for a, _, _ in ERRORS]
+@sampled(
+    ("arguments", "code", "told"), ERRORS, every=3, ids=[" ".join(a)[:60] for a, _, _ in ERRORS]
 )
 def test_errors(here, arguments, code, told):
     (here / "latin.ss").write_bytes("'ü';".encode("latin-1"))

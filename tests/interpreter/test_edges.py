@@ -92,7 +92,7 @@ NO_NUMBERS = [
 ]
 
 
-@pytest.mark.parametrize(("program", "value"), NO_NUMBERS)
+@sampled(("program", "value"), NO_NUMBERS, every=3)
 def test_no_numbers_compare_as_in_python(steady, program, value):
     assert repr(steady.eval(program)) == repr(value)
 

@@ -61,7 +61,7 @@ ENDLESS = [
 ]
 
 
-@pytest.mark.parametrize(("program", "words"), ENDLESS)
+@sampled(("program", "words"), ENDLESS, every=3)
 def test_programs_end(strict, program, words):
     fails(strict, lambda: strict.eval(program), LimitError, words)
 

@@ -67,7 +67,7 @@ def test_a_large_number_is_read_one_field_at_a_time(pile):
 
 
 def test_no_points(pile):
-    pybullet.resetSimulation(pile)
+    pybullet.resetSimulation(physicsClientId=pile)
     read = contacts.read_contacts(pile)
     assert (len(read), read.points.shape, read.bodies.shape) == (0, (0, 2, 3), (0, 2))
 

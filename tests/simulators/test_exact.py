@@ -13,6 +13,7 @@ import pybullet
 import pybullet_data
 import pytest
 import trimesh
+from scipy.spatial import ConvexHull
 
 import ssduck
 from ssduck.geometry.height_fields import height_field
@@ -21,6 +22,7 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.recording.spec import Recording
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled
+from tests.support.models import sdf_link, sdf_model, sdf_of
 
 LIBRARY = Path(pybullet_data.getDataPath())
 TETRA = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.123456789012345, 0.2, 1.0]]
@@ -40,7 +42,7 @@ def body_of(world, handle):
 
 
 def depth(geometry, point):
-    """How far a point is outside a primitive, less than 0 inside; an oracle by closed forms."""
+    """How far a point is outside a shape, less than 0 inside; an oracle by closed forms."""
     a, b, c = geometry.size
     x, y, z = point
     match geometry.type:
@@ -53,6 +55,8 @@ def depth(geometry, point):
         case "box":
             outside = np.abs(point) - np.array([a, b, c]) / 2
             return np.linalg.norm(np.maximum(outside, 0)) + min(outside.max(), 0)
+        case "hull":
+            return (ConvexHull(geometry.vertices).equations @ [x, y, z, 1.0]).max()
         case "cylinder":
             outside = np.array([np.hypot(x, y) - a, abs(z) - b / 2])
             return np.linalg.norm(np.maximum(outside, 0)) + min(outside.max(), 0)
@@ -83,7 +87,7 @@ MODELS = sorted(path.name for path in (LIBRARY / "mjcf").glob("*.xml"))
 MARGIN = 0.04
 
 
-@pytest.mark.parametrize("model", MODELS)
+@sampled("model", MODELS, every=3)
 def test_shapes_of_mjcf_files_are_where_rays_meet_them(client, model):
     """PyBullet's own rays are the oracle: what they end on is a surface."""
     handles = pybullet.loadMJCF(str(LIBRARY / "mjcf" / model), physicsClientId=client)
@@ -112,6 +116,57 @@ def test_shapes_of_mjcf_files_are_where_rays_meet_them(client, model):
         assert np.abs(depths(world, body, link, point)).min() < (6e-3 if edges else 1e-3)
         compared += 1
     assert compared >= 3
+
+
+SDF_SHAPES = {
+    "box": "<box><size>0.4 0.2 0.6</size></box>",
+    "sphere": "<sphere><radius>0.3</radius></sphere>",
+    "capsule": "<capsule><radius>0.1</radius><length>0.5</length></capsule>",
+    "cylinder": "<cylinder><radius>0.2</radius><length>0.5</length></cylinder>",
+    "plane": "<plane><normal>0 0 1</normal><size>3 3</size></plane>",
+    "mesh": "<mesh><uri>wedge.obj</uri><scale>1 1 2</scale></mesh>",
+}
+WEDGE = "v 0 0 0\nv 0.5 0 0\nv 0 0.5 0\nv 0 0 0.5\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+
+
+@pytest.mark.parametrize(
+    "kinds",
+    [
+        *((kind,) for kind in SDF_SHAPES),
+        ("box", "cylinder"),
+        ("cylinder", "sphere", "cylinder"),
+        ("mesh", "cylinder", "capsule"),
+        ("mesh", "mesh", "box"),
+    ],
+)
+def test_shapes_of_sdf_files_are_where_rays_meet_them(client, write, kinds):
+    """On links whose centre of mass has a pose of its own; the second link hangs on the first."""
+    write("wedge.obj", WEDGE)
+    collisions = "".join(
+        f'<collision name="c{n}"><pose>{1.5 * n} 0.1 0.2 0.3 0.2 0</pose>'
+        f"<geometry>{SDF_SHAPES[kind]}</geometry></collision>"
+        for n, kind in enumerate(kinds)
+    )
+    inertial = sdf_link(com="0.1 0.05 0.1 0.1 0.2 0").partition("<collision")[0]
+    text = sdf_of(sdf_model("m", f"{inertial}{collisions}</link>", pose="0.2 0 1 0 0 0.5"))
+    (handle,) = pybullet.loadSDF(str(write("m.sdf", text)), physicsClientId=client)
+    world = exact_key(client)
+    shapes = body_of(world, handle).shapes
+    types = {"cylinder": "hull", "mesh": "hull"}  # PyBullet makes prisms of cylinders
+    assert [s.geometry.type for s in shapes] == [types.get(kind, kind) for kind in kinds]
+    assert all(shape.exact for shape in shapes)
+    pybullet.performCollisionDetection(client)
+    rng = np.random.default_rng(len(kinds))
+    low, high = np.clip(pybullet.getAABB(handle, -1, client), -6.0, 6.0)
+    target = rng.uniform(low, high, (400, 3))
+    aside = rng.normal(size=(400, 3)) + [0, 0, 0.5]
+    starts, ends = list(target + 9 * aside), list(target - 9 * aside)
+    hits = pybullet.rayTestBatch(starts, ends, physicsClientId=client)
+    met = [point for body, _, _, point, _ in hits if body >= 0]
+    assert len(met) > 30
+    gaps = np.array([np.abs(depths(world, handle, 0, point)).min() for point in met])
+    assert gaps.max() < 6e-3  # edges are round for rays
+    assert np.median(gaps) < 1.01e-3  # the margin of hulls
 
 
 @pytest.mark.parametrize("model", MODELS)

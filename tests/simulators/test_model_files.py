@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pybullet
@@ -406,10 +409,10 @@ def test_other_warnings_about_files(load):
     )
     wall = '<body name="wall"><geom type="box" size="1 1 1"/></body>'
     entry = '[[body]]\nmjcf = "a.xml"\n'
-    with pytest.warns(UserWarning, match="does not fix wall") as caught:
+    with pytest.warns(UserWarning, match="leaves wall free; MuJoCo") as caught:
         load(entry + entry, a_xml=mjcf_of(body, wall))
     (warning,) = caught
-    assert "a.xml (b, wall, b_2, wall_2): PyBullet does not fix wall, " in str(warning.message)
+    assert "a.xml (b, wall, b_2, wall_2): PyBullet leaves wall free; " in str(warning.message)
     assert "unhandled geom type 'ellipsoid'" in str(warning.message)
     hinge = '<body name="b"><joint name="h" range="-90 90"/><geom type="box" size="1 1 1"/></body>'
     with pytest.warns(UserWarning, match="takes angles for radians without <compiler>"):
@@ -425,6 +428,17 @@ def test_other_warnings_about_files(load):
     floating = filled("urdf").replace("revolute", "floating")
     with pytest.warns(UserWarning, match="ignores the motion of floating joints of j"):
         load('[[body]]\nname = "a"\nurdf = "a.urdf"\n', a_urdf=floating)
+
+
+def test_meshes_that_are_skipped(load):
+    """PyBullet loads the rest of an MJCF file; a URDF or SDF file is an error."""
+    parts = '<geom type="mesh" mesh="c"/><geom type="sphere" size="1"/>'
+    asset = '<asset><mesh name="c" file="no.obj"/></asset>'
+    with pytest.warns(UserWarning, match=r"a.xml \(m\): cannot find 'no.obj' .*type 'mesh'"):
+        load('[[body]]\nmjcf = "a.xml"\n', a_xml=mjcf_of(mjcf_body(parts=parts), before=asset))
+    mesh = "<mesh><uri>no.obj</uri></mesh>"
+    with pytest.raises(SceneError, match=r"body\[0\].sdf: .*cannot find 'no.obj'"):
+        load('[[body]]\nsdf = "a.sdf"\n', a_sdf=sdf_of(sdf_model("m", sdf_link(geometry=mesh))))
 
 
 def test_an_excerpt_does_not_warn_again(load, recwarn):
@@ -446,6 +460,59 @@ def test_unread_parts_may_be_odd(load):
     part = '<transmission name="t"><joint name="j"/></transmission>'
     with pytest.warns(UserWarning, match="<transmission> of t"):
         load('[[body]]\nname = "a"\nurdf = "a.urdf"\n', a_urdf=filled("urdf", "end", part))
+
+
+def damaged(text):
+    """Yields a file with each element, text and attribute missing or empty."""
+    count = len(list(ET.fromstring(text).iter()))  # noqa: S314  # a text of this file
+
+    def variant(number, change):
+        root = ET.fromstring(text)  # noqa: S314
+        change(root, list(root.iter())[number])
+        return ET.tostring(root, encoding="unicode")
+
+    def remove(root, part):
+        for parent in root.iter():
+            if part in list(parent):
+                parent.remove(part)
+
+    def blank(_, part):
+        part.text = ""
+
+    for number in range(count):
+        yield variant(number, remove)
+        yield variant(number, blank)
+        for key in list(ET.fromstring(text).iter())[number].attrib:  # noqa: S314
+            yield variant(number, lambda _, part, key=key: part.attrib.pop(key))
+            yield variant(number, lambda _, part, key=key: part.set(key, ""))
+
+
+LOAD_ALL = """
+import sys, warnings
+from pathlib import Path
+from ssduck.errors import SceneError
+from ssduck.simulators.pybullet import backend
+from ssduck.simulators.scenes import find_scene
+warnings.simplefilter("ignore")
+for path in sorted(Path(sys.argv[1]).iterdir()):
+    print(path.name, flush=True)
+    try:
+        backend.load(find_scene(path)).close()
+    except SceneError:
+        pass
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("format", TEXTS)
+def test_no_damaged_file_crashes_the_process(tmp_path, format):
+    ending = FILES[format].rpartition(".")[2]
+    for number, text in enumerate(damaged(filled(format))):
+        (tmp_path / f"m{number}.{ending}").write_text(text, encoding="utf-8")
+    command = [sys.executable, "-c", LOAD_ALL, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, (done.stdout.split()[-1], done.stderr[-500:])
+    assert len(done.stdout.split()) > 50
 
 
 ROOTS = sdf_of(sdf_model("two", sdf_link("a"), sdf_link("b")))
@@ -483,6 +550,14 @@ MISTAKES = [
             ),
         ]
     ),
+    (
+        '[[body]]\nsdf = "a.sdf"',
+        {"a_sdf": sdf_of("<include><uri>model://x</uri></include>")},
+        "body[0].sdf",
+        "no body is in it; PyBullet ignores <include>",
+        (),
+    ),
+    ('[[body]]\nmjcf = "a.xml"', {"a_xml": mjcf_of()}, "body[0].mjcf", "no body is in it", ()),
     ('[[body]]\nmjcf = "a.xml"', {"a_xml": "<mujoco"}, "body[0].mjcf", "cannot be loaded", ()),
     ('[[body]]\nsdf = "a.sdf"\nname = ""', {"a_sdf": SDF}, "body[0].name", "expected a text", ()),
     (
@@ -509,8 +584,8 @@ MISTAKES = [
     (
         '[[body]]\nsdf = "a.sdf"\n[[sensor]]\nname = "s"\ntype = "contact_sensor"\non = "crat"',
         {"a_sdf": SDF},
-        "",
-        "'crat'",
+        "sensor[0].on",
+        "there is no body 'crat'",
         None,
     ),
 ]

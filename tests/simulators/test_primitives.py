@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pybullet
 import pytest
+from typer.testing import CliRunner
 
 import ssduck
+from ssduck.cli.app import app
 from ssduck.errors import SceneError
 from ssduck.simulators.scene_bodies import Material, Primitive
 from ssduck.simulators.scenes import find_scene, read_scene
@@ -150,6 +154,18 @@ def test_the_table_of_the_floor(load):
     assert world.step(240)["box"].aabb[0][2] == pytest.approx(-0.5, abs=2e-3)
 
 
+@pytest.mark.parametrize(("floor", "height"), [(0.0, 0.1), (1.0, 0.33)])
+def test_restitution_takes_both_bodies(load, floor, height):
+    """From 1 m above the floor, a ball of restitution 0.5 bounces to about a quarter of that."""
+    _, world = load(
+        f'[floor]\nrestitution = {floor}\n[[body]]\nname = "ball"\nsphere = 0.1\n'
+        "restitution = 0.5\nposition = [0, 0, 1.1]\n"
+    )
+    world.run(0.5)  # it meets the floor after 0.45 s
+    heights = [world.step(4)["ball"].position[2] for _ in range(25)]
+    assert max(heights) == pytest.approx(height, abs=0.04)
+
+
 def test_without_a_floor_bodies_fall(load):
     for text in ("", "floor = false\n"):
         _, world = load(text + '[[body]]\nname = "box"\nbox = [1, 1, 1]\n')
@@ -198,6 +214,19 @@ def test_an_excerpt_of_primitives_goes_on_as_the_original(load):
     for one, other in zip(world.step(100), copy.step(100), strict=True):
         assert other.name == one.name
         assert other.pose == pytest.approx(one.pose, abs=1e-9)
+
+
+def test_a_saved_excerpt_has_the_same_primitives(load, tmp_path):
+    ss, world = load(STACK)
+    world.step(30)
+    copy = ss.eval("SELECT this FROM room WHERE id != 'ball' AS environment;")
+    copy.save(tmp_path / "saved")
+    scene = read_scene(tmp_path / "saved" / "scene.toml")
+    before = read_scene(tmp_path / "room.toml")
+    assert [body.name for body in scene.bodies] == ["floor", "crate"]
+    assert scene.bodies[0] == replace(before.floor, kind="kinbody")
+    assert scene.bodies[1].model == before.bodies[0].model
+    assert scene.bodies[1].position == pytest.approx(world["crate"].position, abs=1e-15)
 
 
 def test_sensors_and_constraints_on_primitives(load):
@@ -311,3 +340,38 @@ def test_a_scene_of_primitives_is_recorded(load, tmp_path):
         assert record.eval("SELECT mass FROM room WHERE id == 'floor' AS list;") == [0.0]
         for name, pose in states.items():
             assert np.allclose(record.call_variable("room")[name].pose, pose, atol=1e-12)
+
+
+def test_primitives_at_a_past_tick_and_in_a_duckdb_file(write, tmp_path):
+    path = write("room.toml", STACK.replace("0, 0, 0.5]", "0, 0, 2]"))
+    above = "SELECT id FROM room{{{}}} WHERE above(room.floor, this) AND clearance(this, room.crate) > {} AS list;"
+    with ssduck.load(path, tmp_path / "run.duckdb") as ss:
+        world = ss.call_variable("room")
+        world.run(1.5)
+        assert ss.eval(above.format(0.1, 1.0)) == ["ball"]
+        assert ss.eval(above.format(1.5, 1.0)) == []
+        assert ss.eval("clearance(room.floor, room.crate);") < 2e-3
+    with ssduck.open(tmp_path / "run.duckdb") as record:
+        assert record.eval(above.format(0.1, 1.0)) == ["ball"]
+        assert record.eval("SELECT type, mass FROM room WHERE id == 'floor' AS list;") == [
+            "kinbody",
+            0.0,
+        ]
+
+
+def test_what_if_a_primitive_were_elsewhere(load):
+    _, world = load(STACK)
+    moved = world.what_if({"crate": [1, 0, 0, 0, 5, 5, 0.1]})
+    assert moved["crate"].aabb[0] == pytest.approx([4.8, 4.8, -0.1])
+    assert world["crate"].aabb[0] == pytest.approx([-0.2, -0.2, 0.0])
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("other", moved)
+        assert ss.eval("penetration(other.floor, other.crate);") == pytest.approx(0.1, abs=1e-9)
+
+
+def test_the_command_line_takes_such_scenes(write):
+    path = write("room.toml", STACK)
+    query = "SELECT id FROM room WHERE isKinbody(this) AS list;"
+    result = CliRunner().invoke(app, ["query", str(path), query], prog_name="ssduck")
+    assert result.exit_code == 0, result.output
+    assert all(name in result.stdout for name in ("floor", "crate", "ball"))

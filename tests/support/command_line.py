@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -62,14 +61,10 @@ def answer(*arguments, **others):
 
 
 def environment():
-    """That of the process, without colours; the package is found if it is not installed."""
-    names = ("PYTHONPATH", "FORCE_COLOR", "NO_COLOR", "COLUMNS")
+    """That of the process, without colours; the package is that of this checkout."""
+    names = ("FORCE_COLOR", "NO_COLOR", "COLUMNS")
     env = {name: value for name, value in os.environ.items() if name not in names}
-    try:
-        metadata.distribution("ssduck")
-    except metadata.PackageNotFoundError:
-        env["PYTHONPATH"] = str(ROOT)
-    return env
+    return env | {"PYTHONPATH": str(ROOT)}
 
 
 def start(*arguments, module=("-m", "ssduck"), **others):

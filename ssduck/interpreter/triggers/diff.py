@@ -17,7 +17,7 @@ import pyarrow as pa
 from ssduck.adapters.result import Result
 from ssduck.interpreter.sources import elements_of
 from ssduck.language.value_keys import ATOMS
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 
@@ -92,7 +92,7 @@ def canonical_key(value: Any) -> Any:
     kind = type(value)
     if kind is float:
         return _NAN if value != value else value  # noqa: PLR0124  # only NaN differs from itself
-    if kind in ATOMS or isinstance(value, Entity | World):
+    if kind in ATOMS or isinstance(value, Handle | World):
         return value
     if kind is list or isinstance(value, tuple):
         return (kind, *map(canonical_key, value))
@@ -138,9 +138,8 @@ def _is_data_frame(value: Any) -> bool:
 
 def _is_graph(value: Any) -> bool:
     """Checks whether a value is a graph of networkx, without importing it."""
-    kind = type(value)
-    is_library = kind.__module__.partition(".")[0] == "networkx"
-    return is_library and kind.__name__ in {"DiGraph", "MultiDiGraph"}
+    names = {(base.__module__.partition(".")[0], base.__name__) for base in type(value).__mro__}
+    return bool(names & {("networkx", "DiGraph"), ("networkx", "MultiDiGraph")})
 
 
 class _CopiedValue:
@@ -161,7 +160,7 @@ class _CopiedValue:
 def copy_of(value: Any) -> Any:
     """Returns a copy that is independent of the value; the value if it cannot be copied."""
     kind = type(value)
-    if kind in ATOMS or isinstance(value, Entity | World):
+    if kind in ATOMS or isinstance(value, Handle | World):
         return value
     if kind is list or kind is tuple or kind is set:
         return kind(map(copy_of, value))

@@ -22,12 +22,12 @@ from ssduck.interpreter.triggers.conditions import TriggerConfig, When
 from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.language.tree import Node
 from ssduck.language.value_keys import ATOMS
-from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
 # The time for which closing waits for a callback in a thread of its own, s.
 PATIENCE = 5.0
-_LIVE = World | Entity
+_LIVE = World | Handle
 
 
 class Evaluator(Protocol):

@@ -141,8 +141,10 @@ class EntityShapes:
         )
         numbers = {id: number for number, id in enumerate(ids)}
         enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
+        links = np.concatenate([model.links for model in models])
+        ids_array = np.array(ids, dtype=np.int64)
         return ShapeQueries(
-            narrow, numbers, self._shape_tables[key], enclosing_boxes, np.array(ids, dtype=np.int64)
+            narrow, numbers, self._shape_tables[key], enclosing_boxes, ids_array, links
         )
 
     def _shapes_at(self, model: _ShapeModel, poses: Array) -> tuple[Array, Array, Array]:

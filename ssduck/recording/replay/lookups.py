@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array
+from ssduck.schema import LINK_FACTOR, entity_of, link_of
 
 Columns: TypeAlias = Mapping[str, npt.NDArray[Any]]
 # Returns the columns of a table at the tick.
@@ -37,29 +38,51 @@ def perceived(read_rows: RowReader, sensor: int, _: int) -> list[float]:
 
 
 def pressing(read_rows: RowReader, a: int, b: int) -> list[float]:
-    """Returns the normal forces of the contacts of two entities, N."""
+    """Returns the normal forces of the contacts of two entities or links, N."""
     contacts = read_rows("contacts")
-    matches = (contacts["a"] == min(a, b)) & (contacts["b"] == max(a, b))
+    matches = (_touches(contacts, "a", a) & _touches(contacts, "b", b)) | (
+        _touches(contacts, "a", b) & _touches(contacts, "b", a)
+    )
     forces: list[float] = contacts["force"][matches].tolist()
     return forces
 
 
+def _touches(contacts: Columns, side: str, id: int) -> npt.NDArray[np.bool_]:
+    """Checks which contacts have an entity or a link on a side."""
+    is_entity: npt.NDArray[np.bool_] = contacts[side] == entity_of(id)
+    return is_entity if id < LINK_FACTOR else is_entity & (contacts[f"link_{side}"] == link_of(id))
+
+
 def wrench(read_rows: RowReader, entity: int, _: int) -> list[float]:
-    """Returns the net contact force on an entity, N, and the moment about its position, N m."""
-    contacts, entities = read_rows("contacts"), read_rows("entities")
-    index = np.flatnonzero(entities["id"] == entity)
-    if not len(index):
+    """Returns the net contact force, N, on an entity or a link, and the moment, N m.
+
+    The moment is that about its position.
+    """
+    contacts, position = read_rows("contacts"), _position(read_rows, entity)
+    if position is None:
         return [0.0] * 6
-    position = np.array([entities[axis][index[0]] for axis in "xyz"])
     total = np.zeros(6)
     for side, sign in (("a", 1.0), ("b", -1.0)):
-        is_in_contact = contacts[side] == entity
+        is_in_contact = _touches(contacts, side, entity)
         forces = sign * _vectors(contacts, is_in_contact, "fx", "fy", "fz")
         arms = _vectors(contacts, is_in_contact, f"{side}x", f"{side}y", f"{side}z") - position
         total[:3] += forces.sum(axis=0)
         total[3:] += np.cross(arms, forces).sum(axis=0)
     components: list[float] = total.tolist()
     return components
+
+
+def _position(read_rows: RowReader, id: int) -> Array | None:
+    """Returns the position of an entity or a link, (3,), m; None if it is not there."""
+    if id >= LINK_FACTOR:
+        rows = read_rows("links")
+        matches = (rows["entity"] == entity_of(id)) & (rows["link"] == link_of(id))
+        if matches.any():
+            return np.array([rows[axis][matches][0] for axis in "xyz"])
+        # A body of one link has its pose, and no row of its own.
+    rows = read_rows("entities")
+    matches = rows["id"] == entity_of(id)
+    return np.array([rows[axis][matches][0] for axis in "xyz"]) if matches.any() else None
 
 
 def _vectors(columns: Columns, rows: npt.NDArray[np.bool_], *names: str) -> Array:

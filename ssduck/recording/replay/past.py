@@ -17,7 +17,10 @@ from ssduck.errors import EvaluationError
 from ssduck.formatting import short_repr
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import TIME_TOLERANCE, Record, index_at
-from ssduck.world.entities import Entity, RecordedTick
+from ssduck.schema import EntityTable, entity_of
+from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle, RecordedTick
+from ssduck.world.links import Links
 from ssduck.world.world import World
 
 
@@ -61,7 +64,8 @@ class Past:
         last: the number of the last tick.
         is_window: whether there may be several ticks; such sources of one world advance through
             their ticks together.
-        id: the id of the only entity; None for all entities.
+        id: the id of the only entity or link; None for all.
+        table: the table of the elements: entities, or the links of entities.
         world: the recorded world.
     """
 
@@ -70,6 +74,7 @@ class Past:
     last: int
     is_window: bool
     id: int | None = None
+    table: EntityTable = "entities"
     world: World = field(init=False)
 
     def __post_init__(self) -> None:
@@ -114,14 +119,14 @@ class Past:
                 f"{self.record.dropped_ticks_message}"
             )
 
-    def __iter__(self) -> Iterator[Entity]:
-        """Yields the entities at each tick, tick by tick."""
+    def __iter__(self) -> Iterator[Handle]:
+        """Yields the entities or links at each tick, tick by tick."""
         for tick in self.ticks:
             world = self.record.at(tick)
             if self.id is None:
-                yield from world
-            elif self.id in world.snapshot.rows:
-                yield world.entity(self.id)
+                yield from world if self.table == "entities" else Links(world)
+            elif entity_of(self.id) in world.snapshot.rows:
+                yield world.handle(self.id)
 
     def at(self, tick: int) -> PastWorld:
         """Returns the world at one of the ticks, by its number.
@@ -154,11 +159,6 @@ class Past:
         return f"<Past of {self.world.name!r}: {description}>"
 
 
-def pin_to_tick(entity: Entity, moment: RecordedTick) -> Entity:
-    """Returns the handle of an entity that stays at a tick."""
-    return type(entity)(entity.world, entity.id, entity.name, entity.kind, moment)
-
-
 def pin_to_common_tick(values: Sequence[Any], elements: Iterable[Any]) -> Sequence[Any] | None:
     """Pins entities to the tick of the first pinned one; returns None if one did not exist then.
 
@@ -168,13 +168,13 @@ def pin_to_common_tick(values: Sequence[Any], elements: Iterable[Any]) -> Sequen
         values: entities and other values.
         elements: the current elements of the query around them.
     """
-    worlds = {v.world for v in values if isinstance(v, Entity) and v.moment is None}
+    worlds = {v.world for v in values if isinstance(v, Handle) and v.moment is None}
     if not worlds:
         return values
-    first = next((v for v in values if isinstance(v, Entity) and v.moment is not None), None)
+    first = next((v for v in values if isinstance(v, Handle) and v.moment is not None), None)
     if first is None:
         # The elements of the innermost query come last.
-        past = [v for v in elements if isinstance(v, Entity) and v.moment is not None]
+        past = [v for v in elements if isinstance(v, Handle) and v.moment is not None]
         first = next((v for v in reversed(past) if v.world in worlds), None)
     if first is None:
         return values
@@ -182,8 +182,8 @@ def pin_to_common_tick(values: Sequence[Any], elements: Iterable[Any]) -> Sequen
     assert moment is not None
     pinned: list[Any] = []
     for value in values:
-        if isinstance(value, Entity) and value.moment is None and value.world is first.world:
-            handle = pin_to_tick(value, moment)
+        if isinstance(value, Handle) and value.moment is None and value.world is first.world:
+            handle = value.pinned(moment)
             if not handle.is_there:
                 return None
             pinned.append(handle)
@@ -198,13 +198,14 @@ class PresentTick:
 
     record: Record
     tick: int
+    table: EntityTable = "entities"
 
     @property
     def world(self) -> World:
         """The recorded world."""
         return self.record.world
 
-    def __iter__(self) -> Iterator[Entity]:
-        """Yields the entities, pinned to the tick."""
-        for entity in self.world:
-            yield pin_to_tick(entity, RecordedTick(self.record, self.tick))
+    def __iter__(self) -> Iterator[Handle]:
+        """Yields the entities or links, pinned to the tick."""
+        for handle in self.world if self.table == "entities" else Links(self.world):
+            yield handle.pinned(RecordedTick(self.record, self.tick))

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import MASSES, ON_DEMAND, TABLES
 from ssduck.simulators.static import StaticSimulator
-from ssduck.world.entities import Entity, RecordedTick
+from ssduck.world.entities import Entity
+from ssduck.world.handles import RecordedTick
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 

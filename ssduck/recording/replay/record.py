@@ -29,10 +29,12 @@ from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
-from ssduck.schema import ON_DEMAND, POSE, RECORDABLE, TABLES
+from ssduck.schema import LINK_FACTOR, ON_DEMAND, POSE, RECORDABLE, TABLES, entity_of, link_of
 from ssduck.simulators.static import StaticSimulator
-from ssduck.world.entities import HANDLES, Entity, RecordedTick
+from ssduck.world.entities import HANDLES, Entity
+from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.layout import EntityInfo, margins_of
+from ssduck.world.links import Link
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
@@ -138,9 +140,17 @@ class Record:
 
     def entity(self, tick: int, id: int) -> Entity:
         """Returns the handle of an entity at a tick."""
-        member = self.members[id]
-        kind = HANDLES[member.kind]
-        return kind(self.world, id, member.name, member.kind, RecordedTick(self, tick))
+        member, moment = self.members[id], RecordedTick(self, tick)
+        return HANDLES[member.kind](self.world, id, member.name, member.kind, moment)
+
+    def handle(self, tick: int, id: int) -> Handle:
+        """Returns the handle of an entity or a link at a tick."""
+        if id < LINK_FACTOR:
+            return self.entity(tick, id)
+        member = self.members[entity_of(id)]
+        assert member.body is not None
+        name = member.body.links[link_of(id)].name
+        return Link(self.world, id, name, member.name, RecordedTick(self, tick))
 
     def at(self, tick: int) -> PastWorld:
         """Returns the world at a tick.

@@ -13,7 +13,8 @@ from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.stores.base import TickArchive
 from ssduck.simulators.scenes import Camera
-from ssduck.world.entities import Entity, RecordedTick
+from ssduck.world.entities import Entity
+from ssduck.world.handles import RecordedTick
 from ssduck.world.world import World
 
 

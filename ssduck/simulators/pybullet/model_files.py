@@ -88,7 +88,11 @@ class ModelFile:
         found = [f"ignores {'; '.join(parts)}"] if parts else []
         if self.format == "mjcf":
             free = [] if fixed else free_bodies(self.root)
-            found += [f"does not fix {joined_names(free)}, without a joint"] if free else []
+            if free:
+                found.append(
+                    f"leaves {joined_names(free)} free; MuJoCo fixes bodies without a joint, "
+                    "as fixed = true does"
+                )
             if has_unknown_angles(self.root):
                 found.append("takes angles for radians without <compiler>, MuJoCo for degrees")
         return found

@@ -81,6 +81,9 @@ def _load_file(spec: BodySpec, client: int) -> Sequence[int]:
         return (_load_urdf(spec, file, client),)
     load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF
     handles: Sequence[int] = load(file, physicsClientId=client)
+    if not handles:
+        ignored = "".join(f"; PyBullet {part}" for part in model_file.ignored(spec.fixed))
+        raise SceneError(f"no body is in it{ignored}")
     static = model_file.static_models()
     for number, handle in enumerate(handles):
         if spec.fixed or number in static:

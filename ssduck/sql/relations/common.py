@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ssduck.schema import LINK_FACTOR
 from ssduck.sql.relations.relation import Parameter, Relation, ValueType
 
 # The function that yields numbers of contacts and sensors at a recorded tick.
@@ -19,6 +20,8 @@ def entity_relation(
     element: ValueType = "double",
     recorded_formula: str = "",
     aliases: tuple[str, ...] = (),
+    link_formula: str = "",
+    link_name: str = "name",
 ) -> Relation:
     """Returns a relation of one entity."""
     return Relation(
@@ -31,7 +34,14 @@ def entity_relation(
         element=element,
         recorded_formula=recorded_formula,
         aliases=aliases,
+        link_formula=link_formula,
+        link_name=link_name,
     )
+
+
+def link_of(entity: str, link: str) -> str:
+    """Returns a formula: the id of a link, from the id of its entity and its number."""
+    return f"(({link} + 1) * {LINK_FACTOR} + {entity})"
 
 
 def recorded_numbers(kind: str, a: str, b: str = "") -> str:

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import A_B, recorded_numbers
+from itertools import cycle
+
+from ssduck.sql.relations.common import A_B, link_of, recorded_numbers
 from ssduck.sql.relations.relation import Relation
+
+_LINK_A, _LINK_B = (link_of(f"contacts.{side}", f"contacts.link_{side}") for side in "ab")
+_PAIR = "(least(a.id, b.id), greatest(a.id, b.id))"
+# The pairs of ids that a contact is of, the lesser id first: of entities, links, or one of each.
+_PAIRS = (
+    "SELECT list_sort(unnest(CASE WHEN contacts.a = contacts.b "  # noqa: S608
+    f"THEN [[contacts.a, contacts.b], [{_LINK_A}, {_LINK_B}]] ELSE [[contacts.a, contacts.b], "
+    f"[{_LINK_A}, contacts.b], [contacts.a, {_LINK_B}], [{_LINK_A}, {_LINK_B}]] END)) AS pair, "
+    "contacts.force AS force FROM contacts"
+)
 
 CONTACT_RELATIONS: tuple[Relation, ...] = (
     Relation(
@@ -18,6 +30,8 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
         f"AND COALESCE(list_max({recorded_numbers('pressing', 'a', 'b')}) > 0, FALSE)",
+        link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] FROM ({_PAIRS}) AS pairs "  # noqa: S608
+        "WHERE pairs.force > 0)",
     ),
     Relation(
         "contactForce",
@@ -34,18 +48,39 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         across_worlds="0.0::DOUBLE",
         recorded_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
         f"ELSE COALESCE(list_sum({recorded_numbers('pressing', 'a', 'b')}), 0.0) END",
+        link_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE COALESCE(map_extract_value(("  # noqa: S608
+        "SELECT map(list((pair[1], pair[2])), list(total)) FROM (SELECT pairs.pair AS pair, "
+        f"sum(pairs.force) AS total FROM ({_PAIRS}) AS pairs GROUP BY ALL) AS summed), {_PAIR}), "
+        "0.0::DOUBLE) END",
     ),
 )
 
 
-def contact_sum(*terms: str) -> str:
-    """Returns a formula: sums over the contacts of an entity, of forces and contact points."""
+def contact_sum(*terms: str, of_links: bool = False) -> str:
+    """Returns a formula: sums over the contacts of an entity, of forces and contact points.
+
+    Args:
+        terms: the summands.
+        of_links: whether the entity may be a link.
+    """
+    parts = [("entities", f"entities.id = contacts.{side}", f"contacts.{side}") for side in "ab"]
+    if of_links:
+        parts += [
+            (
+                "links",
+                f"links.entity = contacts.{side} AND links.link = contacts.link_{side}",
+                link_of(f"contacts.{side}", f"contacts.link_{side}"),
+            )
+            for side in "ab"
+        ]
     sides = " UNION ALL ".join(
-        f"SELECT contacts.{side} AS entity, contacts.{side}x - entities.x AS x, "  # noqa: S608
-        f"contacts.{side}y - entities.y AS y, contacts.{side}z - entities.z AS z, "
+        f"SELECT {id} AS entity, contacts.{side}x - {table}.x AS x, "  # noqa: S608
+        f"contacts.{side}y - {table}.y AS y, contacts.{side}z - {table}.z AS z, "
         f"{sign}fx AS fx, {sign}fy AS fy, {sign}fz AS fz "
-        f"FROM contacts JOIN entities ON entities.id = contacts.{side}"
-        for side, sign in (("a", ""), ("b", "-"))
+        f"FROM contacts JOIN {table} ON {condition}"
+        for (table, condition, id), (side, sign) in zip(
+            parts, cycle((("a", ""), ("b", "-"))), strict=False
+        )
     )
     sums = ", ".join(f"sum({term})" for term in terms)
     return (

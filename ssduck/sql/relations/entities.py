@@ -37,13 +37,24 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "id",
         "string",
         "object.name",
-        "Returns the name of an entity, which is unique in its world.",
+        "Returns the name of an entity, which is unique in its world; of a link the names of "
+        "both, as in 'panda.panda_hand'.",
+        link_name="full_name",
+    ),
+    entity_relation(
+        "name",
+        "string",
+        "object.name",
+        "Returns the name of an entity, as `id` does; of a link as in its model.",
     ),
     entity_relation(
         "type",
         "string",
         "object.kind",
-        "Returns the kind of an entity: 'robot', 'kinbody' or 'sensor'.",
+        "Returns the kind of an entity: 'robot', 'kinbody' or 'sensor'; of a link 'link'.",
+    ),
+    entity_relation(
+        "kind", "string", "object.kind", "Returns the kind of an entity; the same as `type`."
     ),
     entity_relation(
         "tick", "integer", "object.tick", "Returns the number of the tick of an entity."
@@ -110,9 +121,10 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     entity_relation(
         "volume",
         "double",
-        "CASE WHEN object.kind = 'kinbody' THEN (object.xmax - object.xmin) "
+        "CASE WHEN object.kind IN ('kinbody', 'link') THEN (object.xmax - object.xmin) "
         "* (object.ymax - object.ymin) * (object.zmax - object.zmin) / 8 ELSE 0.0::DOUBLE END",
-        "Returns the product of the half-extents of a kinbody's axis-aligned box, an eighth of "
+        "Returns the product of the half-extents of a kinbody's or a link's axis-aligned box, an "
+        "eighth of "
         "the volume of the box (see aabbVolume); 0 for robots and sensors.",
         "m^3",
     ),

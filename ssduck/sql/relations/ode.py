@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.sql.relations.common import ENTITY, entity_relation, recorded_numbers
+from ssduck.sql.relations.common import ENTITY, entity_relation, link_of, recorded_numbers
 from ssduck.sql.relations.contacts import contact_sum
 from ssduck.sql.relations.geometry_query import COLLIDING, CandidatePairs, GeometryQuery
 from ssduck.sql.relations.relation import Parameter, Relation
@@ -18,6 +18,14 @@ _ROTATION = re.sub(
     "[[1 - 2 * (y ** 2 + z ** 2), 2 * (x * y - w * z), 2 * (x * z + w * y)], "
     "[2 * (x * y + w * z), 1 - 2 * (x ** 2 + z ** 2), 2 * (y * z - w * x)], "
     "[2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x ** 2 + y ** 2)]]",
+)
+
+_FORCE = ("fx", "fy", "fz")
+_TORQUE = ("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx")
+# The kinds of the geometries of each entity and each link.
+_PARTS = (
+    f"SELECT unnest([shapes.entity, {link_of('shapes.entity', 'shapes.link')}]) AS id, "  # noqa: S608
+    "geometries.type AS type FROM shapes JOIN geometries ON geometries.id = shapes.geometry"
 )
 
 ODE_RELATIONS: tuple[Relation, ...] = (
@@ -96,20 +104,22 @@ ODE_RELATIONS: tuple[Relation, ...] = (
     entity_relation(
         "force",
         "list",
-        contact_sum("fx", "fy", "fz"),
+        contact_sum(*_FORCE),
         "Returns the sum [x, y, z] of the contact forces on the entity in the last step, "
         "friction included, in the world frame. Forces that a program applies are not included.",
         "N",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[1:3]",
+        link_formula=contact_sum(*_FORCE, of_links=True),
     ),
     entity_relation(
         "torque",
         "list",
-        contact_sum("y * fz - z * fy", "z * fx - x * fz", "x * fy - y * fx"),
+        contact_sum(*_TORQUE),
         "Returns the sum [x, y, z] of the moments of the contact forces (see force) about the "
         "entity's position, in the world frame.",
         "N m",
         recorded_formula=f"{recorded_numbers('wrench', 'object')}[4:6]",
+        link_formula=contact_sum(*_TORQUE, of_links=True),
     ),
     entity_relation(
         "gravityMode",
@@ -138,6 +148,8 @@ ODE_RELATIONS: tuple[Relation, ...] = (
             "object.id IN (SELECT shapes.entity FROM shapes JOIN geometries ON geometries.id = "  # noqa: S608
             f"shapes.geometry GROUP BY ALL HAVING bool_and(geometries.type {of}))",
             f"Checks if all shapes of the entity are {words}; False without shapes.",
+            link_formula=f"object.id IN (SELECT parts.id FROM ({_PARTS}) AS parts "  # noqa: S608
+            f"GROUP BY ALL HAVING bool_and(parts.type {of}))",
         )
         for name, of, words in (
             ("isBox", "= 'box'", "boxes"),

@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias
 import sqlglot
 from sqlglot import exp
 
-from ssduck.schema import BOX, MARGINS, MASSES
+from ssduck.schema import BOX, LINK_FACTOR, MARGINS, MASSES
 from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
@@ -72,6 +72,8 @@ class Relation:
         candidate_pairs: the pairs of a tick of which it may hold, if they can be found at once.
         recorded_formula: the formula of a macro for rows of a recorded tick, if it looks up what
             differs from tick to tick.
+        link_formula: the formula where an entity may be a link, if it is another one.
+        link_name: the column of a link that stands for `name`.
         list_formula: the formula for two lists, if it has another meaning for them.
         aliases: other names; a name that raw SQL has to quote has one.
         alias_of: the first name, if this is another one.
@@ -94,6 +96,8 @@ class Relation:
     geometry: GeometryQuery | None = None
     candidate_pairs: CandidatePairs | None = None
     recorded_formula: str = ""
+    link_formula: str = ""
+    link_name: str = "name"
     list_formula: str = ""
     aliases: tuple[str, ...] = ()
     alias_of: str = ""
@@ -146,6 +150,17 @@ class Relation:
             trees[self.required_count + 1] = _parsed(self.formula_with_first_option)
         return trees
 
+    @cached_property
+    def link_expressions(self) -> dict[int, exp.Expr]:
+        """The formula where an entity may be a link, as a tree, by the number of arguments.
+
+        A link has the relations to its entity that an entity has to itself.
+        """
+        trees = dict(self.expressions)
+        if self.link_formula:
+            trees[self.required_count] = _parsed(self.link_formula)
+        return {count: _with_own_links(tree) for count, tree in trees.items()}
+
     def candidate_distance(self, count: int) -> exp.Expr:
         """Returns the largest distance of its candidate pairs, by the number of arguments."""
         pairs = self.candidate_pairs
@@ -183,6 +198,12 @@ class Relation:
         return frozenset(tables)
 
     @cached_property
+    def macro_inputs(self) -> frozenset[str]:
+        """The data to fetch before its macro is evaluated, whose rows may be of links."""
+        tree = self.link_expressions[self.required_count]
+        return self.inputs | {table.name for table in tree.find_all(exp.Table)}
+
+    @cached_property
     def inputs(self) -> frozenset[str]:
         """The data to fetch from the simulator before it is evaluated: tables, masses, margins."""
         tree = self.expressions[self.required_count]
@@ -216,7 +237,7 @@ class Relation:
             return tree
         first, *others = (exp.column("tick", table=row) for row in rows)
         present = exp.select("max(tick)").from_(exp.table_("ticks", db=schema)).subquery()
-        recorded = in_schema(_parsed(self.recorded_formula), schema)
+        recorded = in_schema(_with_own_links(_parsed(self.recorded_formula)), schema)
         result = exp.case()
         for other in others:
             message = exp.Literal.string(f"{self.name}: its rows are of two ticks of {schema}")
@@ -329,7 +350,7 @@ def _overloads(relation: Relation, schema: str | None) -> str:
     result = [
         f"({', '.join(p.name for p in relation.parameters[:count])}) "
         f"AS ({relation.macro_body(tree, schema).sql('duckdb')})"
-        for count, tree in relation.expressions.items()
+        for count, tree in relation.link_expressions.items()
     ]
     if relation.list_formula:
         result.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
@@ -365,6 +386,25 @@ def in_schema(formula: exp.Expr, schema: str) -> exp.Expr:
     for world in list(result.find_all(exp.Placeholder)):
         world.replace(exp.Literal.string(schema))
     return result
+
+
+def _with_own_links(tree: exp.Expr) -> exp.Expr:
+    """Returns a formula in which a link and its entity are the same where `a.id = b.id` is."""
+
+    def widened(part: exp.Expr) -> exp.Expr:
+        if isinstance(part, exp.EQ | exp.NEQ) and part.sql() in _SAME_ENTITY:
+            return _parsed(_SAME_ENTITY[part.sql()])
+        return part
+
+    result: exp.Expr = tree.copy().transform(widened)
+    return result
+
+
+_SAME_ENTITY = {
+    "a.id = b.id": f"(a.id = b.id OR a.id = b.id % {LINK_FACTOR} OR b.id = a.id % {LINK_FACTOR})",
+    "a.id <> b.id": f"(a.id <> b.id AND a.id <> b.id % {LINK_FACTOR} "
+    f"AND b.id <> a.id % {LINK_FACTOR})",
+}
 
 
 def _parameter_list(parameters: tuple[Parameter, ...]) -> str:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
+from tests.support.cases import sampled
 from tests.support.narrow_cases import ORIGIN, OVER, floor, shape
 from tests.support.pairs import Shape, ell
 from tests.support.solids import box, cylinder, mesh_of, narrow, plane
@@ -22,7 +23,7 @@ from tests.support.solids import box, cylinder, mesh_of, narrow, plane
 # -- against oracles -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kinds", pairs.COMBINATIONS, ids=" ".join)
+@sampled("kinds", pairs.COMBINATIONS, every=3, ids=" ".join)
 def test_a_gap_is_what_the_oracle_says(kinds):
     bound = 1e-6 if "cylinder" in kinds else 1e-9
     for seed in range(10):

@@ -182,6 +182,7 @@ def test_rows_of_another_tick_are_not_compared(stage):
     assert ss.sql(count.format("entities", "entities", "collides(p, q)")).fetchone() == (2,)
 
 
+@pytest.mark.slow
 def test_of_several_worlds_sql_says_which(stage):
     stage.box("a")
     stage.box("b", (0.9, 0, 0))

@@ -55,7 +55,7 @@ VALUES = [
 ]
 
 
-@pytest.mark.parametrize(("expression", "position", "value"), VALUES)
+@sampled(("expression", "position", "value"), VALUES, every=3)
 def test_values(pair, expression, position, value):
     ss, slow, b = pair
     b.move(position)

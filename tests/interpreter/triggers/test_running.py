@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.errors import ArgumentError, SimulatorError, UnknownNameError, UnsupportedError
 from ssduck.world import running
+from tests.support.cases import sampled
 from tests.support.triggering import HEIGHT, NAN, Times
 
 # seconds, options, steps, ticks
@@ -34,7 +35,7 @@ RUNS = [
 ]
 
 
-@pytest.mark.parametrize(("seconds", "options", "steps", "ticks"), RUNS)
+@sampled(("seconds", "options", "steps", "ticks"), RUNS, every=3)
 def test_run(sim, seconds, options, steps, ticks):
     before = sim.snapshot.number
     assert sim.run(seconds, **options) is sim

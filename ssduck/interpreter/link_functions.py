@@ -1,0 +1,99 @@
+"""The functions of links in programs: `links`, `entity` and `parent`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from ssduck.errors import ArgumentError
+from ssduck.formatting import type_in_words
+from ssduck.language.analysis import calls_of, variables_of
+from ssduck.language.builtins import Function
+from ssduck.language.tree import Index, Name, Node
+from ssduck.recording.replay.past import Past
+from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
+from ssduck.world.links import Link, Links
+from ssduck.world.world import World
+
+
+def links(thing: Any) -> Any:
+    """Returns the links of an entity, or a source of the links of all entities of a world."""
+    if isinstance(thing, World):
+        return Links(thing)
+    if isinstance(thing, Past):
+        return replace(thing, table="links")
+    if isinstance(thing, Entity):
+        return thing.links
+    raise ArgumentError(f"links takes a world or an entity, not {type_in_words(thing)}")
+
+
+def entity(thing: Any) -> Entity:
+    """Returns the entity of a link; an entity itself."""
+    if isinstance(thing, Link):
+        return thing.entity
+    if isinstance(thing, Entity):
+        return thing
+    raise ArgumentError(f"entity takes a link, not {type_in_words(thing)}")
+
+
+def parent(thing: Any) -> Link | None:
+    """Returns the parent of a link; nothing for the base."""
+    if isinstance(thing, Link):
+        return thing.parent
+    raise ArgumentError(f"parent takes a link, not {type_in_words(thing)}")
+
+
+LINK_FUNCTIONS = {
+    name: replace(Function.of(name, call, f"{about}\nUsage: {usage}"), builtin=True)
+    for name, call, about, usage in (
+        (
+            "links",
+            links,
+            (
+                "Returns the links of an entity, the base first, or those of all entities of a "
+                "world as a source of queries: FROM links(kitchen)."
+            ),
+            "links(world or entity)",
+        ),
+        ("entity", entity, "Returns the entity of a link; an entity itself.", "entity(link)"),
+        (
+            "parent",
+            parent,
+            "Returns the link to which a joint connects a link; nothing for the base.",
+            "parent(link)",
+        ),
+    )
+}
+
+
+def mentions_links(node: Node, variables: Mapping[str, Any]) -> bool:
+    """Checks whether a part of a program may have links as values, other than by users' functions.
+
+    Args:
+        node: the part.
+        variables: the values of variables.
+    """
+    if not calls_of(node).isdisjoint(LINK_FUNCTIONS):
+        return True
+    values = [variables[name] for name in variables_of(node) if name in variables]
+    if any(_has_link(value) for value in values):
+        return True
+    return any(isinstance(value, World | Handle) for value in values) and any(
+        _indexes_link(part, variables) for part in node.walk()
+    )
+
+
+def _has_link(value: Any) -> bool:
+    if isinstance(value, list):
+        return any(isinstance(part, Link) for part in value)
+    return isinstance(value, Link | Links) or (isinstance(value, Past) and value.table == "links")
+
+
+def _indexes_link(node: Node, variables: Mapping[str, Any]) -> bool:
+    """Checks whether a node is `kitchen.panda.panda_hand`, or `arm.panda_hand` of a variable."""
+    if not isinstance(node, Index) or not isinstance(node.base, Name):
+        return False
+    base = variables.get(node.base.name)
+    return isinstance(base, Entity) or (isinstance(base, World) and len(node.indices) > 1)

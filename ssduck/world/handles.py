@@ -1,0 +1,160 @@
+"""Defines what the handles of entities and of links have in common: `Handle`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+
+from ssduck.errors import RemovedEntityError
+from ssduck.schema import MASSES, EntityTable
+
+if TYPE_CHECKING:
+    from ssduck.world.entities import Entity
+    from ssduck.world.world import World
+
+
+class WorldArchive(Protocol):
+    """The recorded ticks of a world, as handles and past worlds use them."""
+
+    @property
+    def world(self) -> World:
+        """The recorded world."""
+
+    def at(self, tick: int) -> World:
+        """Returns the world at a tick."""
+
+    def entity(self, tick: int, id: int) -> Entity:
+        """Returns the handle of an entity at a tick."""
+
+    def handle(self, tick: int, id: int) -> Handle:
+        """Returns the handle of an entity or a link at a tick."""
+
+    def warn_of_masses(self) -> None:
+        """Warns of masses that differ from the recorded ones."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedTick:
+    """A recorded tick, to which a handle is fixed."""
+
+    record: WorldArchive
+    tick: int
+
+
+class Handle:
+    """A handle of an entity or a link: a row of a table of its world.
+
+    Two handles are equal if they stand for the same thing of the same world, at any tick.
+
+    Attributes:
+        world: the world.
+        id: the number of the row's `id` column.
+        name: the name; of a link, as in its model.
+        moment: the recorded tick to which the handle is fixed; None for the world's last tick.
+    """
+
+    __slots__ = ("id", "moment", "name", "world")
+
+    kind: str
+    # The table of the world that has the row.
+    TABLE: ClassVar[EntityTable] = "entities"
+
+    def __init__(
+        self, world: World, id: int, name: str, moment: RecordedTick | None = None
+    ) -> None:
+        self.world = world
+        self.id = id
+        self.name = name
+        self.moment = moment
+
+    def pinned(self, moment: RecordedTick) -> Self:
+        """Returns the handle that stays at a recorded tick."""
+        raise NotImplementedError
+
+    @property
+    def entity(self) -> Entity:
+        """The entity itself; of a link, its entity."""
+        raise NotImplementedError
+
+    @property
+    def full_name(self) -> str:
+        """The name that is unique in the world."""
+        return self.name
+
+    @property
+    def state(self) -> World:
+        """The world at the tick of the handle."""
+        moment = self.moment
+        if moment is None or moment.tick == self.world.snapshot.number:
+            return self.world
+        return moment.record.at(moment.tick)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the world has the row at the tick of the handle."""
+        raise NotImplementedError
+
+    @property
+    def position(self) -> list[float]:
+        """The origin of the link frame, [x, y, z], m, world frame."""
+        return self._numbers("x", "z")
+
+    @property
+    def orientation(self) -> list[float]:
+        """The orientation of the link frame, unit quaternion [w, x, y, z], world frame."""
+        return self._numbers("qw", "qz")
+
+    @property
+    def pose(self) -> list[float]:
+        """The orientation, then the position: [w, x, y, z, x, y, z]."""
+        return self.orientation + self.position
+
+    @property
+    def velocity(self) -> list[float]:
+        """The velocity of the link frame's origin, m/s, then the angular velocity, rad/s."""
+        return self._numbers("vx", "wz")
+
+    @property
+    def aabb(self) -> tuple[list[float], list[float]]:
+        """The lower and the upper corner of the exact axis-aligned box, m, world frame."""
+        return self._numbers("xmin", "zmin"), self._numbers("xmax", "zmax")
+
+    @property
+    def mass(self) -> float:
+        """The mass, kg; 0 for what cannot move."""
+        with self.state.lock:
+            self.state.request_tables([MASSES])
+            return self._numbers("mass", "mass")[0]
+
+    def column(self, name: str) -> Any:
+        """Returns the value of a column of the row; None if it is unknown."""
+        return self.state.snapshot.value(self._row(), name)
+
+    def _row(self) -> int:
+        """Returns the number of the row in its table.
+
+        Raises:
+            RemovedEntityError: the world does not have the row any more.
+        """
+        raise NotImplementedError
+
+    def removed(self) -> RemovedEntityError:
+        """Returns the error for an entity that is no longer in its world, or a link of it."""
+        return RemovedEntityError(f"{self.full_name!r} is no longer in world {self.world.name!r}")
+
+    def _numbers(self, first: str, last: str) -> list[float]:
+        with self.state.lock:
+            row = self._row()  # it may take a tick
+            column = self.state.snapshot.tables[self.TABLE].doubles(first, last)[:, row]
+            values: list[float] = column.tolist()
+        return values
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Handle) and (self.world, self.id) == (other.world, other.id)
+
+    def __hash__(self) -> int:
+        return hash((id(self.world), self.id))
+
+    def __deepcopy__(self, _: dict[int, Any]) -> Self:
+        """Returns the handle itself, as it is immutable."""
+        return self

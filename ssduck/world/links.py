@@ -1,0 +1,121 @@
+"""Defines handles of the links of entities: `Link`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+from ssduck.schema import entity_of, link_id, link_of
+from ssduck.world.handles import Handle, RecordedTick
+
+if TYPE_CHECKING:
+    from ssduck.world.entities import Entity
+    from ssduck.world.world import World
+
+
+class Link(Handle):
+    """A handle of a link of an entity; its properties are those at its world's last tick.
+
+    A handle from a query of the past is fixed to that tick, as that of an entity is.
+
+    Attributes:
+        world: the world of the entity.
+        id: the number of the link in the world: (link number + 1) * 2**22 + id of the entity.
+        name: the name as in the model.
+        owner: the name of the entity.
+        moment: the recorded tick to which the handle is fixed; None for the world's last tick.
+    """
+
+    __slots__ = ("owner",)
+
+    TABLE = "links"
+    kind = "link"
+    # The hint of the error for a program that indexes a link.
+    KEY_HINT = "functions tell of a link: z(this)"
+
+    def __init__(
+        self, world: World, id: int, name: str, owner: str, moment: RecordedTick | None = None
+    ) -> None:
+        super().__init__(world, id, name, moment)
+        self.owner = owner
+
+    def pinned(self, moment: RecordedTick) -> Self:
+        """Returns the handle that stays at a recorded tick."""
+        return type(self)(self.world, self.id, self.name, self.owner, moment)
+
+    @property
+    def full_name(self) -> str:
+        """The names of entity and link, `panda.panda_hand`."""
+        return f"{self.owner}.{self.name}"
+
+    @property
+    def number(self) -> int:
+        """The number of the link in its entity; the base is 0."""
+        return link_of(self.id)
+
+    @property
+    def entity(self) -> Entity:
+        """The entity that has the link."""
+        id, moment = entity_of(self.id), self.moment
+        return self.world.entity(id) if moment is None else moment.record.entity(moment.tick, id)
+
+    @property
+    def parent(self) -> Link | None:
+        """The parent link; None for the base."""
+        number: int | None = self.column("parent")
+        return None if number is None else self.entity.links[number]
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the world has the entity at the tick of the handle."""
+        return entity_of(self.id) in self.state.snapshot.rows
+
+    def column(self, name: str) -> Any:
+        """Returns the value of a column of the view of links; None if it is unknown."""
+        match name:
+            case "id":
+                return self.id
+            case "kind":
+                return self.kind
+            case "full_name":
+                return self.full_name
+            case "enabled" | "visible" | "run":
+                return self.entity.column(name)
+        return self.state.snapshot.value(self._row(), name, self.TABLE)
+
+    def _row(self) -> int:
+        state = self.state
+        state.request_tables([self.TABLE])
+        row = state.snapshot.layout.link_rows.get(entity_of(self.id))
+        if row is None:
+            raise self.removed()
+        return row + self.number
+
+    def __repr__(self) -> str:
+        return f"<link {self.full_name!r}>"
+
+
+def links_of(entity: Entity) -> list[Link]:
+    """Returns the links of an entity at the tick of its handle, the base first."""
+    info = entity.info
+    names = [] if info.body is None else [link.name for link in info.body.links]
+    return [
+        Link(entity.world, link_id(entity.id, number), name, entity.name, entity.moment)
+        for number, name in enumerate(names)
+    ]
+
+
+@dataclass(frozen=True)
+class Links:
+    """The links of all entities of a world: a source of queries."""
+
+    world: World
+
+    def __iter__(self) -> Iterator[Link]:
+        """Yields the links, those of each body together, in the order of the bodies."""
+        for entity in self.world:
+            yield from links_of(entity)
+
+    def __repr__(self) -> str:
+        return f"<Links of {self.world.name!r}>"
