@@ -2,7 +2,8 @@
 
 `python tools/write_reference.py` takes some seconds: it writes `docs/reference/relations.md` from
 the registry of relations and functions, `docs/reference/tables.md` from the declarations of
-tables, and the marked sections of `docs/reference/command-line.md` from the command `ssduck`.
+tables, `docs/reference/sql-queries.md` from the tests' `sql_queries.toml` and `room.toml`, and the
+marked sections of `docs/reference/command-line.md` from the command `ssduck`.
 `--check` only compares them, with exit status 1 if a page differs.
 """
 
@@ -11,7 +12,8 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 
@@ -25,7 +27,19 @@ from ssduck.schema import TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 
-DOCS = Path(__file__).resolve().parent.parent / "docs" / "reference"
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs" / "reference"
+TEST_DATA = ROOT / "tests" / "data"
+
+SQL_QUERIES_HEAD = """# Queries of SQL
+
+SelectScript understands most of what users of SQL write, and names the right spelling where it does
+not. [The language](language.md#spellings-of-sql) gives the rules. Below is a page of queries as one
+writes them in SQL, each with its value in Python. The tests run all of them as programs, as in
+`ss.eval("SELECT id, z FROM room")`. For SQL itself, on [tables](tables.md), there is `ss.sql`.
+
+The world is `room`, from this scene file:
+"""
 
 RELATIONS_HEAD = '''# Relations and functions
 
@@ -320,6 +334,30 @@ def command_line_page() -> str:
     return SECTION.sub(section, text)
 
 
+def sql_queries_page() -> str:
+    """Returns the page of queries that the tests run, each with what it gives."""
+    queries = tomllib.loads((TEST_DATA / "sql_queries.toml").read_text(encoding="utf-8"))["query"]
+    scene = (TEST_DATA / "room.toml").read_text(encoding="utf-8")
+    sections = [SQL_QUERIES_HEAD, f"```toml\n{scene}```\n"]
+    for group, entries in groupby(queries, key=lambda query: query["group"]):
+        rows = list(entries)
+        result = "error" if "error" in rows[0] else "result"
+        sections.append(f"## {group}\n\n| query | {result} |\n|---|---|\n{query_rows(rows)}")
+    return "\n".join(sections)
+
+
+def query_rows(queries: Iterable[Mapping[str, str]]) -> str:
+    """Returns the lines of a table of queries and what they give."""
+    lines = []
+    for query in queries:
+        given = f"… {query['error']} …" if "error" in query else f"`{query['value']}`"
+        if "warning" in query:
+            given += f"; {query['warning']}"
+        cells = (f"`{query['text']}`", given)
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n")
+    return "".join(lines)
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description="Write the manual's generated pages.")
     parser.add_argument("--check", action="store_true", help="only report pages that differ")
@@ -328,6 +366,7 @@ def main() -> int:
     pages = {
         "relations.md": relations_page(),
         "tables.md": tables_page(),
+        "sql-queries.md": sql_queries_page(),
         "command-line.md": command_line_page(),
     }
     for name, text in pages.items():

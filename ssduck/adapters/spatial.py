@@ -36,10 +36,10 @@ def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCl
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
-    import trimesh
+    from ssduck.adapters.mesh_scene import MeshScene
 
     placed = shapes_of(selection)
-    scene = trimesh.Scene(base_frame="world")
+    scene = MeshScene(base_frame="world")
     entities = {entity.id: entity for entity in selection.entities}
     counts: Counter[int] = Counter()
     for (solid, position, matrix), owner in zip(placed, placed.owners.tolist(), strict=True):

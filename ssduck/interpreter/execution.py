@@ -32,6 +32,7 @@ from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, are_intervals
 from ssduck.language.overrides import with_overrides
 from ssduck.language.parser import parse
+from ssduck.language.sql_readings import SqlReader
 from ssduck.language.tree import Call, Node, Placeholder, Program, Query
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay.past import pin_to_common_tick
@@ -72,6 +73,7 @@ class Execution(Namespace, ABC):
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
+        self._reader = SqlReader(self)
 
     @contextmanager
     def _transaction(self, program: Program) -> Iterator[None]:
@@ -131,6 +133,7 @@ class Execution(Namespace, ABC):
 
     def _linted_statements(self, program: Program, frame: Frame) -> Iterator[Node]:
         """Yields the statements of a program, after reporting probable mistakes in each."""
+        program = self._reader.read(program, frame.local)
         if program.suspicions:
             self._report(
                 ArgumentError(d.message, text=program.text, span=d.span) for d in program.suspicions
@@ -159,6 +162,7 @@ class Execution(Namespace, ABC):
 
     def _explanation(self, program: Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates."""
+        program = self._reader.read(program)
         with self._rehearsal(program) as frame:
             program = self._with_overrides(program)
             plan_of = partial(self._planner.plan, frame=frame)
@@ -174,7 +178,7 @@ class Execution(Namespace, ABC):
     def _sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""
         with self._transaction(program), self._rehearsal(program) as frame:
-            program = self._with_overrides(program)
+            program = self._with_overrides(self._reader.read(program))
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
                 raise ArgumentError("the program does not end with a query")
@@ -190,7 +194,8 @@ class Execution(Namespace, ABC):
             for number, statement in enumerate(self._linted_statements(program, frame), 1):
                 if number < len(program.statements):
                     frame.value(statement)
-            with self._worlds_pinned(*self._with_overrides(program).statements[-1:]):
+            read = self._with_overrides(self._reader.read(program))
+            with self._worlds_pinned(*read.statements[-1:]):
                 yield frame
         finally:
             self._variables = before

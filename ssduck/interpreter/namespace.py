@@ -93,6 +93,11 @@ class Namespace:
         """Checks whether a function or a relation has that name."""
         return name in RELATIONS or name in self._functions
 
+    def is_world_without(self, name: str, entity: str) -> bool:
+        """Checks whether a variable is a world that has no entity of a name."""
+        value = self._variables.get(name)
+        return isinstance(value, World) and entity not in value
+
     def variable_or_none(self, name: str) -> Any:
         """Returns the value of a variable; None if there is none."""
         return self.variable(name) if self.has_variable(name) else None

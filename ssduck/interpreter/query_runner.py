@@ -405,6 +405,7 @@ class RowByRowQuery:
             is_one_group(query),
             is_aggregated(query, selected),
             query.distinct,
+            query.offset,
         )
         self._clauses = Clauses(clauses, compiler)
         self._search: Hierarchy | None = None

@@ -82,6 +82,7 @@ class PythonClauses:
         group: the keys to group by.
         having: the condition on groups.
         limit: the largest number of rows or groups.
+        offset: the number of rows or groups to skip first.
         is_one_group: whether all rows are one group.
         is_aggregated: whether each group becomes one row.
         distinct: whether equal rows are selected once.
@@ -96,6 +97,7 @@ class PythonClauses:
     is_one_group: bool = False
     is_aggregated: bool = False
     distinct: bool = False
+    offset: Node | None = None
 
     @property
     def clauses(self) -> list[str]:
@@ -125,6 +127,7 @@ class Clauses:
         self._having = None if clauses.having is None else GroupFunction(clauses.having, compiler)
         self._aggregated = _Aggregated(clauses.columns, compiler) if clauses.is_aggregated else None
         self._limit = None if clauses.limit is None else compiler.thunk(clauses.limit)
+        self._offset = None if clauses.offset is None else compiler.thunk(clauses.offset)
 
     def fulfils_conditions(self, frame: Frame) -> bool:
         """Checks whether a row fulfils the conditions."""
@@ -132,24 +135,24 @@ class Clauses:
 
     def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
         """Returns the selected values of rows."""
-        limit = self.count(outer)
+        window = self.window(outer)
         filtered: Iterable[Frame] = (
             filter(self.fulfils_conditions, rows) if self._conditions else rows
         )
         clauses = self._clauses
-        if limit is not None and not (
+        if window.stop is not None and not (
             clauses.order or clauses.group or clauses.is_one_group or clauses.distinct
         ):
-            filtered = islice(filtered, limit)
+            filtered = islice(filtered, window.stop)
         select = self._distinct if clauses.distinct else self.items.rows
-        return self.arranged(list(filtered), lambda row: row, select, limit, outer)
+        return self.arranged(list(filtered), lambda row: row, select, window, outer)
 
     def arranged(
         self,
         entries: list[Any],
         row: Callable[[Any], Frame],
         select: Callable[[list[Any]], Selected],
-        limit: int | None,
+        window: slice,
         outer: Frame,
     ) -> Selected:
         """Returns the selected values of rows or paths, ordered, grouped and limited.
@@ -158,7 +161,7 @@ class Clauses:
             entries: the rows or paths.
             row: a function that returns the frame of an entry, in which keys are evaluated.
             select: a function that returns the selected values of entries.
-            limit: the largest number of entries or groups; None for all.
+            window: the entries or groups to return.
             outer: the frame of the outer query.
         """
         if self._order:
@@ -166,7 +169,7 @@ class Clauses:
                 entries, lambda entry: [key(row(entry)) for key, _ in self._order], self._order
             )
         if not self._group:
-            return self._select_all(entries, row, select, limit, outer)
+            return self._select_all(entries, row, select, window, outer)
         groups: dict[str, list[Any]] = {}
         for entry in entries:
             frame = row(entry)
@@ -182,16 +185,16 @@ class Clauses:
         aggregated = self._aggregated
         if aggregated is not None:
             return Groups(
-                {key: aggregated.row(frames[key], outer) for key in selected_keys[:limit]}
+                {key: aggregated.row(frames[key], outer) for key in selected_keys[window]}
             )
-        return Groups({key: select(groups[key]) for key in selected_keys[:limit]})
+        return Groups({key: select(groups[key]) for key in selected_keys[window]})
 
     def _select_all(
         self,
         entries: list[Any],
         row: Callable[[Any], Frame],
         select: Callable[[list[Any]], Selected],
-        limit: int | None,
+        window: slice,
         outer: Frame,
     ) -> Selected:
         """Returns the selected values of all rows or paths, if there are no groups, or one."""
@@ -199,14 +202,15 @@ class Clauses:
             frames = [row(entry) for entry in entries]
             fulfils_having = self._fulfils_having(frames, outer)
             if self._aggregated is not None:
-                return self._aggregated.row(frames, outer, is_there=fulfils_having and limit != 0)
+                is_there = fulfils_having and bool([None][window])
+                return self._aggregated.row(frames, outer, is_there=is_there)
             entries = entries if fulfils_having else []
         if not self._clauses.distinct:
-            return select(entries[:limit])
+            return select(entries[window])
         selected = select(entries)
         assert isinstance(selected, Rows)
-        names = selected.names[:limit] if isinstance(selected.names, list) else selected.names
-        return Rows(selected.values[:limit], names)
+        names = selected.names[window] if isinstance(selected.names, list) else selected.names
+        return Rows(selected.values[window], names)
 
     def _fulfils_having(self, rows: list[Frame], outer: Frame) -> bool:
         """Checks whether HAVING holds of a group."""
@@ -226,12 +230,15 @@ class Clauses:
             [names for names, _ in distinct], [values for _, values in distinct]
         )
 
-    def count(self, outer: Frame) -> int | None:
-        """Returns the limit of rows, paths or groups; None for all."""
-        node = self._clauses.limit
-        if node is None or self._limit is None:
-            return None
-        return checked_count(self._limit(outer), "LIMIT", node)
+    def window(self, outer: Frame) -> slice:
+        """Returns the rows, paths or groups that LIMIT and OFFSET leave."""
+        clauses = self._clauses
+        start, count = 0, None
+        if clauses.offset is not None and self._offset is not None:
+            start = checked_count(self._offset(outer), "OFFSET", clauses.offset)
+        if clauses.limit is not None and self._limit is not None:
+            count = checked_count(self._limit(outer), "LIMIT", clauses.limit)
+        return slice(start, None if count is None else min(start + count, sys.maxsize))
 
 
 class SelectedItems:

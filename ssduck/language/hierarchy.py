@@ -214,7 +214,7 @@ class Hierarchy:
         for path in islice(paths, max_paths):
             result.append(path)
             meter.check_rows(len(result))
-        limit = self._clauses.count(outer)
+        window = self._clauses.window(outer)
 
         def formed(paths: list[list[PathStep]]) -> Paths:
             results = []
@@ -223,7 +223,7 @@ class Hierarchy:
                 results.append(self._distinct(path) if recursion.memorizes else self._rows(path))
             return Paths(results)
 
-        return self._clauses.arranged(result, lambda path: path[-1].frame, formed, limit, outer)
+        return self._clauses.arranged(result, lambda path: path[-1].frame, formed, window, outer)
 
     def _number(self, node: Node | None, clause: str, outer: Frame) -> int | None:
         return None if node is None else checked_count(self._numbers[node](outer), clause, node)

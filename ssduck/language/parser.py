@@ -20,11 +20,12 @@ from ssduck.errors import ParseError, SourceSpan
 from ssduck.language.comments import last_opening, without_dashes
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
-from ssduck.language.sql_syntax import SqlForms
+from ssduck.language.sql_syntax import SqlForms, with_numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
+    Binary,
     Branch,
     Call,
     If,
@@ -197,16 +198,20 @@ class _Parser(SqlForms):
         if not self.take_words("FROM"):
             self.fail("expected FROM (a column is named by AS)")
         self.is_listed = is_listed
-        sources = self.separated(self.source)
+        sources, joined = self.sources()
         self.is_listed = True
         where = self.where_part() if self.take_words("WHERE") else None
+        where = self.conjunction([*joined, *([] if where is None else [where])])
         if distinct and self.at_word("START", "CONNECT"):
             self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
         recursion = self.recursion()
         group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
         having = self.condition() if self.take_words("HAVING") else None
         order = self.separated(self.key) if self.take_words("ORDER", "BY") else ()
-        limit = self.expression() if self.take_words("LIMIT") else None
+        order = tuple(with_numbered_column(key, items) for key in order)
+        limit, offset = self.limits(may_be_followed=is_listed)
+        if offset is not None and recursion is not None:
+            self.fail("expected no OFFSET of paths (it skips rows)")
         adapter = self.adapter() if self.take_words("AS") else None
         self.depth -= 1
         self.compares, self.is_listed = compares, is_listed
@@ -222,11 +227,34 @@ class _Parser(SqlForms):
             limit,
             adapter,
             distinct,
+            offset,
         )
         self.check_condition(where)
         self.check_condition(having)
+        self.check_texts(where)
+        self.check_texts(having)
         self.check_keys(query)
         return self.with_qualified_names(query)
+
+    def limits(self, *, may_be_followed: bool) -> tuple[Node | None, Node | None]:
+        """Returns the parts of LIMIT and OFFSET, in either order; None for one that is missing.
+
+        Args:
+            may_be_followed: whether a comma may follow the query.
+        """
+        limit = offset = None
+        while self.at_word("LIMIT", "OFFSET"):
+            if limit is None and self.take_words("LIMIT"):
+                limit = self.expression()
+            elif offset is None and self.take_words("OFFSET"):
+                offset = self.expression()
+                if self.at_word("ROW", "ROWS"):
+                    self.fail("expected no ROWS (write OFFSET n)")
+            else:
+                self.fail("expected LIMIT or OFFSET only once")
+        if limit is not None and not may_be_followed and self.at(TokenType.COMMA):
+            self.fail("expected OFFSET (write LIMIT n OFFSET m to skip the first m rows)")
+        return limit, offset
 
     def bare_assignment(self) -> Node:
         """Returns an assignment that stands as a whole in SELECT or WHERE."""
@@ -240,8 +268,21 @@ class _Parser(SqlForms):
         return self.bare_assignment() if self.at_assignment() else self.item()
 
     def where_part(self) -> Node:
-        """Returns a part of WHERE: a condition, or an assignment to a variable."""
-        return self.bare_assignment() if self.at_assignment() else self.condition()
+        """Returns WHERE's condition; it may be an assignment, or a comparison by `=`."""
+        if not self.at_assignment():
+            return self.condition()
+        before, self.compares = self.compares, True
+        node = replace(self.ambiguous_assignment(), is_bare=True)
+        self.compares = before
+        return node
+
+    def ambiguous_assignment(self) -> Assignment:
+        """Returns `name = value` in a condition: an assignment that may be a comparison."""
+        self.descend()
+        value = self.ahead(2) if is_kind(self.ahead(), TokenType.EQ) else None
+        node = self.assignment()
+        self.depth -= 1
+        return node if value is None else replace(node, value_start=value.start)
 
     def source(self) -> Source:
         start = self.here()
@@ -259,6 +300,28 @@ class _Parser(SqlForms):
         if alias is None and isinstance(value, Name | TimeIndex):
             alias = value.name
         return Source(self.since(start), alias, value)
+
+    def sources(self) -> tuple[tuple[Source, ...], list[Node]]:
+        """Returns the sources of FROM, and the conditions behind the ON of its joins."""
+        sources, conditions = [self.source()], []
+        while True:
+            if self.take(TokenType.COMMA) or self.take_words("CROSS", "JOIN"):
+                sources.append(self.source())
+            elif self.take_words("JOIN") or self.take_words("INNER", "JOIN"):
+                sources.append(self.source())
+                if not self.take_words("ON"):
+                    self.fail("expected ON (write FROM x a JOIN y b ON condition)")
+                conditions.append(self.condition())
+            else:
+                return tuple(sources), conditions
+
+    def conjunction(self, conditions: list[Node]) -> Node | None:
+        """Returns conditions joined by AND; None if there are none."""
+        result: Node | None = None
+        for node in conditions:
+            span = node.span if result is None else SourceSpan(result.span.start, node.span.end)
+            result = node if result is None else Binary(span, "AND", result, node)
+        return result
 
     def key(self) -> OrderKey:
         start = self.here()
@@ -326,12 +389,12 @@ class _Parser(SqlForms):
             left: Node = Unary(self.since(start), "NOT", operand)
         else:
             left = self.unary()
-        while (level := self.operator_level(left)) >= loosest:
+        while (level := self.operator_level()) >= loosest:
             if self.condition_level() >= 0:
                 left = self.condition_operator(start, left)
                 continue
             row = OperandRow(start.start, left, self.end())
-            while self.operator_level(row.last) == level and self.condition_level() < 0:
+            while self.operator_level() == level and self.condition_level() < 0:
                 word = self.tokens[self.index].text.upper()
                 operator = {"<>": "!=", "=": "=="}.get(word, word)
                 self.index += 1
@@ -342,17 +405,13 @@ class _Parser(SqlForms):
             left = row.node()
         return left
 
-    def operator_level(self, left: Node) -> int:
-        """Returns the level of the operator that comes next, -1 if none does.
-
-        Args:
-            left: the left operand; a name is not compared by a single `=`.
-        """
+    def operator_level(self) -> int:
+        """Returns the level of the operator that comes next, -1 if none does."""
         token = self.token
         if token is None or token.token_type == TokenType.STRING:
             return -1
         if token.token_type == TokenType.EQ and token.text == "=":
-            if self.compares and not isinstance(left, Name):
+            if self.compares:
                 return LEVEL_OF["=="]
             self.fail("expected '==' to compare ('=' assigns)")
         operator = token.text.upper()
@@ -400,7 +459,8 @@ class _Parser(SqlForms):
             return Literal(start, unquoted(self.text[slice_of(token)]))
         if self.take(TokenType.L_PAREN):
             is_listed, self.is_listed = self.is_listed, False
-            node = self.statement()
+            is_ambiguous = self.compares and self.at_assignment()
+            node = self.ambiguous_assignment() if is_ambiguous else self.statement()
             self.is_listed = is_listed
             self.expect(TokenType.R_PAREN, "')'")
             return node

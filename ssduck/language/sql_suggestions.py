@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_JOIN = "list sources behind FROM with commas, and join them in WHERE: FROM a=x, b=y WHERE …"
+_JOIN = "only JOIN … ON … is known; write FROM room a, room b WHERE above(a, b)"
 _SETS = "lists are joined by +: (SELECT … AS list) + (SELECT … AS list)"
 _COMPARE = "write (SELECT … AS list), and IN, min or max of it"
 _RAW = "only SQL has it: query the tables by ss.sql or ssduck query --sql"
@@ -17,7 +17,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
     ("ANY", "SOME"): _COMPARE,
     ("EXISTS",): "write [] != (SELECT … AS list)",
-    ("OFFSET", "SKIP"): "LIMIT n gives the first n rows; there is no OFFSET",
+    ("OFFSET", "SKIP"): "write LIMIT n OFFSET m behind ORDER BY",
     ("FETCH", "TOP", "FIRST"): _LIMIT_ADVICE,
     ("NULLS",): "leave out the rows without a value: WHERE x IS NOT NULL",
     ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
@@ -79,8 +79,20 @@ _NAMES = frozenset(
 )
 
 
+_RANDOM = "a query gives the same result each time; draw numbers in Python"
+_TABLE = "the tables are those of ss.sql; in a program the source is the world: FROM room"
+# The suggestions for names of SQL that a program may use as its own.
+_OWN_NAMES = {
+    **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
+    **dict.fromkeys(("ENTITIES", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
+    "TICKS": _TABLE,
+}
+
+
 def suggestion_for_name(name: str) -> str:
     """Returns the suggestion for an unknown name; empty if it is no word of SQL."""
+    if name.upper() in _OWN_NAMES:
+        return _OWN_NAMES[name.upper()]
     return HABITS[name.upper()] if name.upper() in _NAMES else ""
 
 

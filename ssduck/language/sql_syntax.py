@@ -6,6 +6,8 @@ LIKE and IS NULL become operators of their own; all others become existing nodes
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
 
 from sqlglot.tokenizer_core import TokenType
 
@@ -32,10 +34,12 @@ from ssduck.language.tree import (
     Name,
     Node,
     OperatorChain,
+    OrderKey,
     QualifiedName,
     Query,
     Source,
     Suspicion,
+    This,
     TimeIndex,
     Unary,
 )
@@ -46,8 +50,25 @@ FORMS = frozenset(("dict", "dictionary", "list", "val", "value"))
 _CONDITIONS = ("LIKE", "BETWEEN", "IS")
 _RELATIONAL = ("<", "<=", ">", ">=")
 # The words that may follow a source's alias.
-_BEHIND_SOURCE = ("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "AS")
+_BEHIND_SOURCE = (
+    *("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "OFFSET", "AS"),
+    *("JOIN", "INNER", "CROSS", "ON"),
+)
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
+
+
+def with_numbered_column(key: OrderKey, items: Sequence[Node]) -> OrderKey:
+    """Returns `ORDER BY 2` as a key by the second column; other keys unchanged."""
+    number = key.value.value if isinstance(key.value, Literal) else None
+    if type(number) is not int or not 1 <= number <= len(items):
+        return key
+    match items[number - 1]:
+        case Assignment():
+            return key
+        case Call(name="to", arguments=(value, _)):
+            return replace(key, value=value)
+        case column:
+            return replace(key, value=column)
 
 
 def _is_written_out(value: Node) -> bool:
@@ -248,6 +269,10 @@ class SqlForms(Cursor):
     def item(self) -> Node:
         """Returns a selected value; `z AS height` is `to(z, 'height')`."""
         start = self.here()
+        if is_kind(self.ahead(), TokenType.DOT) and is_kind(self.ahead(2), TokenType.STAR):
+            name = self.expect_name("a source's name")  # `k.*` is its element, as `*` is
+            self.index += 2
+            return This(self.since(start), name.text)
         node = self.expression()
         if not self.take_words("AS"):
             return node
@@ -328,8 +353,27 @@ class SqlForms(Cursor):
             case Assignment(name=name, value=value) if _is_written_out(value):
                 self.add_suspicion(node.span, f"this sets the variable {name}; write == to compare")
 
+    def check_texts(self, node: Node | None) -> None:
+        """Reports a condition on two texts, one in double quotes: it is the same for all rows."""
+        if node is None or isinstance(node, Query):
+            return
+        match node:
+            case Binary(left=Literal(value=str()) as left, right=right):
+                is_text = isinstance(right, Literal) and isinstance(right.value, str)
+                is_list = isinstance(right, ListLiteral) and _is_written_out(right)
+                for side in (left, right) if is_text or is_list else ():
+                    if self.text[side.span.start] == '"':
+                        name = self.text[side.span.start + 1 : side.span.end - 1]
+                        self.add_suspicion(
+                            side.span,
+                            f'"{name}" is a text; a name is written without quotes: {name}',
+                        )
+                        return
+        for child in node.children():
+            self.check_texts(child)
+
     def check_keys(self, query: Query) -> None:
-        """Reports keys that are numbers; they do not refer to columns here."""
+        """Reports keys that are numbers and refer to no column."""
         keys = [("ORDER BY", key.value) for key in query.order]
         keys += [("GROUP BY", node) for node in query.group]
         for clause, node in keys:

@@ -21,7 +21,7 @@ CLAUSES = frozenset(
     (
         *("SELECT", "FROM", "WHERE", "START", "WITH", "CONNECT", "BY", "STOP"),
         *("NO", "CYCLE", "UNIQUE", "MEMORIZE", "MAXIMUM", "GROUP", "HAVING", "ORDER"),
-        *("ASC", "ASCENDING", "DESC", "DESCENDING", "LIMIT", "AS"),
+        *("ASC", "ASCENDING", "DESC", "DESCENDING", "LIMIT", "OFFSET", "AS"),
     )
 )
 OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")

@@ -14,7 +14,7 @@ from typing import Any
 from ssduck.errors import SourceSpan
 
 # The fields that are places in the text.
-_PLACES = frozenset(("span", "name_span"))
+_PLACES = frozenset(("span", "name_span", "value_start"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,12 +266,15 @@ class Assignment(Node):
         horizon: the time for which the variable keeps its values.
         value: the new value.
         is_bare: whether it is a whole item of SELECT or WHERE, where `==` may be meant.
+        value_start: the place of the value in the text where `=` may compare: as a whole WHERE, or
+            in brackets in a condition; None elsewhere.
     """
 
     name: str
     horizon: Node | None
     value: Node
     is_bare: bool = False
+    value_start: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,6 +333,7 @@ class Query(Node):
     limit: Node | None = None
     adapter: AdapterClause | None = None
     distinct: bool = False
+    offset: Node | None = None
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,13 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.language.aggregates import is_grouped, over_rows
 from ssduck.language.analysis import states
 from ssduck.language.clauses import SelectedValue
 from ssduck.language.overrides import written_name
 from ssduck.language.tree import (
     Assignment,
+    Binary,
     Call,
     Index,
     Literal,
@@ -27,9 +29,14 @@ from ssduck.language.tree import (
     Query,
     This,
     TimeIndex,
+    Unary,
     UnresolvedName,
 )
 from ssduck.sql.plan import SourceType, TypeEnvironment
+from ssduck.sql.relations.registry import RELATIONS
+
+# The types of values that are no lists, so that an aggregate of one is over the rows.
+_SCALARS = frozenset(("double", "integer", "number", "string", "boolean"))
 
 
 @dataclass
@@ -94,7 +101,42 @@ class _Resolver:
             having=None if query.having is None else self._key(query.having),
             order=tuple(OrderKey(k.span, self._key(k.value), k.descending) for k in query.order),
         )
-        return ResolvedQuery(changed, tuple(self._columns()), self._bare)
+        columns = tuple(self._columns())
+        if self._aggregates_all_rows(columns):
+            changed = replace(changed, having=Literal(query.span, True))
+        return ResolvedQuery(changed, columns, self._bare)
+
+    def _aggregates_all_rows(self, columns: Sequence[SelectedValue]) -> bool:
+        """Checks whether SELECT has aggregates that can only be over all rows: `avg(z)`.
+
+        An aggregate of a number or a text of one row would be an error.
+        """
+        if self._query.recursion is not None or is_grouped(self._query):
+            return False
+        calls = (call for column in columns for call in over_rows(column.node))
+        return any(self._is_scalar_of_row(call.arguments[0]) for call in calls)
+
+    def _is_scalar_of_row(self, node: Node) -> bool:
+        """Checks whether a value is certainly a number, a text or a truth value of a row."""
+        match node:
+            case Call(name=name, arguments=arguments) if name in RELATIONS:
+                is_of_row = any(isinstance(argument, This) for argument in arguments)
+                return is_of_row and RELATIONS[name].result in _SCALARS
+            case QualifiedName(alias=alias, key=key):
+                is_entity = any(t.alias == alias and _has_entities(t) for t in self._source_types)
+                if not is_entity or self._names.has_variable(alias):
+                    return False
+                name = self._names.resolved_name(key)
+                return name in RELATIONS and RELATIONS[name].result in _SCALARS
+            case Unary(operand=operand):
+                return self._is_scalar_of_row(operand)
+            case Binary(operator="+" | "-" | "*" | "/" | "%" | "^", left=left, right=right):
+                sides = (left, right)
+                is_known = all(
+                    isinstance(side, Literal) or self._is_scalar_of_row(side) for side in sides
+                )
+                return is_known and not all(isinstance(side, Literal) for side in sides)
+        return False
 
     def _columns(self) -> Iterator[SelectedValue]:
         if not self._query.items:
@@ -159,8 +201,10 @@ class _Resolver:
         is_record = (
             only is not None and only.sql_type is not None and only.sql_type.type == "record"
         )
-        if known or only is None or only.dicts or is_record or not only.known:
+        if known or only is None:
             return part
+        if is_record or only.dicts or not only.known:
+            return self._looked_up(part)
         name = self._names.resolved_name(part.name)
         call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
@@ -188,6 +232,12 @@ class _Resolver:
         call = Call(part.span, name, (This(part.span, None),), part.span)
         self._names.check_call(call)
         return call
+
+
+def _has_entities(source_type: SourceType) -> bool:
+    """Checks whether the elements of a source are entities."""
+    element = source_type.sql_type
+    return source_type.schema is not None or (element is not None and element.type == "entity")
 
 
 def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:

@@ -188,7 +188,8 @@ class Plan:
             if isinstance(c.name, Node) and self.is_in_python(c.name)
         ]
         keys = [key.value for key in python_clauses.order]
-        last = [node for node in (python_clauses.having, python_clauses.limit) if node is not None]
+        ends = (python_clauses.having, python_clauses.limit, python_clauses.offset)
+        last = [node for node in ends if node is not None]
         groups = [node for node in python_clauses.group if self.is_in_python(node)]
         return [*python_clauses.conditions, *columns, *names, *keys, *groups, *last]
 

@@ -412,6 +412,8 @@ def resolve_in(inner: ExpressionScope, query: Query, aliases: Sequence[str]) -> 
     source_types = [SourceType(alias, sql_type=inner.rows[alias].sql_type) for alias in aliases]
     resolved = resolve(query, source_types, inner.names, inner.locals)
     inner.context.bare |= resolved.bare
+    if is_grouped(resolved.query):
+        raise NotSqlError  # its aggregates turned out to be over all rows
     return resolved
 
 
@@ -438,6 +440,8 @@ def ordered(inner: ExpressionScope, keys: Sequence[tree.OrderKey]) -> list[exp.O
 
 
 def _limit(query: Query) -> int | None:
+    if query.offset is not None:
+        raise NotSqlError
     match query.limit:
         case None:
             return None

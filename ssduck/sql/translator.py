@@ -146,21 +146,23 @@ class _Translator:
         result.extend(self._tick_joins())
         order, keys = self._order(result)
         is_group = is_one_group(self.query)
-        limit = self._limit(left=bool(left or keys or is_group or self.query.distinct))
+        limit, offset = self._limits(left=bool(left or keys or is_group or self.query.distinct))
+        in_sql = limit is not None or offset is not None
         plan.python_clauses = PythonClauses(
             self.selected,
             tuple(left),
             keys,
             self.query.group,
             self.query.having,
-            None if limit is not None else self.query.limit,
+            None if in_sql else self.query.limit,
             is_group,
             aggregated,
             self.query.distinct,
+            None if in_sql else self.query.offset,
         )
-        self._finish(
-            self._select(result, order, limit),
-        )
+        select = self._select(result, order)
+        select = select if limit is None else select.limit(limit)
+        self._finish(select if offset is None else select.offset(offset))
         return plan
 
     # -- sources ----------------------------------------------------------------------------
@@ -307,7 +309,9 @@ class _Translator:
                 case Binary(operator="==", left=other, right=This() as row):
                     pass
                 case Binary(
-                    operator="==", left=Call(name="id", arguments=(This() as row,)), right=other
+                    operator="==",
+                    left=Call(name="id" | "name", arguments=(This() as row,)),
+                    right=other,
                 ):
                     pass
                 case _:
@@ -380,18 +384,17 @@ class _Translator:
                 is_ordered = both is not None
         return ordered, left
 
-    def _limit(self, *, left: bool) -> int | None:
-        """Returns the number of LIMIT if SQL can apply it, else None."""
-        limit = self.query.limit
-        if limit is None:
-            return None
-        match limit:
-            case tree.Literal(value=number) if type(number) is int and number < _MAX_ROWS:
-                if not left and not self.query.group:
-                    return number
-        if self.sql.is_constant(limit):
-            self.result.python_constants.append(limit)
-        return None
+    def _limits(self, *, left: bool) -> tuple[int | None, int | None]:
+        """Returns the numbers of LIMIT and OFFSET if SQL can apply them, else None for both."""
+        nodes = (self.query.limit, self.query.offset)
+        given = [node for node in nodes if node is not None]
+        if not left and not self.query.group and all(map(_is_small_count, given)):
+            limit, offset = (
+                node.value if isinstance(node, tree.Literal) else None for node in nodes
+            )
+            return limit, offset  # type: ignore[return-value]  # they are whole numbers
+        self.result.python_constants += [node for node in given if self.sql.is_constant(node)]
+        return None, None
 
     # -- the statement ----------------------------------------------------------------------
 
@@ -409,9 +412,7 @@ class _Translator:
         self._finish(result.select)
         return plan
 
-    def _select(
-        self, conditions: list[exp.Expr], order: list[exp.Expr], limit: int | None
-    ) -> exp.Select:
+    def _select(self, conditions: list[exp.Expr], order: list[exp.Expr]) -> exp.Select:
         plan = self.result
         dynamic = len(plan.names) < len(self.selected)
         python_clauses = plan.python_clauses
@@ -439,7 +440,7 @@ class _Translator:
             select.set("order", exp.Order(expressions=[key.copy() for key in order]))
         for join in needed_joins(self.sql.ticks.joined_entities.values(), select):
             select.append("joins", join)
-        return select if limit is None else select.limit(limit)
+        return select
 
     def _finish(self, select: exp.Select) -> None:
         plan = self.result
@@ -488,6 +489,12 @@ class _Translator:
             if not isinstance(node, Query):
                 for child in _parts(node):
                     self._leave_to_python(child, but)
+
+
+def _is_small_count(node: Node) -> bool:
+    """Checks whether LIMIT or OFFSET is a number that SQL can take."""
+    value = node.value if isinstance(node, tree.Literal) else None
+    return type(value) is int and value < _MAX_ROWS
 
 
 def _parts(node: Node) -> Iterator[Node]:

@@ -24,7 +24,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import short_repr
+from ssduck.formatting import contents_of, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -444,7 +444,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
         return links_of(self.entity(entity_of(id)))[link_of(id)]
 
     def __repr__(self) -> str:
-        return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+        about = contents_of([(entity.name, entity.kind) for entity in self])
+        return f"<World {self.name!r}: {len(self)} entities{about}, t={self.time:g} s>"
 
     def _repr_png_(self) -> bytes | None:
         """Returns a picture for notebooks; None if the world cannot be rendered."""

@@ -154,6 +154,18 @@ def test_the_table_of_the_floor(load):
     assert world.step(240)["box"].aabb[0][2] == pytest.approx(-0.5, abs=2e-3)
 
 
+@pytest.mark.parametrize(("floor", "height"), [(0.0, 0.1), (1.0, 0.33)])
+def test_restitution_takes_both_bodies(load, floor, height):
+    """From 1 m above the floor, a ball of restitution 0.5 bounces to about a quarter of that."""
+    _, world = load(
+        f'[floor]\nrestitution = {floor}\n[[body]]\nname = "ball"\nsphere = 0.1\n'
+        "restitution = 0.5\nposition = [0, 0, 1.1]\n"
+    )
+    world.run(0.5)  # it meets the floor after 0.45 s
+    heights = [world.step(4)["ball"].position[2] for _ in range(25)]
+    assert max(heights) == pytest.approx(height, abs=0.04)
+
+
 def test_without_a_floor_bodies_fall(load):
     for text in ("", "floor = false\n"):
         _, world = load(text + '[[body]]\nname = "box"\nbox = [1, 1, 1]\n')

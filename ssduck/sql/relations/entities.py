@@ -42,10 +42,19 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         link_name="full_name",
     ),
     entity_relation(
+        "name",
+        "string",
+        "object.name",
+        "Returns the name of an entity, as `id` does; of a link as in its model.",
+    ),
+    entity_relation(
         "type",
         "string",
         "object.kind",
         "Returns the kind of an entity: 'robot', 'kinbody' or 'sensor'; of a link 'link'.",
+    ),
+    entity_relation(
+        "kind", "string", "object.kind", "Returns the kind of an entity; the same as `type`."
     ),
     entity_relation(
         "tick", "integer", "object.tick", "Returns the number of the tick of an entity."

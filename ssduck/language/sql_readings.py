@@ -1,0 +1,330 @@
+"""Reads spellings of SQL whose meaning depends on the variables and functions that exist.
+
+`WHERE z = 1` compares unless `z` is a variable, `above(a, b)` takes the elements of the sources `a`
+and `b` unless these are variables, and `MAX(z)` is `max(z)` unless a function has that name. The
+older meaning of a program always comes first, so a program that ran before keeps its meaning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, fields, replace
+from typing import Any, Protocol
+from weakref import WeakKeyDictionary
+
+from ssduck.errors import SourceSpan
+from ssduck.language.aggregates import is_grouped
+from ssduck.language.builtins import BUILTINS
+from ssduck.language.token_cursor import LEVEL_OF
+from ssduck.language.tree import (
+    AdapterClause,
+    Assignment,
+    Binary,
+    Call,
+    Index,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    Program,
+    QualifiedName,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    Unary,
+)
+
+_COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
+_ARITHMETIC = ("-", "*", "/", "%", "^")
+# The clauses of a query that its own sources are visible in.
+_OWN_CLAUSES = frozenset(("items", "where", "recursion", "group", "having", "order"))
+# Those in which a bare name may be a key of the only source's element.
+_CLAUSES_WITH_KEYS = frozenset(("items", "group", "having", "order"))
+
+
+class Names(Protocol):
+    """The names of a session, as far as they decide how a program is read."""
+
+    def has_variable(self, name: str) -> bool:
+        """Checks whether there is a variable of that name."""
+
+    def is_function(self, name: str) -> bool:
+        """Checks whether a function or a relation has that name."""
+
+    def is_users(self, name: str) -> bool:
+        """Checks whether that is a user's function."""
+
+    def is_world_without(self, name: str, entity: str) -> bool:
+        """Checks whether a variable is a world that has no entity of a name."""
+
+
+class SqlReader:
+    """Reads the programs of a session.
+
+    Args:
+        names: the names of the session.
+    """
+
+    def __init__(self, names: Names) -> None:
+        self._names = names
+        self._doubtful: WeakKeyDictionary[Program, _Doubts] = WeakKeyDictionary()
+        self._read: WeakKeyDictionary[Program, tuple[object, Program]] = WeakKeyDictionary()
+
+    def read(self, program: Program, local: Collection[str] = ()) -> Program:
+        """Returns the program with its SQL spellings replaced; the same one if there are none.
+
+        Args:
+            program: the program.
+            local: the state variables at its place.
+        """
+        doubtful = self._doubtful.get(program)
+        if doubtful is None:
+            doubtful = self._doubtful[program] = _doubts_of(program)
+        if not doubtful.names:
+            return program
+        facts: dict[Any, Any] = {name: self._facts_of(name, local) for name in doubtful.names}
+        facts.update({pair: self._names.is_world_without(*pair) for pair in doubtful.keys})
+        known = self._read.get(program)
+        if known is None or known[0] != facts:
+            known = self._read[program] = (facts, _Reading(self._names, program, local).program())
+        return known[1]
+
+    def _facts_of(self, name: str, local: Collection[str]) -> tuple[bool, ...]:
+        names = self._names
+        is_variable = name in local or names.has_variable(name)
+        return is_variable, names.is_function(name), names.is_users(name)
+
+
+@dataclass(frozen=True)
+class _Doubts:
+    """The names on which the reading of a program depends; none if it has one reading.
+
+    Attributes:
+        names: the names.
+        keys: the sources that are called by their variables, with a key behind each: `room.z`.
+    """
+
+    names: frozenset[str] = frozenset()
+    keys: frozenset[tuple[str, str]] = frozenset()
+
+
+def _doubts_of(program: Program) -> _Doubts:
+    """Returns the names on which the reading of a program depends."""
+    parts = [part for statement in program.statements for part in statement.walk()]
+    is_doubtful = False
+    names: set[str] = set()
+    aliases: set[str] = set()
+    bare: set[str] = set()
+    own_names: set[str] = set()
+    keys: set[tuple[str, str]] = set()
+    for part in parts:
+        match part:
+            case Assignment(name=name):
+                is_doubtful |= part.value_start is not None
+                names.add(name)
+            case Call(name=name):
+                is_doubtful |= _lower_builtin(name) is not None
+                names.add(name)
+            case Binary(left=left, right=right):
+                is_doubtful |= isinstance(left, Query) or isinstance(right, Query)
+            case Source(alias=str() as alias, value=value):
+                (own_names if _is_variable_itself(alias, value) else aliases).add(alias)
+            case Index(base=Name(name=name), indices=(Literal(value=str() as key),)):
+                keys.add((name, key))
+            case Name(name=name) | QualifiedName(key=name):
+                bare.add(name)
+    keys = {(name, key) for name, key in keys if name in own_names}
+    is_doubtful |= not aliases.isdisjoint(bare) or bool(keys)
+    return _Doubts(frozenset(names | aliases | bare), frozenset(keys)) if is_doubtful else _Doubts()
+
+
+def _lower_builtin(name: str) -> str | None:
+    """Returns the name of the language's own function that is spelled so in another case."""
+    lower = name.lower()
+    return lower if lower != name and lower in BUILTINS else None
+
+
+def _is_variable_itself(alias: str, value: Node) -> bool:
+    """Checks whether a source is called by its variable's name."""
+    return isinstance(value, Name | TimeIndex) and value.name == alias
+
+
+class _Reading:
+    """The reading of one program."""
+
+    def __init__(self, names: Names, program: Program, local: Collection[str]) -> None:
+        self._names = names
+        self._program = program
+        # The variables that the program itself sets, wherever it does.
+        self._variables = {
+            part.name
+            for statement in program.statements
+            for part in statement.walk()
+            if isinstance(part, Assignment) and part.value_start is None
+        }.union(local)
+        # The places of what is no mistake, as it is read.
+        self._resolved_spans: set[SourceSpan] = set()
+
+    def program(self) -> Program:
+        statements = tuple(self._node(node, frozenset()) for node in self._program.statements)
+        suspicions = tuple(
+            suspicion
+            for suspicion in self._program.suspicions
+            if suspicion.span not in self._resolved_spans
+        )
+        return replace(self._program, statements=statements, suspicions=suspicions)
+
+    def _has_variable(self, name: str) -> bool:
+        return name in self._variables or self._names.has_variable(name)
+
+    def _node(self, node: Node, aliases: frozenset[str]) -> Node:
+        return node.replaced(lambda part: self._change(part, aliases))
+
+    def _change(self, part: Node, aliases: frozenset[str]) -> Node | None:
+        match part:
+            case Query():
+                return self._query(part, aliases)
+            case Name(name=name) if name in aliases and not self._names.is_function(name):
+                return None if self._has_variable(name) else This(part.span, name)
+            case Index(base=Name(name=name), indices=(Literal(value=str()),)):
+                return self._qualified(part) if f"{name}." in aliases else None
+            case Assignment() if self._compares(part):
+                self._resolved_spans.add(part.span)
+                return self._node(_comparison(part), aliases)
+            case Call(name=name) if not self._names.is_function(name):
+                builtin = _lower_builtin(name)
+                if builtin is not None:
+                    return self._node(replace(part, name=builtin), aliases)
+            case Binary(operator="IN", left=left, right=Query() as right):
+                if self._is_plain(left) and _is_column(right):
+                    self._resolved_spans.add(right.span)
+                    return self._node(replace(part, right=_with_form(right, "list")), aliases)
+            case Binary(operator=operator) if operator in _COMPARISONS + _ARITHMETIC:
+                return self._scalar_comparison(part, aliases)
+        return None
+
+    def _query(self, query: Query, aliases: frozenset[str]) -> Query:
+        own = {
+            source.alias
+            for source in query.sources
+            if source.alias is not None and not _is_variable_itself(source.alias, source.value)
+        }
+        visible = (aliases - {source.alias for source in query.sources}) | own
+        # `room.z` where the source is called by its variable.
+        visible |= {f"{s.alias}." for s in query.sources if s.alias not in own}
+        parts: dict[str, Any] = {}
+        for kind in fields(query):
+            value = getattr(query, kind.name)
+            inside = visible if kind.name in _OWN_CLAUSES else aliases
+            if len(query.sources) == 1 and kind.name in _CLAUSES_WITH_KEYS:
+                inside = frozenset(alias for alias in visible if alias.endswith("."))
+            if isinstance(value, Node):
+                parts[kind.name] = self._node(value, inside)
+            elif isinstance(value, tuple):
+                parts[kind.name] = tuple(self._node(part, inside) for part in value)
+        changed = {
+            name: value
+            for name, value in parts.items()
+            if not _is_same(value, getattr(query, name))
+        }
+        return replace(query, **changed) if changed else query
+
+    def _qualified(self, node: Index) -> Node | None:
+        """Returns `room.z` as a value of the source's element; None if it is an entity."""
+        (index,) = node.indices
+        assert isinstance(node.base, Name)
+        assert isinstance(index, Literal)
+        alias, key = node.base.name, str(index.value)
+        is_text = self._program.text[index.span.start] in "'\""
+        is_known = self._is_own_function(key) and self._names.is_world_without(alias, key)
+        if is_text or not is_known or alias in self._variables:
+            return None
+        return Call(node.span, key, (This(node.base.span, alias),), index.span)
+
+    def _compares(self, node: Assignment) -> bool:
+        """Checks whether `name = value` in a condition is a comparison."""
+        if node.value_start is None or self._has_variable(node.name):
+            return False
+        # A whole WHERE was an error so far; in brackets it sets a variable.
+        return node.is_bare or self._names.is_function(node.name)
+
+    def _scalar_comparison(self, node: Binary, aliases: frozenset[str]) -> Node | None:
+        """Returns `z > (SELECT max(z) …)` with the nested query's value; None for others."""
+        left, right = node.left, node.right
+        if isinstance(right, Query) and _is_column(right) and self._is_plain(left):
+            return self._node(replace(node, right=_with_form(right, "value")), aliases)
+        if isinstance(left, Query) and _is_column(left) and self._is_plain(right):
+            return self._node(replace(node, left=_with_form(left, "value")), aliases)
+        return None
+
+    def _is_plain(self, node: Node) -> bool:
+        """Checks whether a value is certainly no list of dicts, and no dict."""
+        match node:
+            case Literal():
+                return True
+            case Unary(operand=operand):
+                return self._is_plain(operand)
+            case Binary(left=left, right=right):
+                return self._is_plain(left) and self._is_plain(right)
+            case Name(name=name):
+                return not self._has_variable(name) and self._is_own_function(name)
+            case Call(name=name):
+                return self._is_own_function(_lower_builtin(name) or name)
+            case QualifiedName(alias=alias, key=key):
+                return not self._has_variable(alias) and self._is_own_function(key)
+        return False
+
+    def _is_own_function(self, name: str) -> bool:
+        is_known = self._names.is_function(name) and not self._names.is_users(name)
+        return is_known and name not in ("to", "var", "eval", "print", "uniq", "min", "max")
+
+
+def _is_same(value: Any, before: Any) -> bool:
+    if isinstance(value, tuple):
+        return all(new is old for new, old in zip(value, before, strict=True))
+    return value is before
+
+
+def _is_column(query: Query) -> bool:
+    """Checks whether a query yields one column and names no result form."""
+    has_one_column = len(query.items) == 1 and query.adapter is None and query.recursion is None
+    return has_one_column and not (is_grouped(query) and query.group)
+
+
+def _with_form(query: Query, form: str) -> Query:
+    return replace(query, adapter=AdapterClause(query.span, form))
+
+
+def _comparison(node: Assignment) -> Node:
+    """Returns the comparison that `name = value AND …` is in SQL.
+
+    The value of an assignment is the whole condition; `==` binds more tightly than `AND`.
+    """
+    assert node.value_start is not None
+    name = Name(SourceSpan(node.span.start, node.span.start + len(node.name)), node.name)
+    return _with_first_operand(node.value, name, node.value_start, node.span.start)
+
+
+def _with_first_operand(value: Node, name: Name, value_start: int, start: int) -> Node:
+    """Returns a value with `name ==` before the first operand that no brackets enclose."""
+    span = SourceSpan(start, value.span.end)
+    if value.span.start == value_start:
+        match value:
+            case Binary(operator=operator, left=left) if _is_looser(operator):
+                first = _with_first_operand(left, name, value_start, start)
+                return replace(value, span=span, left=first)
+            case OperatorChain(operators=(operator, *_), operands=(left, *others)):
+                if _is_looser(operator):
+                    first = _with_first_operand(left, name, value_start, start)
+                    return replace(value, span=span, operands=(first, *others))
+            case Unary(operator="NOT" | "IS NULL", operand=operand) if (
+                operand.span.start == value_start
+            ):  # `x IS NULL`, and `x NOT LIKE y`, which begin with their operand
+                first = _with_first_operand(operand, name, value_start, start)
+                return replace(value, span=span, operand=first)
+    return Binary(span, "==", name, value)
+
+
+def _is_looser(operator: str) -> bool:
+    return LEVEL_OF.get(operator, LEVEL_OF["IN"]) <= LEVEL_OF["=="]
