@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 from reprlib import Repr
@@ -109,3 +110,32 @@ def as_evaluation_error(error: Exception, span: SourceSpan | None) -> Evaluation
     The library of the value may raise errors of any class, with messages of any length.
     """
     return EvaluationError(f"{type(error).__name__}: {error_text(error)}", span=span)
+
+
+def first_names(names: Sequence[str], count: int = 6) -> str:
+    """Returns the first names, and how many more there are.
+
+    >>> first_names(["can", "cup", "sink"], 2)
+    'can, cup and 1 more'
+    """
+    more = f" and {len(names) - count} more" if len(names) > count else ""
+    return ", ".join(names[:count]) + more
+
+
+def contents_of(entities: Sequence[tuple[str, str]]) -> str:
+    """Returns the number of each kind of entities and the first names, for a `repr`.
+
+    >>> contents_of([("fridge", "robot"), ("can", "kinbody"), ("cup", "kinbody")])
+    ' (1 robot, 2 kinbodies: fridge, can, cup)'
+
+    Args:
+        entities: names and kinds.
+    """
+    if not entities:
+        return ""
+    plurals = {"kinbody": "kinbodies"}
+    counts = Counter(kind for _, kind in entities)
+    kinds = ", ".join(
+        f"{n} {kind if n == 1 else plurals.get(kind, kind + 's')}" for kind, n in counts.items()
+    )
+    return f" ({kinds}: {first_names([name for name, _ in entities])})"

@@ -6,10 +6,10 @@ tutorial; pictures have x to the right and y up.
 
 from __future__ import annotations
 
-import io
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,13 @@ NOTEBOOK_SIZE = 400
 # The colours from nothing to the largest value: red, green, blue.
 _SCALE = np.array([[255, 255, 255], [254, 217, 118], [240, 59, 32], [74, 0, 60]])
 _FREE, _OCCUPIED = 255, 40
+
+
+def _colours(shares: Cells) -> npt.NDArray[np.uint8]:
+    """Returns the colours of shares of the largest value, with a last axis for red, green, blue."""
+    stops = np.linspace(0.0, 1.0, len(_SCALE))
+    channels = [np.interp(shares, stops, channel) for channel in _SCALE.T]
+    return np.stack(channels, axis=-1).round().astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,19 +157,45 @@ class Grid:
             return Image.fromarray(np.where(values, _OCCUPIED, _FREE).astype(np.uint8))
         largest = float(values.max(initial=0.0))
         shares = np.clip(values / largest, 0.0, 1.0) if largest > 0.0 else np.zeros(values.shape)
-        stops = np.linspace(0.0, 1.0, len(_SCALE))
-        colours = [np.interp(shares, stops, channel) for channel in _SCALE.T]
-        return Image.fromarray(np.stack(colours, axis=2).round().astype(np.uint8))
+        return Image.fromarray(_colours(shares))
 
-    def _repr_png_(self) -> bytes:
-        """Returns a PNG picture for notebooks, in which small grids are enlarged."""
+    # The name and the unit of the values.
+    _LABEL: ClassVar[str] = "value"
+
+    def chart(self, size: int = NOTEBOOK_SIZE) -> Image.Image:
+        """Returns a picture with axes in metres and a legend or a scale; empty cells are white.
+
+        Args:
+            size: the least width or height of the area of the cells, pixels.
+
+        Raises:
+            NumberError: `size` is not a whole number of at least 1.
+        """
         from PIL import Image
 
-        image, buffer = self.image(), io.BytesIO()
-        scale = max(1, NOTEBOOK_SIZE // max(image.size))
-        image = image.resize((image.width * scale, image.height * scale), Image.Resampling.NEAREST)
-        image.save(buffer, "PNG")
-        return buffer.getvalue()
+        from ssduck.adapters.charts import ColourScale, chart
+
+        size = validation.integer(size, "chart: size", minimum=1)
+        area = self.image()
+        factor = max(1, math.ceil(size / max(area.size)))
+        area = area.resize((area.width * factor, area.height * factor), Image.Resampling.NEAREST)
+        values, (lower, upper) = self._flat(), self.bounds
+        bounds = lower[:2], upper[:2]
+        labels = f"{self.axes[0].lower()} [m]", f"{self.axes[1].lower()} [m]"
+        if values.dtype == np.bool_:
+            shades = [(shade, shade, shade) for shade in (_OCCUPIED, _FREE)]
+            entries = list(zip(shades, (self._LABEL, "free"), strict=True))
+            return chart(area, bounds, labels, entries=entries)
+        colours = [(r, g, b) for r, g, b in _colours(np.linspace(0.0, 1.0, 256)).tolist()]
+        is_whole = values.dtype.kind in "iu"
+        scale = ColourScale(self._LABEL, float(values.max(initial=0.0)), colours, is_whole)
+        return chart(area, bounds, labels, scale=scale)
+
+    def _repr_png_(self) -> bytes:
+        """Returns `chart()` as a PNG picture for notebooks."""
+        from ssduck.adapters.charts import png
+
+        return png(self.chart())
 
     def plot(self, ax: Any = None) -> Any:
         """Draws the grid with matplotlib, with axes in metres.
@@ -195,8 +228,14 @@ class Grid:
         )
         ax.set_xlabel(f"{self.axes[0].lower()} [m]")
         ax.set_ylabel(f"{self.axes[1].lower()} [m]")
-        if not is_boolean:
-            ax.figure.colorbar(image, ax=ax)
+        if is_boolean:
+            from matplotlib.patches import Patch
+
+            patches = [Patch(facecolor="black", label=self._LABEL)]
+            patches.append(Patch(facecolor="white", edgecolor="black", label="free"))
+            ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.02, 1.0))
+        else:
+            ax.figure.colorbar(image, ax=ax, label=self._LABEL)
         return ax
 
 
@@ -207,6 +246,8 @@ class OccupancyGrid(Grid):
     Attributes:
         z: the height, or the lower and the upper height, m.
     """
+
+    _LABEL: ClassVar[str] = "occupied"
 
     z: Height = 0.0
 
@@ -251,6 +292,8 @@ class SensorGrid(Grid):
         sensors: the names of the sensors.
     """
 
+    _LABEL: ClassVar[str] = "sensors that see the cell"
+
     z: float = 0.0
     sensors: tuple[str, ...] = ()
 
@@ -263,6 +306,8 @@ class PlaneGrid(Grid):
         plane: the axes of the plane: `"XY"`, `"XZ"` or `"YZ"`.
     """
 
+    _LABEL: ClassVar[str] = "sum of values"
+
     plane: str = field(default="XY")
 
     @property
@@ -274,6 +319,8 @@ class PlaneGrid(Grid):
 @dataclass(frozen=True, eq=False, repr=False)
 class VoxelGrid(Grid):
     """The occupied cubes; cells are True or False, along x, y and z."""
+
+    _LABEL: ClassVar[str] = "height [m]"
 
     def heights(self) -> npt.NDArray[np.float64]:
         """Returns the height of the occupied cubes in each column above the grid's ground, m."""

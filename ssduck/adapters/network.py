@@ -155,9 +155,11 @@ def _add_row(network: _Network, names: tuple[str, ...], row: tuple[Any, ...], ke
 
 
 def _graph(selection: Selection, multi: bool = False) -> Any:
-    networkx = library("networkx", "graph")
+    library("networkx", "graph")
+    from ssduck.adapters.entity_graphs import EntityGraph, EntityMultiGraph
+
     network = _network(selection, multi=multi)
-    graph = networkx.MultiDiGraph() if multi else networkx.DiGraph()
+    graph: Any = EntityMultiGraph() if multi else EntityGraph()
     for name, attributes in network.nodes.items():
         # Selected values take precedence: the query's id is a name.
         graph.add_nodes_from([(name, _entity_attributes(network.entities[name]) | attributes)])

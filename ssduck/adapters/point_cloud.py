@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,9 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import PlacedSolids, Solid
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 MAX_POINTS = 20_000_000
 
@@ -55,6 +58,46 @@ class PointCloud:
             raise ArgumentError(f"there are no points of {name!r}", suggestions=list(self.names))
         points: Array = self.points[self.owners == self.names.index(name)]
         return points
+
+    def image(self) -> Image.Image:
+        """Returns a picture with axes in metres and a colour for each entity."""
+        from ssduck.adapters.views import draw_points
+
+        return draw_points(self.points, self.owners, self.names)
+
+    def _repr_png_(self) -> bytes:
+        """Returns `image()` as a PNG picture for notebooks."""
+        from ssduck.adapters.charts import png
+
+        return png(self.image())
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draws the points with matplotlib, with axes in metres and a colour for each entity.
+
+        Args:
+            ax: three-dimensional axes of matplotlib; by default those of a new figure.
+
+        Returns:
+            The axes.
+
+        Raises:
+            UnsupportedError: matplotlib is not installed; the message says how to install it.
+        """
+        from ssduck.adapters.optional import library
+
+        if ax is None:
+            library("matplotlib", "plot")
+            from matplotlib.figure import Figure
+
+            ax = Figure().add_subplot(projection="3d")
+        for index, name in enumerate(self.names):
+            x, y, z = self.points[self.owners == index].T
+            ax.scatter(x, y, z, s=1, label=name)
+        for axis in "xyz":
+            getattr(ax, f"set_{axis}label")(f"{axis} [m]")
+        ax.set_aspect("equal")
+        ax.legend(loc="upper left", bbox_to_anchor=(1.15, 1.0), markerscale=5)
+        return ax
 
     def save(self, path: str | Path) -> Path:
         """Writes a file in the format of its suffix: `.ply`, `.xyz`, `.obj` or `.glb`."""

@@ -36,10 +36,10 @@ def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCl
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
-    import trimesh
+    from ssduck.adapters.mesh_scene import MeshScene
 
     placed = shapes_of(selection)
-    scene = trimesh.Scene(base_frame="world")
+    scene = MeshScene(base_frame="world")
     entities = {entity.id: entity for entity in selection.entities}
     counts: Counter[int] = Counter()
     for (solid, position, matrix), owner in zip(placed, placed.owners.tolist(), strict=True):
@@ -47,7 +47,7 @@ def _mesh(selection: Selection) -> trimesh.Scene:
         surface = _triangles(solid)
         if surface is None:
             raise ArgumentError(f"{entity.full_name!r} has a plane, which is infinite; exclude it")
-        surface.visual.face_colors = _COLOURS[entity.kind]
+        surface.visual.face_colors = _COLOURS[entity.entity.kind]
         surface.metadata["entity"] = entity.full_name
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, position

@@ -22,8 +22,6 @@ ALL = "SELECT obj FROM kitchen AS roombaGrid;"
 NEAR = """\
 roomba = SELECT obj FROM kitchen WHERE id(this) == 'roomba_625x' AS value;
 SELECT obj FROM kitchen WHERE distance(roomba, this) <= 1.5 AS roombaGrid;"""
-# The size of a cell in pictures, pixels.
-SCALE = 4
 # At 22 cm the legs of the table and of four chairs stand on the floor, in this region.
 LEGS_REGION = ((0.0, -1.6), (1.6, 0.95))
 
@@ -42,9 +40,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
             is_same = type(grid).load(target) == grid
             verdict = "the same" if is_same else "another one"
             say(f"Saved as {target} and its picture; loaded again it is {verdict}")
-            picture = grid.image()
-            larger = picture.resize((picture.width * SCALE, picture.height * SCALE))
-            pictures.append(str(keep_picture(larger, folder / f"{name}.png")))
+            pictures.append(str(keep_picture(grid.chart(), folder / f"{name}.png")))
             succeeded &= is_same and bool(np.asarray(grid).any()) and not np.asarray(grid).all()
         succeeded &= _has_legs(ss.eval(ALL), say)
     say(f"The maps: {', '.join(pictures)}")

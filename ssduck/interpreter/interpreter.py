@@ -23,7 +23,7 @@ program, `RecordingMethods` and `TriggerMethods` the methods on records and trig
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
@@ -34,6 +34,7 @@ from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import UnknownNameError
+from ssduck.formatting import first_names
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
     Condition,
@@ -131,6 +132,20 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def __repr__(self) -> str:
+        worlds = [
+            f"{name} ({len(world)} entities, t={world.time:g} s)"
+            for name, world in self._database.worlds.items()
+        ]
+        parts = {
+            "worlds": worlds,
+            "variables": [name for name in self if name not in self._database.worlds],
+            "functions": [name for name, known in self._functions.items() if not known.builtin],
+            "triggers": [state.config.name for state in self.triggers()],
+        }
+        contents = [f"{kind} {first_names(names, 8)}" for kind, names in parts.items() if names]
+        return f"<Interpreter: {'; '.join(contents) or 'empty'}>"
 
     # -- programs -------------------------------------------------------------------------
 
@@ -306,6 +321,32 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             self._triggers.rebound()
         return value
 
+    def __getitem__(self, name: str) -> Any:
+        """Returns the value of a variable, as `call_variable` does.
+
+        Raises:
+            UnknownNameError: no variable has that name; the error suggests the nearest names.
+
+        >>> import ssduck
+        >>> with ssduck.load("kitchen") as ss:
+        ...     ss["high"] = 1.2
+        ...     ss["kitchen"]["fridge"].name, ss["high"], "low" in ss
+        ('fridge', 1.2, False)
+        """
+        return self.variable(name)
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        """Binds a value to a name, as `add_variable` does."""
+        self.add_variable(name, value)
+
+    def __contains__(self, name: object) -> bool:
+        """Checks whether a variable has a name."""
+        return name in self._variables
+
+    def __iter__(self) -> Iterator[str]:
+        """Yields the names of the variables."""
+        return iter(list(self._variables))
+
     def call_variable(self, name: str) -> Any:
         """Returns the value of a variable.
 
@@ -369,19 +410,19 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         *,
         realtime: bool | float = False,
         progress: bool | Literal["always"] = False,
-        every: int | None = None,
+        every: int | None = 1,
     ) -> None:
         """Runs all worlds in lockstep for a duration, each in its own time step.
 
-        Whenever a trigger, the clock or `every` requires a tick of one world, all
-        worlds run up to that time before any trigger is evaluated. What-if worlds do not run. The
+        A tick is taken after each step. All worlds run up to the time of a tick of one of them
+        before any trigger is evaluated. What-if worlds do not run. The
         arguments and errors are those of `World.run`.
 
         Args:
             seconds: the simulated time, s.
             realtime: True to keep pace with the clock, or a factor of its speed.
             progress: whether a progress bar is shown.
-            every: the number of steps between two ticks; None for no ticks but those that are due.
+            every: the number of steps between two ticks; None for requested ticks and the last.
 
         Raises:
             UnknownNameError: there is no world.
@@ -418,6 +459,11 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         Raises:
             SqlError: DuckDB refuses the statement.
             ArgumentError: the statement is no text.
+            UnknownNameError: the interpreter is strict, and no entity has a name that the statement
+                compares.
+
+        Warns:
+            ProgramWarning: the same in an interpreter that is not strict.
 
         >>> import ssduck
         >>> with ssduck.Interpreter() as ss:
@@ -429,6 +475,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             if not self._program_texts:
                 self._drop_unused_worlds()
                 self._database.connection.meter = UsageMeter(self._limits)
+            self._report(self._linter.check_sql(text))
             return Result(self._database.table(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:

@@ -17,10 +17,9 @@ from ssduck.errors import (
     ArgumentError,
     SelectScriptError,
     SourceSpan,
-    UnknownNameError,
-    nearest,
 )
 from ssduck.formatting import short_repr
+from ssduck.interpreter.known_names import KnownNames, NameKind
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
     Assignment,
@@ -39,7 +38,9 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
+from ssduck.sql.name_comparisons import name_comparisons
 from ssduck.world.handles import Handle
+from ssduck.world.links import Link, Links
 from ssduck.world.world import World
 
 # The functions that return the name of an entity.
@@ -54,11 +55,13 @@ class NameSite:
 
     Attributes:
         source: the source of the entity; None if it is not known.
+        function: the function whose value is compared, `id` or `name`.
         value: the text or the variable.
         is_bare: whether the name is a bare one, which may be a key of a dict.
     """
 
     source: Source | None
+    function: str
     value: Literal | Name
     is_bare: bool
 
@@ -218,7 +221,7 @@ def _collect_name_site(
             return
     for value in values:
         if isinstance(value, Name) or (isinstance(value, Literal) and type(value.value) is str):
-            facts.names.append(NameSite(source, value, is_bare))
+            facts.names.append(NameSite(source, name, value, is_bare))
 
 
 class Linter:
@@ -241,9 +244,8 @@ class Linter:
         self._variable = variable
         self._is_function = is_function
         self._worlds = worlds
-        self._recorded = recorded
+        self._names = KnownNames(recorded)
         self._facts: WeakKeyDictionary[Node, StatementFacts] = WeakKeyDictionary()
-        self._known_names: WeakKeyDictionary[World, set[str]] = WeakKeyDictionary()
         self._reported: set[tuple[str | None, str]] = set()
 
     def check(
@@ -269,6 +271,21 @@ class Linter:
         for error in mistakes:
             error.locate(text)
         return mistakes
+
+    def check_sql(self, sql: str) -> list[SelectScriptError]:
+        """Returns the names in a statement of raw SQL that no entity has, as errors."""
+        worlds = list(self._worlds())
+        mistakes: list[SelectScriptError] = []
+        for comparison in name_comparisons(sql) if worlds else ():
+            schema = comparison.schema
+            owners = [w for w in worlds if w.name == schema] if schema else worlds[:1]
+            if owners and not self._is_name(comparison.text, owners, ["entity"]):
+                mistakes.append(
+                    self._names.error(comparison.text, owners, ["entity"], comparison.span)
+                )
+        for error in mistakes:
+            error.locate(sql)
+        return mistakes[:MAX_UNKNOWN]
 
     def is_new(self, error: SelectScriptError) -> bool:
         """Checks whether an error was not reported before."""
@@ -322,7 +339,7 @@ class Linter:
         self, facts: StatementFacts, local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
         for site in facts.names:
-            worlds = self._worlds_at(site)
+            worlds, kinds = self._owners_at(site)
             if not worlds:
                 continue
             value = site.value
@@ -334,44 +351,49 @@ class Linter:
                 variable = self._variable(value.name)
                 texts = variable if isinstance(variable, list) else [variable]
             for text in texts:
-                if isinstance(text, str) and not any(self._has_entity(w, text) for w in worlds):
-                    yield self._unknown_entity(text, worlds, value.span)
+                if isinstance(text, str) and not self._is_name(text, worlds, kinds):
+                    yield self._names.error(text, worlds, kinds, value.span)
 
-    def _worlds_at(self, site: NameSite) -> list[World]:
-        """Returns the worlds that the entity may belong to; none if unknown."""
+    def _is_name(self, text: str, worlds: list[World], kinds: list[NameKind]) -> bool:
+        return any(self._names.has(world, kind, text) for world in worlds for kind in kinds)
+
+    def _owners_at(self, site: NameSite) -> tuple[list[World], list[NameKind]]:
+        """Returns the worlds that the name may be of, none if unknown, and whose it may be."""
+        of_link: NameKind = "full link" if site.function == "id" else "link"
         value = None if site.source is None else site.source.value
-        if isinstance(value, Name | TimeIndex):
+        if isinstance(value, Call) and value.name == "links" and len(value.arguments) == 1:
+            (argument,) = value.arguments
+            variable = self._variable(argument.name) if isinstance(argument, _NAMED) else None
+            return _worlds_of(variable) or list(self._worlds()), [of_link]
+        if isinstance(value, _NAMED):
             variable = self._variable(value.name)
-            if isinstance(variable, World):
-                return [variable]
-            if isinstance(variable, Past):
-                return [variable.world]
-            if not isinstance(variable, list) or not any(
-                isinstance(e, Handle) for e in variable[:1]
-            ):
-                return []
-        elif site.is_bare:
-            return []
-        return list(self._worlds())
+            if isinstance(variable, list):
+                return self._owners_in(variable, of_link)
+            is_of_links = isinstance(variable, Links) or (
+                isinstance(variable, Past) and variable.table == "links"
+            )
+            return _worlds_of(variable), [of_link if is_of_links else "entity"]
+        return ([] if site.is_bare else list(self._worlds())), ["entity", of_link]
 
-    def _has_entity(self, world: World, name: str) -> bool:
-        known_names = self._known_names.setdefault(world, set())
-        if name not in known_names and (name in world or name in self._recorded(world)):
-            known_names.add(name)
-        return name in known_names
+    def _owners_in(
+        self, elements: list[Any], of_link: NameKind
+    ) -> tuple[list[World], list[NameKind]]:
+        """Returns the worlds and the owners of names for a list, whose first element decides."""
+        if not isinstance(elements[0] if elements else None, Handle):
+            return [], []
+        has_links = any(isinstance(element, Link) for element in elements)
+        kinds: list[NameKind] = ["entity", of_link] if has_links else ["entity"]
+        return list(self._worlds()), kinds
 
-    def _unknown_entity(
-        self, name: str, worlds: list[World], span: SourceSpan
-    ) -> SelectScriptError:
-        names = {entity.name for world in worlds for entity in world}
-        for world in worlds:
-            names.update(self._recorded(world))
-        world_names = " or ".join(world.name for world in worlds[:3])
-        return UnknownNameError(
-            f"no entity of {world_names} has the name {short_repr(name)}",
-            span=span,
-            suggestions=nearest(name, names),
-        )
+
+_NAMED = (Name, TimeIndex)
+
+
+def _worlds_of(variable: Any) -> list[World]:
+    """Returns the world that a variable holds, or whose past it is; none for other values."""
+    if isinstance(variable, Past | Links):
+        return [variable.world]
+    return [variable] if isinstance(variable, World) else []
 
 
 # The largest number of reported mistakes that are remembered.

@@ -84,7 +84,7 @@ _TABLE = "the tables are those of ss.sql; in a program the source is the world: 
 # The suggestions for names of SQL that a program may use as its own.
 _OWN_NAMES = {
     **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
-    **dict.fromkeys(("ENTITIES", "LINKS", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
+    **dict.fromkeys(("ENTITIES", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
     "TICKS": _TABLE,
 }
 

@@ -24,7 +24,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import short_repr
+from ssduck.formatting import contents_of, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -183,18 +183,22 @@ class World(ManipulableSimulation, OpenRaveWorld):
         *,
         realtime: bool | float = False,
         progress: bool | Literal["always"] = False,
-        every: int | None = None,
+        every: int | None = 1,
     ) -> World:
-        """Runs for a simulated time, then takes a tick; takes others that observers request.
+        """Runs for a simulated time, and takes a tick after each step.
+
+        With `every`, there are fewer ticks: after so many steps each, at the end, and when
+        observers request them. A world that is neither recorded nor observed takes the last tick
+        only, except in real time.
 
         Args:
             seconds: the simulated time, s, rounded to the nearest number of steps.
             realtime: whether to run in real time; or the speed relative to it: 2.0 takes half as
-                long if the simulator is fast enough. A late run catches up. Such a run takes 30
-                ticks per second of real time unless `every` is given, and waits at ticks only.
+                long if the simulator is fast enough. A late run catches up. Such a run waits at
+                ticks only.
             progress: whether to show a progress bar on standard error if that is a terminal;
                 `"always"`: in any case.
-            every: the number of steps between ticks.
+            every: the number of steps between ticks; None for requested ticks and the last.
 
         Returns:
             The world itself.
@@ -444,7 +448,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
         return links_of(self.entity(entity_of(id)))[link_of(id)]
 
     def __repr__(self) -> str:
-        return f"<World {self.name!r}: {len(self)} entities, t={self.time:g} s>"
+        about = contents_of([(entity.name, entity.kind) for entity in self])
+        return f"<World {self.name!r}: {len(self)} entities{about}, t={self.time:g} s>"
 
     def _repr_png_(self) -> bytes | None:
         """Returns a picture for notebooks; None if the world cannot be rendered."""

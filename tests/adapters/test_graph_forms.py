@@ -33,7 +33,7 @@ def kitchen():
 
 def test_a_relation_that_is_false_is_no_edge(kitchen):
     graph = kitchen.eval(f"SELECT above(a.this, b.this) {PAIRS} AS graph;")
-    assert type(graph) is nx.DiGraph
+    assert isinstance(graph, nx.DiGraph)
     assert set(graph.edges) == NINE
     assert all(told == {"above": True} for _, _, told in graph.edges(data=True))
     assert len(graph) == 29
@@ -88,7 +88,7 @@ def test_several_relations_of_two_entities(kitchen):
     assert graph.nodes["table"]["isRobot"] is False
     assert "isRobot" not in graph.nodes["pin_a091"]
     multi = kitchen.eval(f"{query}(multi=True);")
-    assert type(multi) is nx.MultiDiGraph
+    assert isinstance(multi, nx.MultiDiGraph)
     assert set(multi["table"]["cup_58a2"]) == {"above", "d"}
     assert multi.number_of_edges() == 18
 

@@ -96,7 +96,8 @@ def test_a_world_is_a_picture(hall, tmp_path):
     assert (pixels(lifted._repr_png_()) != now).any(axis=2).mean() > 0.001
     world.step()
     world["rover"].move([6, 4, 3])
-    past = hall.eval("SELECT this FROM hall{0.0} AS value;").world
+    moments = hall.eval("hall{0.0};")
+    past = moments.record.at(moments.first)
     assert (pixels(past._repr_png_()) != now).any(axis=2).mean() < 0.001
     hall.export(tmp_path / "run")
     with ssduck.open(tmp_path / "run") as record, warnings.catch_warnings():

@@ -204,7 +204,7 @@ PROGRAMS = [
     ("SELECT 99999999999999999999 FROM [1] AS list;", [99999999999999999999]),
     ("SELECT this == 9007199254740993 FROM [9007199254740992.0] AS list;", [False]),
     # constants
-    ("SELECT this FROM [3, 1, 2] ORDER BY 1 AS list;", [3, 1, 2]),
+    ("SELECT this FROM [3, 1, 2] ORDER BY 1.0 AS list;", [3, 1, 2]),
     ("o = 'a'; SELECT this FROM [3, 1, 2] ORDER BY o, this AS list;", [1, 2, 3]),
     ("k = 0; SELECT this FROM [1] WHERE k != 0 AND this > 1 / k AS list;", []),
     ("k = 0; k != 0 AND 1 / k > 2;", False),

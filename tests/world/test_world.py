@@ -66,7 +66,9 @@ def test_iteration_and_names(kitchen):
     with pytest.raises(UnknownNameError, match="no entity 'cann'") as caught:
         kitchen["cann"]
     assert "can" in caught.value.suggestions
-    assert repr(kitchen) == "<World 'kitchen': 37 entities, t=0 s>"
+    first = ", ".join(entity.name for entity in list(kitchen)[:6])
+    contents = f"8 sensors, 4 robots, 25 kinbodies: {first} and 31 more"
+    assert repr(kitchen) == f"<World 'kitchen': 37 entities ({contents}), t=0 s>"
 
 
 # A body with its centre of mass off its frame, a fixed one, a robot.

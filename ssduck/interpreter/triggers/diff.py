@@ -138,9 +138,8 @@ def _is_data_frame(value: Any) -> bool:
 
 def _is_graph(value: Any) -> bool:
     """Checks whether a value is a graph of networkx, without importing it."""
-    kind = type(value)
-    is_library = kind.__module__.partition(".")[0] == "networkx"
-    return is_library and kind.__name__ in {"DiGraph", "MultiDiGraph"}
+    names = {(base.__module__.partition(".")[0], base.__name__) for base in type(value).__mro__}
+    return bool(names & {("networkx", "DiGraph"), ("networkx", "MultiDiGraph")})
 
 
 class _CopiedValue:

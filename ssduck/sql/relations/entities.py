@@ -42,7 +42,10 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         link_name="full_name",
     ),
     entity_relation(
-        "name", "string", "object.name", "Returns the name of an entity; the same as `id`."
+        "name",
+        "string",
+        "object.name",
+        "Returns the name of an entity, as `id` does; of a link as in its model.",
     ),
     entity_relation(
         "type",

@@ -1,0 +1,79 @@
+"""Variables of an interpreter as items, and what the `repr` of interpreters and worlds says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, UnknownNameError
+
+ROOM = Path(__file__).resolve().parents[1] / "data" / "room.toml"
+
+
+@pytest.fixture
+def ss():
+    with ssduck.load(ROOM) as loaded:
+        yield loaded
+
+
+def test_variables_are_items(ss):
+    assert ss["room"] is ss.call_variable("room")
+    assert isinstance(ss["room"], ssduck.World)
+    ss["heights"] = [0.4, 1.2]
+    assert ss.eval("SELECT this FROM heights WHERE this > 1 AS list;") == [1.2]
+    assert ss["heights"] == [0.4, 1.2]
+    assert list(ss) == ["room", "heights"]
+    assert "heights" in ss
+    assert "height" not in ss
+    assert 5 not in ss
+    ss.eval("n{} = 3;")
+    assert ss["n"] == 3
+
+
+@pytest.mark.parametrize(("name", "nearest"), [("romo", "room"), ("rom", "room"), ("", None)])
+def test_an_unknown_item_is_an_error_with_the_nearest_name(ss, name, nearest):
+    with pytest.raises(UnknownNameError) as caught:
+        ss[name]
+    assert isinstance(caught.value, LookupError)
+    assert nearest is None or nearest in caught.value.suggestions
+
+
+def test_what_is_no_item(ss):
+    with pytest.raises(ArgumentError):
+        ss[5]
+    for name in ("select", "a b", 5):
+        with pytest.raises(ArgumentError):
+            ss[name] = 1
+
+
+def test_a_world_is_bound_as_an_item(ss):
+    ss["maybe"] = ss["room"].what_if()
+    assert ss.sql("SELECT count(*) FROM maybe.entities").fetchall() == [(6,)]
+
+
+def test_repr_says_what_is_there(ss):
+    assert repr(ss) == "<Interpreter: worlds room (6 entities, t=0 s)>"
+    for number in range(10):
+        ss[f"v{number}"] = number
+    ss.add_function("double", lambda number: 2 * number)
+    ss.add_trigger("seen", "SELECT id FROM room;", 0.1, print)
+    assert repr(ss) == (
+        "<Interpreter: worlds room (6 entities, t=0 s); "
+        "variables v0, v1, v2, v3, v4, v5, v6, v7 and 2 more; functions double; triggers seen>"
+    )
+    names = "table, can, cup, ball, lamp, rover"
+    assert repr(ss["room"]) == (
+        f"<World 'room': 6 entities (5 kinbodies, 1 robot: {names}), t=0 s>"
+    )
+    with ssduck.Interpreter() as empty:
+        assert repr(empty) == "<Interpreter: empty>"
+    ss.close()
+    assert "room" in repr(ss)
+
+
+def test_load_and_worlds_are_typed(ss):
+    assert get_type_hints(ssduck.load)["return"] is ssduck.Interpreter
+    assert all(isinstance(world, ssduck.World) for world in ss.worlds)

@@ -1,0 +1,138 @@
+"""Names that no entity or link has are told alike at every door."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import ProgramWarning, SelectScriptError, UnknownNameError
+
+ROOM = Path(__file__).resolve().parents[2] / "data" / "room.toml"
+
+
+@pytest.fixture
+def ss():
+    with ssduck.load(ROOM) as loaded:
+        yield loaded
+
+
+# (statement, the text that nothing has)
+UNKNOWN = [
+    ("SELECT z FROM entities WHERE name = 'cna'", "cna"),
+    ("SELECT z FROM room.entities e WHERE e.name IN ('cup', 'cna')", "cna"),
+    ("SELECT z FROM entities WHERE 'cna' <> name", "cna"),
+    ("SELECT e.z FROM entities e JOIN links l ON l.entity = e.id WHERE e.name = 'cna'", "cna"),
+    ("SELECT (SELECT z FROM entities_history WHERE name != 'cna' LIMIT 1)", "cna"),
+    ("SELECT z FROM room.entities WHERE entities.name = 'cna'", "cna"),
+    ("WITH a AS (SELECT z FROM entities WHERE name == 'cna') SELECT * FROM a", "cna"),
+]
+KNOWN = [
+    "SELECT z FROM entities WHERE name = 'can'",
+    "SELECT z FROM entities WHERE name LIKE 'cna' OR name > 'cna'",
+    "SELECT z FROM (SELECT * FROM entities) WHERE name = 'cna'",
+    "SELECT 1 FROM links WHERE name = 'cna'",
+    "SELECT 1 FROM entities WHERE kind = 'cna'",
+    "SELECT 'name' = 'cna'",
+    "WITH entities AS (SELECT 'cna' AS name) SELECT 1 FROM (SELECT 1) WHERE 'name' = 'cna'",
+]
+
+
+@pytest.mark.parametrize(("statement", "text"), UNKNOWN)
+def test_raw_sql_warns_of_a_name_that_no_entity_has(ss, statement, text):
+    with pytest.warns(ProgramWarning, match=f"no entity of room has the name '{text}'") as caught:
+        ss.sql(statement).fetchall()
+    assert "did you mean 'can'" in str(caught[0].message)
+    assert [warning.filename for warning in caught] == [__file__]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ss.sql(statement)  # once is enough
+    ss.strict = True
+    with pytest.raises(UnknownNameError) as refused:
+        ss.sql(statement)
+    assert statement[refused.value.span.start : refused.value.span.end] == f"'{text}'"
+
+
+@pytest.mark.parametrize("statement", KNOWN)
+def test_raw_sql_is_not_suspected(ss, statement):
+    ss.strict = True
+    ss.sql(statement)
+
+
+DOORS = {
+    "program": lambda ss: ss.eval("SELECT id FROM room WHERE name = 'cna';"),
+    "raw SQL": lambda ss: ss.sql("SELECT id FROM entities WHERE name = 'cna'"),
+    "key": lambda ss: ss.eval("room.cna;"),
+    "Python": lambda ss: ss.call_variable("room")["cna"],
+}
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_all_doors_suggest_the_nearest_name(ss, door):
+    ss.strict = True
+    with pytest.raises(SelectScriptError, match="did you mean 'can'"):
+        DOORS[door](ss)
+
+
+@pytest.mark.parametrize("door", ["program", "raw SQL"])
+def test_records_suggest_it_too(ss, door, tmp_path):
+    ss.call_variable("room").step(2)
+    ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run") as opened:
+        opened.strict = True
+        with pytest.raises(SelectScriptError, match="did you mean 'can'"):
+            DOORS[door](opened)
+        opened.sql("SELECT id FROM entities WHERE name = 'can'")
+
+
+def test_worlds_of_ones_own(client):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    body = pybullet.createMultiBody(0, shape, physicsClientId=client)
+    with ssduck.Interpreter(strict=True) as ss:
+        ss.add_variable("own", ssduck.World.attach(client, names={body: "crate"}))
+        for run, text in ((ss.eval, "SELECT z FROM own WHERE id = '{}'"), (ss.sql, _RAW)):
+            run(text.format("crate"))
+            with pytest.raises(UnknownNameError, match="did you mean 'crate'"):
+                run(text.format("crat"))
+
+
+_RAW = "SELECT z FROM own.entities WHERE name = '{}'"
+
+
+def test_a_removed_entity_is_known(ss):
+    ss.strict = True
+    room = ss.call_variable("room")
+    room.step(1)
+    room.remove("can")
+    assert ss.sql("SELECT z FROM entities WHERE name = 'can'").fetchall() == []
+    assert ss.sql("SELECT z FROM entities_history WHERE name = 'can'").fetchall() != []
+
+
+# (condition on a link, whether there is such a one)
+LINKS = [
+    ("id = 'can.link0'", True),
+    ("id(this) == 'can.link0'", True),
+    ("name = 'link0'", True),
+    ("name(this) IN ['link0']", True),
+    ("id = 'can'", False),
+    ("id = 'cna.link0'", False),
+    ("name(this) == 'link1'", False),
+]
+
+
+@pytest.mark.parametrize(("condition", "is_there"), LINKS)
+@pytest.mark.parametrize("source", ["links(room)", "parts"])
+def test_names_of_links(ss, condition, is_there, source):
+    ss.strict = True
+    ss.eval("parts = links(room);")
+    program = f"SELECT id FROM {source} WHERE {condition} AS list;"
+    if is_there:
+        assert "can.link0" in ss.eval(program)
+        return
+    with pytest.raises(UnknownNameError, match="no link of room"):
+        ss.eval(program)
