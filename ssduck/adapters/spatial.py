@@ -51,7 +51,7 @@ def _mesh(selection: Selection) -> trimesh.Scene:
         surface = _triangles(solid)
         if surface is None:
             raise ArgumentError(f"{entity.full_name!r} has a plane, which is infinite; exclude it")
-        surface.visual.face_colors = _COLOURS[entity.kind]
+        surface.visual.face_colors = _COLOURS[entity.entity.kind]
         surface.metadata["entity"] = entity.full_name
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, position
