@@ -61,6 +61,17 @@ def integer(
     raise NumberError(f"{argument}: {short_repr(value)} is no {expected}")
 
 
+def tick_interval(value: Any, argument: str) -> int | None:
+    """Returns the number of steps between two ticks, 1 or more, or None.
+
+    Raises:
+        ArgumentError: the value is no such number.
+    """
+    if value is None:
+        return None
+    return integer(value, argument, minimum=1, expected="number of steps; 1 or more")
+
+
 def step_count(value: Any, argument: str, call_with_seconds: str) -> int:
     """Returns a number of simulation steps, 0 or more.
 

@@ -83,6 +83,11 @@ touches nothing and is infinitely far from everything. Disabled and invisible en
 shapes as before. The compared rows of `entities` are of one tick: the current one, or a recorded
 one (see [Time](time.md)).
 
+Rows of `links` are compared like rows of `entities`, with either: a link consists of its own
+shapes. It has the relations to its entity that an entity has to itself. Whether a link carries
+something together with others (`supports`, `restsOn`, `nextTo`) is asked as if it were a body of
+its own beside the rest of its entity.
+
 ```python
 import ssduck
 
@@ -263,7 +268,7 @@ def tables_page() -> str:
             "| columns | type | meaning |",
             "|---|---|---|",
         ]
-        columns = merged(table.columns)
+        columns = merged((*table.columns, *table.view_columns))
         lines += [f"| {names} | {kind} | {comment} |" for names, kind, comment in columns]
     return "\n".join(lines) + "\n"
 

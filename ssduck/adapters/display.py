@@ -97,20 +97,43 @@ class RowsOfColumns(ABC):
         """Returns the rows as a pyarrow table."""
 
     @abstractmethod
+    def part(self, start: int, count: int) -> list[tuple[Any, ...]]:
+        """Returns at most `count` rows from an index on, as tuples."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Returns the number of rows."""
+
+    @abstractmethod
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
         """Iterates over all rows, as tuples."""
 
 
-def display_table(value: Any) -> DisplayTable:
+def display_table(value: Any, max_rows: int | None = None) -> DisplayTable:
     """Returns a value as rows: an element of a list is a row, any other value is one row.
+
+    Args:
+        value: the value.
+        max_rows: the maximal number of rows, the first and the last ones; None for all.
 
     >>> display_table([{"id": "sink", "volume": 0.03}]).columns
     ['id', 'volume']
     """
-    if isinstance(value, DisplayTable):
-        return value
     if isinstance(value, RowsOfColumns):
-        return DisplayTable(numbered_duplicates(value.columns), list(value), types=value.types)
+        return _table_of_result(value, len(value) if max_rows is None else max_rows)
+    table = value if isinstance(value, DisplayTable) else _table_of_value(value)
+    return table if max_rows is None else table.shortened(max_rows)
+
+
+def _table_of_result(result: RowsOfColumns, max_rows: int) -> DisplayTable:
+    """Returns at most `max_rows` rows; only these become values of Python."""
+    last = max_rows // 2 if len(result) > max_rows else 0
+    rows = result.part(0, max_rows - last) + result.part(len(result) - last, last)
+    names, omitted = numbered_duplicates(result.columns), len(result) - len(rows)
+    return DisplayTable(names, rows, types=result.types, omitted=omitted if names else 0)
+
+
+def _table_of_value(value: Any) -> DisplayTable:
     if isinstance(value, dict):
         return DisplayTable(["key", "value"], list(value.items()))
     if value is None:

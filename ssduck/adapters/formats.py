@@ -197,5 +197,4 @@ def print_value(value: Any, format: Format, max_rows: int | None = None) -> None
     if format.name != "table":
         format.write(value, sys.stdout)
     elif value is not None:
-        table = display_table(value)
-        print_table(table if max_rows is None else table.shortened(max_rows))
+        print_table(display_table(value, max_rows))

@@ -90,15 +90,19 @@ class Result(RowsOfColumns):
             NumberError: `size` is not a whole number of at least 0.
         """
         size = validation.integer(size, "fetchmany: size", minimum=0)
-        part = self._table.slice(self._fetched, size)
-        self._fetched += part.num_rows
-        columns = [python_values(column) for column in part.columns]
-        return list(zip(*columns, strict=True)) if columns else []
+        rows = self.part(self._fetched, size)
+        self._fetched = min(self._fetched + size, len(self))
+        return rows
 
     def fetchone(self) -> tuple[Any, ...] | None:
         """Returns the next row; None after the last one."""
         rows = self.fetchmany(1)
         return rows[0] if rows else None
+
+    def part(self, start: int, count: int) -> list[tuple[Any, ...]]:
+        """Returns at most `count` rows from an index on, as tuples."""
+        columns = [python_values(column) for column in self._table.slice(start, count).columns]
+        return list(zip(*columns, strict=True)) if columns else []
 
     def arrow(self) -> pa.Table:
         """Returns the rows as a pyarrow table."""

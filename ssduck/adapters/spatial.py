@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 # In glTF, y points up and cameras look along -z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-_COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
+_COLOURS = {
+    "robot": (214, 120, 40, 255),
+    "kinbody": (150, 160, 175, 255),
+    "link": (120, 150, 200, 255),
+}
 
 
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:
@@ -47,7 +51,7 @@ def _mesh(selection: Selection) -> trimesh.Scene:
         surface = _triangles(solid)
         if surface is None:
             raise ArgumentError(f"{entity.full_name!r} has a plane, which is infinite; exclude it")
-        surface.visual.face_colors = _COLOURS[entity.kind]
+        surface.visual.face_colors = _COLOURS[entity.entity.kind]
         surface.metadata["entity"] = entity.full_name
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = matrix, position

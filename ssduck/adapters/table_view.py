@@ -46,7 +46,7 @@ class TableView:
 
     def __init__(self, value: Any, rows: int = MAX_ROWS) -> None:
         rows = validation.integer(rows, "show: rows", minimum=0)
-        self._table = display_table(value).shortened(rows)
+        self._table = display_table(value, rows)
 
     def text(self, width: int | None = None) -> str:
         """Returns the table as a text.

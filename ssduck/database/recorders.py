@@ -11,7 +11,7 @@ from ssduck.errors import UnsupportedError
 from ssduck.recording.recorder import BUFFERED_TICKS, MEMORY_TICKS, Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.recording.spec import Recording, check_names
+from ssduck.recording.spec import Recording, check_names, with_size_limit
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording, ParquetStore
@@ -35,7 +35,7 @@ class Recorders:
         world, is_file = bound.world, self._connection.is_file
         check_names(recording, world.snapshot.entities)
         in_memory = not is_file and not recording.changed
-        recording = recording.with_size_limit(in_memory=not is_file)
+        recording = with_size_limit(recording, in_memory=not is_file)
         schema, connection = self._free_schema(name), self._connection.writer()
         store: MemoryStore | DuckDBStore
         if in_memory:

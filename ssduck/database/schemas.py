@@ -13,7 +13,7 @@ from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.schema import HISTORIES, LINK_FACTOR, MODELS, TABLES, Table
+from ssduck.schema import HISTORIES, LINK_FACTOR, MAX_LINKS, MODELS, TABLES, Table
 
 _HISTORY_VIEWS = {table.history_view: table for table in HISTORIES.values()}
 _MODEL_VIEWS = [table.model_view for table in MODELS.values()]
@@ -201,7 +201,7 @@ def _link_columns(entities: str) -> dict[str, str]:
 
     names = f"SELECT map(list(id), list(name)) FROM (SELECT DISTINCT id, name FROM {entities})"  # noqa: S608
     return {
-        "id": f"(link + 1) * {LINK_FACTOR} + entity",
+        "id": f"CASE WHEN link < {MAX_LINKS} THEN (link + 1) * {LINK_FACTOR} + entity END",
         "full_name": f"map_extract_value(({names}), entity) || '.' || name",
         "kind": "'link'",
         "enabled": is_not_among("NOT enabled"),

@@ -92,7 +92,7 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int, seconds: int = S
         ss.record("chaos", Recording(tables=("entities", "contacts"), seconds=seconds + 1))
         ss.add_variable("watcher", chaos["watcher"])
         ss.add_trigger("seen", VISIBLE, 0.1, lambda names: visible_counts.append(len(names)))
-        chaos.run(seconds, every=1)
+        chaos.run(seconds)
         energies = energy(ss, scene)
         say(COUNTED)
         rows = [

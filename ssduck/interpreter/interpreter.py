@@ -452,19 +452,19 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
         *,
         realtime: bool | float = False,
         progress: bool | Literal["always"] = False,
-        every: int | None = None,
+        every: int | None = 1,
     ) -> None:
         """Runs all worlds in lockstep for a duration, each in its own time step.
 
-        Whenever a trigger, the clock or `every` requires a tick of one world, all
-        worlds run up to that time before any trigger is evaluated. What-if worlds do not run. The
+        A tick is taken after each step. All worlds run up to the time of a tick of one of them
+        before any trigger is evaluated. What-if worlds do not run. The
         arguments and errors are those of `World.run`.
 
         Args:
             seconds: the simulated time, s.
             realtime: True to keep pace with the clock, or a factor of its speed.
             progress: whether a progress bar is shown.
-            every: the number of steps between two ticks; None for no ticks but those that are due.
+            every: the number of steps between two ticks; None for requested ticks and the last.
 
         Raises:
             UnknownNameError: there is no world.

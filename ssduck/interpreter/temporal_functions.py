@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
 from ssduck.errors import ArgumentError, UnsupportedError
 from ssduck.formatting import short_repr
 from ssduck.language.builtins import Function
@@ -79,9 +81,13 @@ class TickSeries:
         self._run = run
 
     def at(self, past: Past) -> tuple[list[float], list[Any]]:
-        """Returns the times and values at some ticks; None where an entity was not there."""
+        """Returns the times and values at some ticks; None where an entity was not there.
+
+        Of several ticks of the same time, the last one replaces the others.
+        """
         values = {row[0]: row[2] for row in self._run(past)}
-        return past.times, [values.get(tick) for tick in past.ticks]
+        last_ticks = dict(zip(past.times, past.ticks, strict=True))
+        return list(last_ticks), [values.get(tick) for tick in last_ticks.values()]
 
     def holding(self, past: Past) -> tuple[list[float], list[bool]]:
         """Returns the times, and whether the expression was true."""
@@ -90,10 +96,11 @@ class TickSeries:
 
     def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
-        numbers, _ = self.record.ticks_until_now()
+        numbers, all_times = self.record.ticks_until_now()
         end, size = len(numbers), FIRST_TICKS
         while end > 0:
-            start = max(end - size, 0)
+            # Ticks of the same time are in the same piece.
+            start = int(np.searchsorted(all_times, all_times[max(end - size, 0)]))
             yield Past(self.record, int(numbers[start]), int(numbers[end - 1]), is_window=True)
             end, size = start, size * 2
 

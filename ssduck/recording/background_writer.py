@@ -9,6 +9,8 @@ from typing import TypeAlias
 
 import pyarrow as pa
 
+from ssduck import ctrl_c
+
 # Held by a store while added rows become readable.
 CommitLock: TypeAlias = AbstractContextManager[None]
 NO_LOCK: CommitLock = nullcontext()
@@ -119,7 +121,7 @@ class BackgroundWriter:
 
     def wait(self) -> None:
         """Waits until the background thread has ended."""
-        with self.lock:
+        with ctrl_c.allowed(), self.lock:
             self.lock.wait_for(lambda: self._thread is None)
 
     def pop_failure(self) -> BaseException | None:

@@ -87,12 +87,13 @@ class Recording:
         has_size_limit = isinstance(self.max_bytes, int)
         return has_size_limit or self.seconds is not None or self.ticks is not None
 
-    def with_size_limit(self, *, in_memory: bool) -> Recording:
-        """Returns the recording with `max_bytes` in place of its default."""
-        if self.max_bytes != "default":
-            return self
-        is_limited = in_memory and not self.is_bounded
-        return replace(self, max_bytes=DEFAULT_MAX_BYTES if is_limited else None)
+
+def with_size_limit(recording: Recording, *, in_memory: bool) -> Recording:
+    """Returns a recording with `max_bytes` in place of its default."""
+    if recording.max_bytes != "default":
+        return recording
+    is_limited = in_memory and not recording.is_bounded
+    return replace(recording, max_bytes=DEFAULT_MAX_BYTES if is_limited else None)
 
 
 def bytes_before_dropping(recording: Recording) -> float:

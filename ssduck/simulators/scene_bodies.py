@@ -27,6 +27,13 @@ PRIMITIVES: Mapping[str, tuple[int, str]] = MappingProxyType(
     }
 )
 FLOOR = "floor"
+# The keys that only some bodies have.
+_KEYS_OF_SOME = frozenset(
+    (
+        *("velocity", "own_inertia", "joints", "joint_velocities", "held", "hold"),
+        *("mass", "colour", "friction", "rolling_friction", "spinning_friction", "restitution"),
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -159,6 +166,9 @@ def read_body(table: TomlTable, folder: Path) -> BodySpec:
     )
     if spec.fixed and any(spec.velocity):
         table.fail("velocity", "a fixed body does not move")
+    for key in table.values:
+        if key in _KEYS_OF_SOME - table.read_keys:
+            table.fail(key, f"a body with {source!r} has no such key")
     table.end()
     return spec
 
@@ -188,7 +198,8 @@ def _model(table: TomlTable, key: str, folder: Path) -> Path:
     file = table.text(key)
     model = (folder / file).resolve()
     if not model.is_file():
-        table.fail(key, f"there is no file {file!r} beside the scene file")
+        where = "" if Path(file).is_absolute() else " beside the scene file"
+        table.fail(key, f"there is no file {file!r}{where}")
     suffixes = MODEL_FILES[key]
     suffix = model.suffix.lower()
     if suffix not in suffixes:

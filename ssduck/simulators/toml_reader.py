@@ -10,10 +10,10 @@ from typing import Any, NoReturn, TypeAlias
 from ssduck import validation
 from ssduck.errors import SceneError, nearest
 
-# The default of required keys.
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
+# The default of required keys.
 REQUIRED: Any = object()
 
 
@@ -127,12 +127,14 @@ class TomlTable:
     def one_of(self, keys: Sequence[str]) -> str:
         """Returns the one of some keys that the table has; it must have exactly one."""
         present = [key for key in keys if key in self.values]
-        self.read_keys.update(keys)
+        self.read_keys.update(present)
         listed = f"one of {', '.join(keys)}"
         if not present:
-            unread = set(self.values) - self.read_keys
-            found = next((match for key in keys for match in nearest(key, unread)), None)
-            self.fail(keys[0], f"missing; a body has {listed}", (found,) if found else ())
+            for key in self.values:
+                near = nearest(key, keys) if key not in self.read_keys else ()
+                if near:
+                    self.fail(key, "there is no such key", near[:1])
+            self.fail(keys[0], f"missing; a body has {listed}")
         if len(present) > 1:
             self.fail(present[1], f"there is {present[0]!r} already; a body has {listed}")
         return present[0]
@@ -169,7 +171,8 @@ class TomlTable:
         self.read_keys.add(key)
         if key not in self.values:
             if default is REQUIRED:
-                self.fail(key, "missing", nearest(key, set(self.values) - self.read_keys))
+                similar = nearest(key, set(self.values) - self.read_keys, 1)
+                self.fail(key, f"missing, but there is {similar[0]!r}" if similar else "missing")
             return default
         value = self.values[key]
         if not fits(value):

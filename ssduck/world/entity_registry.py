@@ -6,7 +6,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 from typing import Any
 
-from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
+from ssduck.errors import (
+    ArgumentError,
+    SceneError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+)
+from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
@@ -35,7 +42,7 @@ class EntityRegistry:
             SceneError: the body of a sensor does not have the sensor's link.
         """
         # Ids follow the order of the entities: sensors first.
-        sensor_ids = [next(self._ids) for _ in sensors]
+        sensor_ids = [self._new_id() for _ in sensors]
         self.update(simulator)
         self.entities = self._mounted(sensor_ids, sensors) + self.entities
 
@@ -56,7 +63,20 @@ class EntityRegistry:
         for body in added:
             name = unique_name(body.name, used_names)
             used_names.add(name)
-            self.entities.append(EntityInfo(next(self._ids), name, body.kind, body=body))
+            self.entities.append(EntityInfo(self._new_id(), name, body.kind, body=body))
+
+    def _new_id(self) -> int:
+        """Returns an id that no entity had.
+
+        Raises:
+            UnsupportedError: the world had too many entities.
+        """
+        id = next(self._ids)
+        if id >= LINK_FACTOR:
+            raise UnsupportedError(
+                f"a world has at most {LINK_FACTOR - 1:,} entities in its time; begin a new one"
+            )
+        return id
 
     def get(self, id: int) -> EntityInfo | None:
         """Returns the entity of an id; None if it was removed."""
@@ -87,7 +107,7 @@ class EntityRegistry:
         }
         try:
             spec = read_sensor(values, [host.name])
-            (info,) = self._mounted([next(self._ids)], [spec])
+            (info,) = self._mounted([self._new_id()], [spec])
         except SceneError as error:
             message = f"add_sensor: {error.message.removeprefix('sensor[0].')}"
             raise ArgumentError(message, suggestions=error.suggestions) from error

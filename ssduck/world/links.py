@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
-from ssduck.schema import entity_of, link_id, link_of
+from ssduck.errors import UnsupportedError
+from ssduck.schema import MAX_LINKS, entity_of, link_id, link_of
 from ssduck.world.handles import Handle, RecordedTick
 
 if TYPE_CHECKING:
@@ -97,9 +98,18 @@ class Link(Handle):
 
 
 def links_of(entity: Entity) -> list[Link]:
-    """Returns the links of an entity at the tick of its handle, the base first."""
+    """Returns the links of an entity at the tick of its handle, the base first.
+
+    Raises:
+        UnsupportedError: the body has too many links.
+    """
     info = entity.info
     names = [] if info.body is None else [link.name for link in info.body.links]
+    if len(names) > MAX_LINKS:
+        raise UnsupportedError(
+            f"{entity.name!r} has {len(names)} links; only the links of bodies with at most "
+            f"{MAX_LINKS} are values"
+        )
     return [
         Link(entity.world, link_id(entity.id, number), name, entity.name, entity.moment)
         for number, name in enumerate(names)

@@ -1,7 +1,7 @@
 """Notifies observers of the ticks of a world.
 
-A `TickObserver` requests its next tick at a simulated time. Stepping stops there, takes the tick
-and notifies all observers. Steps at whose end no observer requests a tick take none.
+A `TickObserver` is notified of each tick, and may request a tick at a simulated time: stepping
+stops there, takes the tick and notifies all observers.
 """
 
 from __future__ import annotations
@@ -87,6 +87,12 @@ class Observable(ABC):
     def slack(self) -> float:
         """The rounding error allowed in a sum of steps, s: a millionth of a step."""
         return _ROUNDING * self.timestep
+
+    @property
+    def is_observed(self) -> bool:
+        """Whether an observer is notified of the next tick."""
+        is_alive = any(ref() is not None for ref in self._observers)
+        return is_alive and not self._notifying.locked()
 
     def steps_to_due(self) -> float:
         """Returns the number of steps, 1 or more, to the next requested tick; inf for none."""

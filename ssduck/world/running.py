@@ -1,7 +1,8 @@
 """Runs worlds for a simulated time: in lockstep, in real time, with a progress bar.
 
 A *stop* is a simulated time since the start of the run, in seconds, at which ticks are taken:
-whenever an observer of some world requests one, after every given number of steps, and at the end.
+whenever an observer of some world requests one, after every given number of steps where a recorder
+or an observer gets the tick, and at the end. In real time, other threads get all ticks.
 All worlds reach a stop before any observer is notified of it.
 """
 
@@ -22,8 +23,6 @@ from ssduck.world.ticking import SteppedSimulation
 
 # A function that is called with the simulated seconds that were run since the last call.
 ProgressCallback: TypeAlias = Callable[[float], object]
-# Ticks per second of real time in a real-time run.
-TICKS_PER_SECOND = 30
 # The share of a step by which sums of steps may be off.
 _ROUNDING = 1e-6
 
@@ -34,17 +33,13 @@ def run(
     *,
     realtime: bool | float = False,
     progress: bool | Literal["always"] = False,
-    every: int | None = None,
+    every: int | None = 1,
 ) -> None:
     """Runs worlds for a simulated time, s; the arguments are those of `World.run`."""
     seconds = validation.duration(seconds, "run: seconds")
     speed = _speed(realtime)
-    if every is not None:
-        every = validation.integer(
-            every, "run: every", minimum=1, expected="number of steps; 1 or more"
-        )
-    period = every if speed is None or every is not None else speed / TICKS_PER_SECOND
-    lanes = [_Lane(world, seconds, period) for world in worlds]
+    every = validation.tick_interval(every, "run: every")
+    lanes = [_Lane(world, seconds, every, is_realtime=speed is not None) for world in worlds]
     start = time.monotonic()
     with _progress_bar(seconds, len(lanes), progress) as on_progress:
         for lane in lanes:
@@ -65,27 +60,29 @@ class _Lane:
     Args:
         world: the world.
         seconds: the simulated time of the run, s.
-        period: the interval of ticks: steps if it is an integer, else simulated seconds.
+        every: the number of steps between ticks; None for requested ticks and the last.
+        is_realtime: whether these ticks are taken in any case.
     """
 
-    def __init__(self, world: SteppedSimulation, seconds: float, period: float | None) -> None:
+    def __init__(
+        self, world: SteppedSimulation, seconds: float, every: int | None, *, is_realtime: bool
+    ) -> None:
         self.world = world
         self._timestep = world.timestep
         if not self._timestep:
             world.step()  # raises: the world cannot be stepped
         self.total = validation.steps_in(seconds, self._timestep, "run: seconds")
         self._done = 0
-        self._period = period
-        if isinstance(period, float):
-            self._period = max(1, math.floor(period / self._timestep + 0.5))
+        self._every = every
+        self._is_realtime = is_realtime
 
     def next_stop(self) -> float | None:
         """Returns the time of the next required tick, s since the start; None at the end."""
         if self._done == self.total:
             return None
-        steps = min(self.total - self._done, self.world.steps_to_due())
-        if self._period is not None:
-            steps = min(steps, self._period - self._done % self._period)
+        steps = min(self.total - self._done, self.world.steps_to_tick(self._done, self._every))
+        if self._is_realtime and self._every:
+            steps = min(steps, self._every - self._done % self._every)
         return (self._done + steps) * self._timestep
 
     def advance(self, stop: float, on_progress: ProgressCallback | None) -> None:

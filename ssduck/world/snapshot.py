@@ -3,11 +3,10 @@
 A *tick* is one reading of a world's state at a simulated time; its tables are those of
 `ssduck.schema`.
 
-`Snapshot.take` replaces all tables at once. Between two takes nothing changes them, and the
-simulator is not read again. A table that nobody requested is not read from the simulator;
-requesting one takes a fresh tick that includes it, so that all tables that a query reads are of
-the same tick. A requested table is read with every tick until `FORGOTTEN_AFTER` ticks have passed
-without another request.
+`Snapshot.take` replaces all tables at once; between two takes the simulator is not read again. A
+table that nobody requested is not read from the simulator. Requesting one takes a fresh tick that
+includes it, except for shapes, which follow from the poses. A requested table is read with every
+tick until `FORGOTTEN_AFTER` ticks have passed without another request.
 """
 
 from __future__ import annotations
@@ -345,7 +344,13 @@ class Snapshot:
         """Notes a request for tables; returns whether this tick lacks any of them."""
         requested = ON_DEMAND.intersection(tables).difference(self.unavailable)
         self._requested |= dict.fromkeys(requested, self.number)
-        return not (requested | self.recorded) <= self._read
+        missing = (requested | self.recorded) - self._read
+        if missing == {"shapes"} and self._link_poses:  # they follow from these
+            self._read |= missing
+            self._write_shapes()
+            self._publish("shapes")
+            missing = frozenset()
+        return bool(missing)
 
     def has(self, table: str) -> bool:
         """Checks whether this tick includes a table that is read on request."""
@@ -446,9 +451,10 @@ class Snapshot:
         self._read = frozenset(tables)
         self._shapes = None
         self.number, self.time = number, simulator.time
-        self._write_poses(state.static, state.moving, with_static=state.static is not self._static)
+        is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
+        self._write_poses(state.static, state.moving, with_static=is_static_new)
         if state.joints is not None:
             self.tables["joints"].doubles("position", "effort")[:] = state.joints.T
         if "contacts" in tables:
@@ -522,32 +528,37 @@ class Snapshot:
 
     def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
         """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
-        layout = self._layout
         entities = self.tables["entities"].doubles("x", "zmax")
         if with_static:
-            layout.static_bodies.write_entities(static, entities)
-        layout.moving_bodies.write_entities(moving, entities)
-        groups = (layout.static_bodies, static), (layout.moving_bodies, moving)
+            self._layout.static_bodies.write_entities(static, entities)
+        self._layout.moving_bodies.write_entities(moving, entities)
         if "links" in self._read:
-            for group, poses in groups:
+            for group, poses in self.body_groups:
                 group.write_links(poses, self.tables["links"].doubles("x", "zmax"))
         if "shapes" in self._read:
-            for group, poses in groups:
-                group.write_shapes(poses, self.tables["shapes"].doubles("x", "zmax"))
+            self._write_shapes()
+
+    def _write_shapes(self) -> None:
+        for group, poses in self.body_groups:
+            group.write_shapes(poses, self.tables["shapes"].doubles("x", "zmax"))
 
     def _finish(self) -> None:
         """Writes tick and time into the tables that were read, and publishes them."""
         if not self._is_past:
             self.tables["ticks"]["wall_time"].fill(time.time())
         for name in ("entities", "ticks", *self._read):
-            table = self.tables[name]
-            table["tick"].fill(self.number)
-            table["time"].fill(self.time)
-            if name != "ticks":  # its numbers are always known
-                table.publish_unknown()
+            self._publish(name)
         # The warning for a past tick was given when it was taken.
         if not self.tables["entities"].is_complete and not self._is_past:
             self._warn_of_unknown(self.tables["entities"].doubles("x", "zmax"))
+
+    def _publish(self, name: str) -> None:
+        """Writes tick and time into a table, and publishes it."""
+        table = self.tables[name]
+        table["tick"].fill(self.number)
+        table["time"].fill(self.time)
+        if name != "ticks":  # its numbers are always known
+            table.publish_unknown()
 
     def _warn_of_unknown(self, numbers: Array) -> None:
         """Warns, once for each entity, of poses and velocities that are not numbers."""

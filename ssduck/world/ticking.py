@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Protocol, Self
 
-from ssduck import validation
+from ssduck import ctrl_c, validation
 from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.clock import Clock
@@ -139,31 +139,52 @@ class SteppedSimulation(Observable):
         # Within rounding it is the time of the last tick.
         return clock if abs(seconds - clock.time) <= self.slack else clock.at(seconds, timestep)
 
-    def step(self, count: int = 1) -> Self:
-        """Runs steps of the simulator, then takes a tick.
+    def step(self, count: int = 1, *, every: int | None = 1) -> Self:
+        """Runs steps of the simulator, and takes a tick after each of them.
 
-        Further ticks are taken on the way when observers request them, for example triggers that
-        are due. Ctrl-C ends the run with a tick.
+        With `every`, there are fewer ticks: after so many steps each, at the end, and when
+        observers request them, for example triggers that are due. A world that is neither recorded
+        nor observed takes the last tick only. Ctrl-C ends the run at a tick.
 
         Args:
             count: the number of steps, 0 or more; for a number of seconds, see `run`.
+            every: the number of steps between ticks; None for requested ticks and the last.
 
         Returns:
             The world itself.
 
         Raises:
             NumberError: the count is no such number.
+            ArgumentError: `every` is less than 1.
             SimulatorError: the simulator does not answer; the last tick remains.
             UnsupportedError: it is a what-if world.
         """
-        remaining = validation.step_count(count, "step", "run({})")
+        count = validation.step_count(count, "step", "run({})")
+        every = validation.tick_interval(every, "step: every")
+        done = 0
         while True:
-            steps = int(min(remaining, self.steps_to_due()))
+            steps = int(min(count - done, self.steps_to_tick(done, every)))
             self.advance(steps)
             self.notify_observers()
-            remaining -= steps
-            if remaining <= 0:
+            done += steps
+            if done >= count:
                 return self
+
+    def steps_to_tick(self, done: int, every: int | None) -> float:
+        """Returns the number of steps to the next tick of a run; inf if it needs none.
+
+        Args:
+            done: the number of steps since the start of the run.
+            every: the number of steps between ticks that are recorded or observed; None for no
+                ticks but requested ones.
+        """
+        steps = self.steps_to_due()
+        return min(steps, every - done % every) if every and self.is_watched else steps
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether a recorder or an observer gets the next tick."""
+        return self.is_observed or any(ref() is not None for ref in self._recorders)
 
     def advance(self, count: int, on_progress: Callable[[int], object] | None = None) -> None:
         """Runs steps and takes a tick without notifying observers: a part of `step`.
@@ -182,26 +203,32 @@ class SteppedSimulation(Observable):
                     self._simulator.step(steps)
                     if on_progress is not None:
                         on_progress(steps)
+                self._take_tick()
             except KeyboardInterrupt:
-                self._take_tick()  # the tables must match the simulator
+                if self.snapshot.time != self._simulator.time:
+                    self._take_tick()  # the tables must match the simulator
                 raise
-            self._take_tick()
 
     def _take_tick(self) -> None:
         self._check_not_pinned()
         self._take()
 
     def _take(self) -> None:
-        self._registry.update(self._simulator)
-        self.snapshot.take(self._simulator, self._registry.entities)
-        failure = None
+        with ctrl_c.deferred():
+            self._registry.update(self._simulator)
+            self.snapshot.take(self._simulator, self._registry.entities)
+            self._record_tick()
+
+    def _record_tick(self) -> None:
+        """Passes the tick to the recorders."""
+        failure: BaseException | None = None
         for reference in self._recorders:
             recorder = reference()
             if recorder is not None:
                 try:
                     recorder.record(self.snapshot)
-                except SelectScriptError as error:  # the other recorders still get the tick
-                    failure = failure or error
+                except (SelectScriptError, KeyboardInterrupt) as error:
+                    failure = failure or error  # the other recorders still get the tick
         if failure is not None:
             raise failure
 

@@ -183,18 +183,22 @@ class World(ManipulableSimulation, OpenRaveWorld):
         *,
         realtime: bool | float = False,
         progress: bool | Literal["always"] = False,
-        every: int | None = None,
+        every: int | None = 1,
     ) -> World:
-        """Runs for a simulated time, then takes a tick; takes others that observers request.
+        """Runs for a simulated time, and takes a tick after each step.
+
+        With `every`, there are fewer ticks: after so many steps each, at the end, and when
+        observers request them. A world that is neither recorded nor observed takes the last tick
+        only, except in real time.
 
         Args:
             seconds: the simulated time, s, rounded to the nearest number of steps.
             realtime: whether to run in real time; or the speed relative to it: 2.0 takes half as
-                long if the simulator is fast enough. A late run catches up. Such a run takes 30
-                ticks per second of real time unless `every` is given, and waits at ticks only.
+                long if the simulator is fast enough. A late run catches up. Such a run waits at
+                ticks only.
             progress: whether to show a progress bar on standard error if that is a terminal;
                 `"always"`: in any case.
-            every: the number of steps between ticks.
+            every: the number of steps between ticks; None for requested ticks and the last.
 
         Returns:
             The world itself.

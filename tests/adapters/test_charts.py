@@ -202,6 +202,13 @@ def test_points_and_meshes_in_notebooks(room):
     assert flat.size[0] > 0
 
 
+def test_links_are_drawn_by_their_names(room):
+    for form in ("mesh", "points(0.05)", "graph"):
+        value = room.eval(f"SELECT this FROM links(room) AS {form};")
+        assert value._repr_png_().startswith(b"\x89PNG")
+    assert value.nodes[next(iter(value.nodes))]["kind"] == "link"
+
+
 def test_points_are_plotted(room, monkeypatch):
     cloud = room.eval("SELECT obj FROM room AS points(0.05);")
     axes = cloud.plot()

@@ -37,7 +37,7 @@ def opened(tmp_path: Path) -> Any:
         kitchen = ss.call_variable("kitchen")
         with ss.record_to(tmp_path / "run"):
             for _ in range(10):
-                kitchen.step(24)
+                kitchen.step(24, every=24)
     with ssduck.open(tmp_path / "run") as record:
         yield record, record.call_variable("kitchen")
 

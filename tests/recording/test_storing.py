@@ -137,11 +137,11 @@ def test_what_is_being_stored_is_seen_once(
     balls = sorted(entity.name for entity in world)
     recorded.add_variable("ball", world[balls[0]])
     recorded.add_variable("other", world[balls[1]])
-    found = recorded.eval(near)  # its shapes are read with a tick more
-    assert found == list(range(1, RING + 7))
+    found = recorded.eval(near)
+    assert found == list(range(1, RING + 6))
     gate.opened.set()
     _recorder(recorded).wait()
-    assert _counts(recorded) == _whole(RING + 6)
+    assert _counts(recorded) == _whole(RING + 5)
     assert recorded.eval(near) == found
 
 

@@ -302,3 +302,63 @@ def test_other_worlds_take_no_time_by_a_tick(tmp_path):
                     with pytest.raises(ArgumentError, match="only step and run take its time"):
                         each.tick(**arguments)
                 assert each.time == before
+
+
+def test_the_last_of_ticks_at_the_same_time_counts(client, bouncing):
+    """The ball is put elsewhere between two steps; before, at and after that time."""
+    ss, world = bouncing
+    for _ in range(10):
+        stepped(client)
+        world.tick()
+    time = world.time
+    for z in (3.0, 4.0, 5.0):
+        pybullet.resetBasePositionAndOrientation(1, [0, 0, z], [0, 0, 0, 1], client)
+        pybullet.resetBaseVelocity(1, [0, 0, 0], [0, 0, 0], client)
+        world.tick(steps=0)
+    highest = height(client)
+    world.tick(time=time)  # again the same time
+    stepped(client)
+    world.tick()
+    assert highest == 5.0
+    assert len(ss.past("sim").times) == 11 + 3 + 1 + 1
+    assert ss.eval("changes(round(z(ball), 0) == 3.0);") == [[0.0, False]]
+    assert ss.eval("changes(round(z(ball), 0) == 5.0);") == [[0.0, False], [time, True]]
+    assert ss.eval("holds(round(z(ball), 0) == 4.0);") == []
+    assert ss.eval("since(z(ball) > 4.5);") == time
+    assert ss.eval("heldFor(z(ball) > 4.5);") == world.time - time
+    assert ss.eval(f"SELECT z FROM sim{{{time!r}}} WHERE id == 'ball' AS value;") == 5.0
+    before = ss.eval(f"SELECT z FROM sim{{{time - STEP / 2!r}}} WHERE id == 'ball' AS value;")
+    assert before < 1.0
+    rows = ss.sql(
+        "SELECT z FROM entities_history WHERE name = 'ball' AND time = ? ORDER BY tick", [time]
+    ).fetchall()
+    assert [round(z) for (z,) in rows] == [1, 3, 4, 5, 5]
+
+
+def test_pieces_of_ticks_at_the_same_time_stay_together(client, bouncing):
+    """`since` reads the last ticks first, some hundred at a time."""
+    ss, world = bouncing
+    stepped(client)
+    world.tick()
+    for count in (238, 1, 1, 1, 1):  # the first piece has 240 ticks
+        for _ in range(count):
+            world.tick(steps=0)
+        assert ss.eval("since(z(ball) > 0.5);") == 0.0
+        assert ss.eval("since(z(ball) < 0.99999);") == STEP
+    assert ss.eval("changes(z(ball) < 0.99999);") == [[0.0, False], [STEP, True]]
+
+
+def test_shapes_belong_to_the_tick_that_is_there(client, bouncing):
+    """A query of shapes takes no tick: neither a second one of its time, nor of a client that moved."""
+    ss, world = bouncing
+    stepped(client)
+    world.tick()
+    number, z = world.snapshot.number, height(client)
+    stepped(client, 60)
+    ((low, high),) = ss.sql(
+        "SELECT s.zmin, s.zmax FROM shapes s JOIN entities e ON s.entity = e.id "
+        "WHERE e.name = 'ball'"
+    ).fetchall()
+    assert (low, high) == (pytest.approx(z - 0.1, abs=1e-12), pytest.approx(z + 0.1, abs=1e-12))
+    assert world.snapshot.number == number
+    assert ss.sql("SELECT count(*) FROM ticks_history").fetchall() == [(2,)]

@@ -121,6 +121,21 @@ def test_the_names_of_mjcf_bodies(load, tmp_path):
         assert [entity.name for entity in ss.call_variable("a")] == names
 
 
+def test_the_names_of_mjcf_bodies_with_joints_to_the_world(load):
+    """PyBullet puts a base without a name before them."""
+    hinge, slide = '<joint type="hinge" axis="0 1 0"/>', '<joint type="slide" axis="1 0 0"/>'
+    shape = '<geom type="sphere" size="0.1"/>'
+    hand = f'<body name="hand" pos="0 0 1">{shape}</body>'
+    text = mjcf_of(
+        *(f'<body name="{side}">{hinge}{slide}{shape}{hand}</body>' for side in ("left", "right")),
+        f"<body>{hinge}{shape}{hand}</body>",
+        before='<compiler angle="degree"/>',
+        model="arms",
+    )
+    _, world = load('[[body]]\nmjcf = "a.xml"\n', a_xml=text)
+    assert [entity.name for entity in world] == ["left", "right", "arms"]
+
+
 def test_names_of_the_scene_come_first(load):
     text = (
         '[[body]]\nsdf = "a.sdf"\n[[body]]\nname = "left"\nsdf = "a.sdf"\n'
@@ -564,7 +579,7 @@ MISTAKES = [
         '[[body]]\nsdf = "a.sdf"\nvelocity = [0, 0, 0, 0, 0, 0]',
         {"a_sdf": SDF},
         "body[0].velocity",
-        "there is no such key",
+        "a body with 'sdf' has no such key",
         None,
     ),
     (

@@ -253,7 +253,9 @@ BOX = BODY + "box = [1, 1, 1]\n"
 # (text, key, words of the reason, nearest right names)
 MISTAKES = [
     (BODY, "body[0].urdf", "missing; a body has one of urdf, sdf, mjcf, box, sphere", ()),
-    (BODY + "boxs = [1, 1, 1]", "body[0].urdf", "missing", ("boxs",)),
+    (BODY + "boxs = [1, 1, 1]", "body[0].boxs", "there is no such key", ("box",)),
+    (BODY + "Sphere = 1", "body[0].Sphere", "there is no such key", ("sphere",)),
+    (BOX + "scale = 1", "body[0].scale", "there is no such key", ()),
     (BOX + "sphere = 1", "body[0].sphere", "there is 'box' already", ()),
     (BOX + "urdf = 'cup.urdf'", "body[0].box", "there is 'urdf' already", ()),
     ("[[body]]\nbox = [1, 1, 1]", "body[0].name", "missing", ()),
@@ -279,8 +281,8 @@ MISTAKES = [
     (BOX + "colour = [1, 1, true]", "body[0].colour", "expected 3 or 4 numbers", ()),
     (BOX + "friction = -0.1", "body[0].friction", "-0.1 is less than 0", ()),
     (BOX + "restitution = 1.1", "body[0].restitution", "1.1 is more than 1", ()),
-    (BOX + "joints = { j = 1 }", "body[0].joints", "there is no such key", None),
-    (BOX + "hold = true", "body[0].hold", "there is no such key", None),
+    (BOX + "joints = { j = 1 }", "body[0].joints", "a body with 'box' has no such key", ()),
+    (BOX + "hold = true", "body[0].hold", "a body with 'box' has no such key", ()),
     (BOX + BOX, "body[1].name", "'a' is there already", ()),
     (BOX + "fixed = true\nvelocity = [0, 0, 0, 0, 0, 1]", "body[0].velocity", "does not move", ()),
     ("floor = 1", "floor", "expected true, false or a table, found 1", ()),

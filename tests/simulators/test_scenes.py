@@ -281,7 +281,7 @@ MISTAKES = [
     ("[body]\nname = 'a'", "body", "expected tables, written [[body]]", ()),
     ("[[bodies]]\nname = 'a'", "bodies", "there is no such key", ("body",)),
     ("[[body]]\nurdf = 'cup.urdf'", "body[0].name", "missing", ()),
-    ("[[body]]\nnam = 'a'\nurdf = 'cup.urdf'", "body[0].name", "missing", ("nam",)),
+    ("[[body]]\nnam = 'a'\nurdf = 'cup.urdf'", "body[0].name", "missing, but there is 'nam'", ()),
     ("[[body]]\nname = ''\nurdf = 'cup.urdf'", "body[0].name", "expected a text", ()),
     ("[[body]]\nname = 'a'", "body[0].urdf", "missing", ()),
     ("[[body]]\nname = 'a'\nurdf = 'mug.urdf'", "body[0].urdf", "there is no file 'mug.urdf'", ()),

@@ -66,7 +66,7 @@ def test_tables_that_nobody_asks_for_are_not_read(spied):
     spy.read.clear()
     world.step()
     assert set(spy.read) == {"frames", "bodies"}
-    with ssduck.Interpreter() as ss:
+    with ssduck.Interpreter(recording=None) as ss:
         ss.add_variable("sim", world)
         ss.eval("SELECT id, z FROM sim WHERE above(this, this);")
         ss.sql("SELECT * FROM entities, ticks, geometries")
@@ -79,6 +79,7 @@ def test_tables_that_nobody_asks_for_are_not_read(spied):
 
 def test_asking_takes_one_fresh_tick_if_the_table_is_not_there(spied):
     world, _ = spied
+    world.tick()  # the first tick has the tables that are recorded by default
     number = world.snapshot.number
     world.request_tables(["links"])
     assert world.snapshot.number == number + 1
@@ -94,6 +95,7 @@ def test_asking_takes_one_fresh_tick_if_the_table_is_not_there(spied):
 
 def test_tables_are_forgotten_after_a_while(spied):
     world, spy = spied
+    world.tick()
     world.request_tables(["contacts"])
     spy.read.clear()
     for _ in range(FORGOTTEN_AFTER + 10):
@@ -139,6 +141,8 @@ def test_velocities_of_links_are_read_if_they_are_asked_for(client, write):
     pybullet.resetBaseVelocity(0, [1, 2, 3], [0, 0, 0], client)
     spy = Spy(PyBulletSimulator(client, owned=True))
     world = ssduck.World(spy)
+    spy.read.clear()
+    world.tick()
     assert spy.read["links"] == 0
     assert world["model"].velocity == pytest.approx([1, 2, 3, 0, 0, 0])
     world.request_tables(["links"])
@@ -253,7 +257,8 @@ def test_nothing_that_follows_from_an_unknown_number_is_known(attached, client, 
         (place if what == "position" else turn)[0] = nan
         pybullet.resetBasePositionAndOrientation(1, place, turn, client)
     with pytest.warns(UserWarning, match=r"^body_1: .* is NULL") as caught:
-        attached.request_tables(["links", "shapes"])
+        attached.tick(steps=0)
+    attached.request_tables(["links", "shapes"])
     assert [w.filename for w in caught] == [__file__]
     entities, links, shapes = columns(attached, "entities", "links", "shapes")
     boxed = "xmin" if what != "velocity" else "vx"
@@ -341,6 +346,8 @@ def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
 
 def test_a_table_that_could_not_be_read_is_still_lacking(spied):
     world, spy = spied
+    world.tick()
+    spy.read.clear()
     spy.broken = ("contacts",)
     with pytest.raises(SimulatorError, match="broken"):
         world.request_tables(["contacts"])
@@ -351,6 +358,7 @@ def test_a_table_that_could_not_be_read_is_still_lacking(spied):
 
 
 def test_a_table_that_is_asked_for_while_a_query_runs_is_still_lacking(attached):
+    attached.tick(steps=0)
     with (
         attached.pinned(),
         pytest.raises(ssduck.SelectScriptError, match=r"a query on .* is running"),

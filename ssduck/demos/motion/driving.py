@@ -54,7 +54,7 @@ class Mover:
     def run(self, steps: int) -> None:
         """Runs the simulation."""
         for _ in range(0, steps, EVERY):
-            self.robot.world.step(EVERY)
+            self.robot.world.step(EVERY, every=EVERY)
             self.on_step()
 
     def pose(self, postures: dict[str, float], effort: float | None = None) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from itertools import repeat
 
 from ssduck.errors import SimulatorError
-from ssduck.simulators.pybullet.console import pybullet
+from ssduck.simulators.pybullet.console import captured, pybullet
 
 
 @contextmanager
@@ -28,7 +28,8 @@ def new_client() -> Iterator[int]:
     try:
         yield client
     except BaseException:
-        pybullet.disconnect(client)
+        with captured():  # PyBullet reports the memory of an empty model file
+            pybullet.disconnect(client)
         raise
 
 

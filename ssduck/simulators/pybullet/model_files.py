@@ -109,8 +109,9 @@ class ModelFile:
         }
 
     def names(self) -> set[str | None]:
-        """Returns the names that an MJCF file gives to bodies and shapes."""
-        return {part.get("name") for tag in ("body", "geom") for part in self.root.iter(tag)}
+        """Returns the names that an MJCF file gives to the bodies and shapes of its world."""
+        paths = ("worldbody/body", "worldbody/geom")
+        return {part.get("name") for path in paths for part in self.root.iterfind(path)}
 
     def _models(self) -> list[ET.Element]:
         """Returns the models of a URDF or SDF file that PyBullet loads, in its order."""

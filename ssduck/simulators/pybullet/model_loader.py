@@ -96,16 +96,26 @@ def names_in_file(spec: BodySpec, handles: Sequence[int], client: int) -> list[s
     """Returns the names that a model file gives to its bodies; not yet unique.
 
     All bodies of an MJCF file have the name of its model. If there are several, each has its own
-    name where the file gives it one.
+    name where the file gives it one. PyBullet puts a base without a name before a body with joints
+    to the world.
     """
-    names = []
     own_names = ModelFile.read(spec).names() if len(handles) > 1 and spec.source == "mjcf" else ()
+    names = []
     for handle in handles:
-        link, model = (
-            text.decode(errors="replace") for text in pybullet.getBodyInfo(handle, client)
-        )
-        names.append(body_name(link if link in own_names else model) or f"body_{handle}")
+        model = pybullet.getBodyInfo(handle, client)[1].decode(errors="replace")
+        own = (link for link in link_names(handle, client) if link in own_names)
+        names.append(body_name(next(own, model)) or f"body_{handle}")
     return names
+
+
+def link_names(handle: int, client: int) -> list[str]:
+    """Returns PyBullet's names of the links of a body, the base first."""
+    infos = [
+        pybullet.getJointInfo(handle, index, client)[12]
+        for index in range(pybullet.getNumJoints(handle, client))
+    ]
+    base = pybullet.getBodyInfo(handle, client)[0]
+    return [name.decode(errors="replace") for name in (base, *infos)]
 
 
 def _move(handle: int, spec: BodySpec, client: int) -> None:

@@ -16,7 +16,7 @@ from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.model_files import ModelFile
-from ssduck.simulators.pybullet.model_loader import load_model, names_in_file
+from ssduck.simulators.pybullet.model_loader import link_names, load_model, names_in_file
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, Primitive
 from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
 
@@ -294,7 +294,7 @@ def _create_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None
                 continue
             check_body(body, handles, f"{place}{key}")
             handle = handles[body]
-            names = _link_names(handle, client)
+            names = link_names(handle, client)
             if link is not None and link not in names:
                 raise SceneError(
                     f"{place}{key}_link: {body!r} has no link {link!r}",
@@ -302,15 +302,6 @@ def _create_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None
                 )
             ends.append((handle, -1 if link is None else names.index(link) - 1))
         create_constraint(spec, ends[0], ends[1], client)
-
-
-def _link_names(handle: int, client: int) -> list[str]:
-    infos = [
-        pybullet.getJointInfo(handle, index, client)[12]
-        for index in range(pybullet.getNumJoints(handle, client))
-    ]
-    base = pybullet.getBodyInfo(handle, client)[0]
-    return [name.decode(errors="replace") for name in (base, *infos)]
 
 
 def create_constraint(

@@ -64,7 +64,7 @@ EVALUATED = [
 def test_how_often(ss, sim, steps, interval, evaluations, ticks):
     ss.add_trigger("t", HEIGHT, interval, lambda _: None)
     before = sim.snapshot.number
-    assert sim.step(steps) is sim
+    assert sim.step(steps, every=None) is sim
     assert state(ss, "t").evaluations == 1 + evaluations
     assert sim.snapshot.number - before == ticks
 
@@ -90,7 +90,7 @@ def test_no_drift(timestep, interval, before, steps):
             ss.add_trigger("t", "now();", float(interval), lambda _: None)
             first, total = sim.snapshot.number, sum(steps)
             for count in steps:
-                sim.step(count)
+                sim.step(count, every=None)
             due = {
                 math.ceil(k * interval / step) for k in range(1, int(total * step / interval) + 2)
             }
@@ -144,7 +144,7 @@ def test_pause_and_resume(ss, sim):
     ss.pause_trigger("t")
     assert state(ss, "t").paused
     before = sim.snapshot.number
-    sim.step(84)
+    sim.step(84, every=None)
     assert sim.snapshot.number == before + 1
     ss.resume_trigger("t")  # at 0.45 s
     ss.resume_trigger("t")

@@ -20,12 +20,14 @@ from tests.support.triggering import HEIGHT, NAN, Times
 
 # seconds, options, steps, ticks
 RUNS = [
-    (1.0, {}, 240, 1),
-    (0.1, {}, 24, 1),
+    (1.0, {"every": None}, 240, 1),
+    (0.1, {"every": None}, 24, 1),
+    (0.1, {}, 24, 24),
     (0.0, {}, 0, 1),
     (0.5 / 240, {}, 1, 1),  # to the nearest step
     (0.4 / 240, {}, 0, 1),
     (1.49 / 240, {}, 1, 1),
+    (1.0, {}, 240, 240),
     (0.1, {"every": 10}, 24, 3),
     (0.1, {"every": 12}, 24, 2),
     (0.1, {"every": 1000}, 24, 1),
@@ -141,7 +143,13 @@ def clock(monkeypatch):
 
 @pytest.mark.parametrize(
     ("realtime", "options", "ticks", "seconds"),
-    [(True, {}, 30, 1.0), (2.0, {}, 15, 0.5), (0.5, {}, 60, 2.0), (True, {"every": 60}, 4, 1.0)],
+    [
+        (True, {}, 240, 1.0),
+        (2.0, {"every": 16}, 15, 0.5),
+        (0.5, {}, 240, 2.0),
+        (True, {"every": 60}, 4, 1.0),
+        (True, {"every": None}, 1, 1.0),
+    ],
 )
 def test_real_time(sim, clock, realtime, options, ticks, seconds):
     before = sim.snapshot.number

@@ -89,7 +89,7 @@ def test_followers(sim):
     sim.follow(follower)
     sim.follow(follower)
     before = sim.snapshot.number
-    sim.step(36)
+    sim.step(36, every=None)
     assert follower.times == [0.05, 0.1, 0.15]
     assert sim.snapshot.number == before + 3
     sim.tick()
@@ -107,7 +107,7 @@ def test_a_world_does_not_keep_its_followers(sim):
     gc.collect()
     assert gone() is None
     before = sim.snapshot.number
-    sim.step(240)
+    sim.step(240, every=None)
     assert sim.snapshot.number == before + 1
 
 

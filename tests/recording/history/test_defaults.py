@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import EvaluationError, SqlError
+from ssduck.recording.spec import with_size_limit
 from tests.support.cases import sampled
 from tests.support.pasts import _step
 
@@ -93,8 +94,8 @@ def test_one_tick_is_kept_however_small_the_limit_is(falling: ssduck.Interpreter
 
 def test_a_size_limit_is_the_default_in_memory_only() -> None:
     default = Recording()
-    assert default.with_size_limit(in_memory=True).max_bytes == 512 * 2**20
-    assert default.with_size_limit(in_memory=False).max_bytes is None
-    assert Recording(seconds=600).with_size_limit(in_memory=True).max_bytes is None
-    assert Recording(max_bytes=None).with_size_limit(in_memory=True).max_bytes is None
-    assert Recording(max_bytes=7).with_size_limit(in_memory=False).max_bytes == 7
+    assert with_size_limit(default, in_memory=True).max_bytes == 512 * 2**20
+    assert with_size_limit(default, in_memory=False).max_bytes is None
+    assert with_size_limit(Recording(seconds=600), in_memory=True).max_bytes is None
+    assert with_size_limit(Recording(max_bytes=None), in_memory=True).max_bytes is None
+    assert with_size_limit(Recording(max_bytes=7), in_memory=False).max_bytes == 7
