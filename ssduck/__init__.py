@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ssduck.recording.replay.past import Past
     from ssduck.recording.spec import Recording
     from ssduck.world.entities import Entity, KinBody, Robot, Sensor
+    from ssduck.world.links import Link
     from ssduck.world.world import World
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "Interpreter",
     "KinBody",
     "Limits",
+    "Link",
     "OccupancyGrid",
     "Past",
     "ProgramWarning",
@@ -52,6 +54,7 @@ _HOMES = {
     "Interpreter": "interpreter.interpreter",
     "KinBody": "world.entities",
     "Limits": "limits",
+    "Link": "world.links",
     "OccupancyGrid": "adapters.grid_values",
     "Past": "recording.replay.past",
     "ProgramWarning": "errors",

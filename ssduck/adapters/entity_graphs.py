@@ -16,7 +16,7 @@ from ssduck.geometry.arrays import Array
 
 # The planes of pictures: the axes to the right and upwards.
 _PLANES = {"XY": (0, 1), "XZ": (0, 2), "YZ": (1, 2)}
-_KINDS = dict(zip(("robot", "kinbody", "sensor"), COLOURS[1::-1] + COLOURS[2:3], strict=True))
+_KINDS = {"robot": COLOURS[1], "kinbody": COLOURS[0], "sensor": COLOURS[2], "link": COLOURS[4]}
 _SIZE, _RADIUS, _ARROW, _NAME_HEIGHT = 480, 6, 9, 14
 _LEADER = (170, 175, 185)
 # The share of the picture's size around the nodes.

@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 # In glTF, y points up and cameras look along -z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-_COLOURS = {"robot": (214, 120, 40, 255), "kinbody": (150, 160, 175, 255)}
+_COLOURS = {
+    "robot": (214, 120, 40, 255),
+    "kinbody": (150, 160, 175, 255),
+    "link": (120, 150, 200, 255),
+}
 
 
 def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCloud:

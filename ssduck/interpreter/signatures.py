@@ -11,6 +11,7 @@ from zlib import crc32
 
 from ssduck.sql.types import BOOLEAN, DOUBLE, INTEGER, STRING, Signature, SqlType
 from ssduck.world.entities import Entity
+from ssduck.world.links import Link
 
 _TYPES: dict[object, SqlType] = {bool: BOOLEAN, int: INTEGER, float: DOUBLE, str: STRING}
 
@@ -41,7 +42,7 @@ class TypeHints:
         if len(parameters) < len(arguments):
             return None
         # SQL does not tell upper from lower case, and one name has one signature.
-        types = [(t.duckdb_type, t.schema, t.past) for t in (*parameters, self.result)]
+        types = [(t.duckdb_type, t.schema, t.past, t.table) for t in (*parameters, self.result)]
         checksum = crc32(repr((name, types)).encode())
         return Signature(name, f"{name} {checksum:08x}", parameters, self.result)
 
@@ -49,7 +50,8 @@ class TypeHints:
 def _accepted_type(parameter: SqlType, argument: SqlType) -> SqlType | None:
     """Returns the type of an argument as the function takes it; None if it does not fit."""
     if parameter.type == "entity":
-        return argument if argument.type == "entity" and argument.schema else None
+        fits = argument.type == "entity" and parameter.table in ("entities", argument.table)
+        return argument if fits and argument.schema else None
     if parameter.type == "double" and argument.is_number:
         # The function may tell 3 from 3.0.
         return DOUBLE if argument.type == "double" else None
@@ -88,6 +90,8 @@ def _sql_type(hint: object) -> SqlType | None:
     """Returns the SQL type of a hint; None if there is none."""
     if hint is Entity:
         return SqlType("entity")
+    if hint is Link:
+        return SqlType("entity", table="links")
     if typing.get_origin(hint) is list:
         (inner,) = typing.get_args(hint)
         element = _sql_type(inner)

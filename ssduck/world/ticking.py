@@ -19,6 +19,7 @@ from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entity_registry import EntityRegistry
 from ssduck.world.observers import Observable
 from ssduck.world.snapshot import Snapshot
+from ssduck.world.stale_tick import StaleTickCheck
 
 _serials = count()
 # The time that a step yields to a thread that waits for the lock, s.
@@ -62,6 +63,7 @@ class SteppedSimulation(Observable):
         self._simulator = simulator
         self._registry = EntityRegistry(snapshot.load_order)
         self._recorders: list[weakref.ref[TickSink]] = []
+        self._stale_tick_check = StaleTickCheck()
 
     @property
     def time(self) -> float:
@@ -217,6 +219,7 @@ class SteppedSimulation(Observable):
         with ctrl_c.deferred():
             self._registry.update(self._simulator)
             self.snapshot.take(self._simulator, self._registry.entities)
+            self._stale_tick_check.note_tick()
             self._record_tick()
 
     def _record_tick(self) -> None:
@@ -266,6 +269,8 @@ class SteppedSimulation(Observable):
         self.lock.acquire()
         self._waiting -= 1
         try:
+            if not self._queries:
+                self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             self.request_tables(tables)
             self._queries += 1
             try:

@@ -160,6 +160,32 @@ def test_the_finger_is_found_by_its_name(hour: tuple[Loop, ssduck.Interpreter]) 
     assert greatest == max(max(forces) for forces in loop.finger.values())
 
 
+def test_questions_about_the_finger_as_a_value(hour: tuple[Loop, ssduck.Interpreter]) -> None:
+    """In SelectScript and in raw SQL: when, with what force, and where it was."""
+    loop, ss = hour
+    steps = sorted(step for step, forces in loop.finger.items() if max(forces) > 0)
+    finger = "sim.panda.panda_leftfinger"
+    times = pytest.approx([step * STEP for step in steps], abs=1e-12)
+    of_links = f"FROM links(sim{{}}) WHERE this == {finger} AND inContact(this, sim.cube)"
+    assert ss.eval(f"SELECT time {of_links} AS list;") == times
+    of_cube = f"FROM sim{{}} WHERE this == sim.cube AND inContact({finger}, this)"
+    assert ss.eval(f"SELECT time {of_cube} AS list;") == times
+    first = ss.eval(f"min(SELECT time {of_links} AS list);")
+    assert first == pytest.approx(steps[0] * STEP, abs=1e-12)
+    changes = ss.eval(f"changes(inContact({finger}, sim.cube));")
+    assert next(time for time, holds in changes if holds) == first
+    forces = [math.fsum(loop.finger[step]) for step in steps]
+    found = ss.eval(f"SELECT contactForce(this, sim.cube) {of_links} AS list;")
+    assert found == pytest.approx(forces, abs=1e-9)
+    rows = ss.sql("""
+        SELECT l.time, contactForce(l, e) FROM links_history l JOIN entities_history e USING (tick)
+        WHERE l.full_name = 'panda.panda_leftfinger' AND e.name = 'cube' AND inContact(l, e)
+        ORDER BY tick
+    """).fetchall()
+    assert [time for time, _ in rows] == times
+    assert [force for _, force in rows] == pytest.approx(forces, abs=1e-9)
+
+
 def test_the_cube_left_the_table(hour: tuple[Loop, ssduck.Interpreter]) -> None:
     """Each time at which cube and table began or ceased to touch."""
     loop, ss = hour

@@ -11,7 +11,7 @@ from ssduck.sql.relations.registry import RELATIONS
 
 ARGUMENTS = {"double": "0.05", "place": "[0.5, 0, 0]", "integer": "0", "string": "'panda_joint1'"}
 PLACE_IN_SQL = "{'x': 0.5, 'y': 0, 'z': 0}"
-LINKS = ("panda.panda_leftfinger", "panda.panda_hand", "cube.baseLink", "table.baseLink")
+LINKS = ("panda.panda_leftfinger", "panda.panda_hand", "cube.baseLink")
 FINGER, HAND, BASE = LINKS[:3]
 PAIRS = [
     (FINGER, "cube"),

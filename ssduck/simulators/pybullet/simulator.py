@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import repeat
 from typing import Any, TypeVar
 
@@ -57,6 +58,8 @@ FAR_PLANE = 100.0
 
 # Bullet's collision groups and masks: fixed bodies collide with all bodies but fixed ones.
 _FREE_FILTER, _FIXED_FILTER = (1, -1), (2, -3)
+# The number of lists of bodies whose reading stays prepared.
+_READERS = 2
 
 
 class PyBulletSimulator:
@@ -109,7 +112,8 @@ class PyBulletSimulator:
         # The reason why the client must not be used any more: PyBullet reuses the number of a
         # disconnected client.
         self._lost_reason: str | None = None
-        self._layout: tuple[tuple[Body, ...], LinkPosesReader] = ((), LinkPosesReader([], []))
+        # The last lists of bodies whose poses were read, the last one first.
+        self._readers: list[tuple[tuple[Body, ...], LinkPosesReader]] = []
         self.clock = Clock(self._client_timestep(), self.loaded.time)
 
     # -- bodies ---------------------------------------------------------------------------
@@ -233,12 +237,11 @@ class PyBulletSimulator:
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:
         """Returns the poses of all links of some bodies as they are now, body after body."""
-        if self._layout[0] is not bodies:
-            self._layout = (
-                bodies,
-                LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies]),
-            )
-        return self._call(lambda: self._layout[1].read(self.client, with_velocities))
+        reader = next((reader for known, reader in self._readers if known is bodies), None)
+        if reader is None:
+            reader = LinkPosesReader(bodies, [self._descriptions[b.handle].com for b in bodies])
+            self._readers = [(bodies, reader), *self._readers[: _READERS - 1]]
+        return self._call(partial(reader.read, self.client, with_velocities))
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""

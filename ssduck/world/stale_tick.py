@@ -1,0 +1,75 @@
+"""Warns of a loop that steps its own client and forgets `tick`."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+
+import numpy as np
+
+from ssduck.errors import ProgramWarning, SimulatorError, warn
+from ssduck.simulators.interface import Body, Simulator
+from ssduck.world.layout import TableLayout
+from ssduck.world.snapshot import Snapshot
+
+# The largest number of bodies with joints, and of others, whose poses are compared.
+_SAMPLE = 4
+
+
+class StaleTickCheck:
+    """Compares the poses of some bodies of an attached client with those of the last tick.
+
+    Reading all poses would cost as much as a tick at each query. After the warning nothing is
+    compared.
+    """
+
+    def __init__(self) -> None:
+        self._is_done = False
+        self._thread = 0
+        # The compared bodies of a layout.
+        self._sample: tuple[TableLayout | None, tuple[Body, ...]] = None, ()
+
+    def note_tick(self) -> None:
+        """Notes which thread takes the ticks: others may ask between a step and its tick."""
+        self._thread = threading.get_ident()
+
+    def check(self, world: str, simulator: Simulator, snapshot: Snapshot) -> None:
+        """Warns, once, if the client has moved on since the last tick.
+
+        Args:
+            world: the name of the world.
+            simulator: its simulator.
+            snapshot: its last tick.
+        """
+        if self._is_done or not simulator.is_external or self._thread != threading.get_ident():
+            return
+        with suppress(SimulatorError):  # the last tick can be queried without the client
+            if self._has_moved(simulator, snapshot):
+                self._is_done = True
+                warn(
+                    f"{world}: the client has moved on since the last tick, which queries see "
+                    f"(t={snapshot.time:g} s); call tick() after each stepSimulation, or "
+                    "tick(steps=n) after n of them",
+                    ProgramWarning,
+                )
+
+    def _has_moved(self, simulator: Simulator, snapshot: Snapshot) -> bool:
+        layout = snapshot.layout
+        if self._sample[0] is not layout:
+            self._sample = layout, _sample_of(layout.moving_bodies.bodies)
+        bodies = self._sample[1]
+        if not bodies:
+            return False
+        now = simulator.read_link_poses(bodies, with_velocities=False).states[:, :3]
+        for group, poses in snapshot.body_groups:
+            if group is layout.moving_bodies:
+                rows = np.concatenate([np.arange(len(poses.states))[group.runs[b]] for b in bodies])
+                return not np.array_equal(now, poses.states[rows, :3], equal_nan=True)
+        return False
+
+
+def _sample_of(bodies: tuple[Body, ...]) -> tuple[Body, ...]:
+    """Returns some bodies with joints, and some of the other movable ones, the last loaded."""
+    jointed = [body for body in bodies if body.joints]
+    others = [body for body in bodies if body.movable and not body.joints]
+    return (*jointed[:_SAMPLE], *others[-_SAMPLE:])

@@ -1,0 +1,146 @@
+"""A loop that forgets `tick` is told once, when a query asks for a tick left behind."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import ProgramWarning
+from tests.support.urdf import joint, link, robot
+
+QUERIES: list[tuple[str, Callable[[ssduck.Interpreter], Any]]] = [
+    ("program", lambda ss: ss.eval("SELECT id, z FROM sim;")),
+    ("handle", lambda ss: ss.eval("z(ball);")),
+    ("sql", lambda ss: ss.sql("SELECT z FROM entities").fetchall()),
+    ("table", lambda ss: ss.sql("SELECT * FROM joints").fetchall()),
+    ("history", lambda ss: ss.sql("SELECT count(*) FROM entities_history").fetchall()),
+    ("temporal", lambda ss: ss.eval("holds(z(ball) > 0);")),
+    ("what if", lambda ss: ss.call_variable("sim").what_if()),
+]
+
+
+@pytest.fixture
+def sim(client: int) -> Iterator[tuple[ssduck.Interpreter, ssduck.World]]:
+    """A ball that falls beside a floor that stands still, in a client that the test steps."""
+    pybullet.setGravity(0, 0, -9.81, client)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(0, shape, basePosition=[5, 0, 0], physicsClientId=client)
+    pybullet.createMultiBody(1, shape, basePosition=[0, 0, 1], physicsClientId=client)
+    world = ssduck.World.attach(client, names={0: "floor", 1: "ball"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        ss.add_variable("ball", world["ball"])
+        yield ss, world
+
+
+def warned(act: Callable[[], Any]) -> list[str]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        act()
+    return [str(w.message) for w in caught if "has moved on" in str(w.message)]
+
+
+@pytest.mark.parametrize(("name", "query"), QUERIES, ids=[name for name, _ in QUERIES])
+def test_every_query_says_so_once(
+    client: int, sim: tuple[ssduck.Interpreter, ssduck.World], name: str, query: Callable
+) -> None:
+    ss, _ = sim
+    assert warned(lambda: query(ss)) == []  # nothing has moved yet
+    pybullet.stepSimulation(client)
+    with pytest.warns(ProgramWarning, match=r"sim: the client has moved on .* call tick\(\)"):
+        query(ss)
+    for _ in range(3):
+        pybullet.stepSimulation(client)
+        assert warned(lambda: query(ss)) == []
+
+
+def test_a_loop_that_takes_its_ticks_is_not_told(
+    client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
+) -> None:
+    ss, world = sim
+
+    def loop() -> None:
+        for _ in range(30):
+            pybullet.stepSimulation(client)
+            world.tick()
+            for _, query in QUERIES:
+                query(ss)
+        world.step(5)
+        world.run(0.1)
+        ss.eval("SELECT z FROM sim;")
+        world["ball"].move([0, 0, 2])
+        ss.eval("SELECT z FROM sim;")
+
+    assert warned(loop) == []
+    pybullet.resetBasePositionAndOrientation(1, [0, 0, 3], [0, 0, 0, 1], client)
+    assert len(warned(lambda: ss.eval("SELECT z FROM sim;"))) == 1
+
+
+def test_a_joint_that_moves_counts(client: int, write: Callable[..., Any]) -> None:
+    """The base of an arm stands still."""
+    limit = '<limit lower="-1" upper="1" effort="10" velocity="1"/>'
+    model = robot(
+        link("a"), link("b", com=(0.1, 0, 0)), joint("j", "revolute", "a", "b", limit=limit)
+    )
+    path = str(write("arm.urdf", model))
+    pybullet.loadURDF(path, useFixedBase=True, physicsClientId=client)
+    world = ssduck.World.attach(client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        assert warned(lambda: ss.eval("SELECT id FROM sim;")) == []
+        pybullet.resetJointState(0, 0, 0.5, physicsClientId=client)
+        assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
+
+
+def test_a_world_that_ssduck_steps_is_never_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ssduck.load("kitchen") as ss:
+        kitchen = ss.call_variable("kitchen")
+        kitchen.step(2)
+
+        def fail(*_: Any, **__: Any) -> None:
+            raise AssertionError
+
+        monkeypatch.setattr(kitchen.simulator, "read_link_poses", fail)
+        assert warned(lambda: ss.eval("SELECT id FROM kitchen;")) == []
+
+
+def test_another_thread_may_ask_between_a_step_and_its_tick(
+    client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
+) -> None:
+    ss, _ = sim
+    pybullet.stepSimulation(client)
+
+    def ask() -> None:
+        thread = threading.Thread(target=lambda: ss.eval("SELECT id FROM sim;"))
+        thread.start()
+        thread.join()
+
+    assert warned(ask) == []
+    assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
+
+
+def test_a_client_that_is_gone_is_not_compared(
+    client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
+) -> None:
+    ss, _ = sim
+    pybullet.stepSimulation(client)
+    pybullet.disconnect(client)
+    assert warned(lambda: ss.eval("SELECT id, z FROM sim;")) == []
+
+
+def test_bodies_that_come_and_go(client: int, sim: tuple[ssduck.Interpreter, ssduck.World]) -> None:
+    ss, world = sim
+    pybullet.removeBody(1, client)
+    assert warned(lambda: ss.eval("SELECT id FROM sim;")) == []
+    world.tick()
+    pybullet.createMultiBody(1, basePosition=[0, 0, 1], physicsClientId=client)
+    assert warned(lambda: ss.eval("SELECT id FROM sim;")) == []
+    world.tick()
+    pybullet.stepSimulation(client)
+    assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
