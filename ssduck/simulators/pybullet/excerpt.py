@@ -99,8 +99,14 @@ class _NotCarriedError(Exception):
 def _may_carry_contacts(
     source: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> bool:
-    """Checks whether the contacts of a client can be restored in a copy of all its bodies."""
-    if len(originals) < source.count() or tick.disabled:
+    """Checks whether the contacts of a client can be restored in a copy of all its bodies.
+
+    PyBullet finds bodies by their order. A removal changes it, and the state of another body may
+    crash PyBullet.
+    """
+    if tick.disabled or source.has_removed:
+        return False
+    if source.handles() != list(range(len(originals))):
         return False
     shapes = [Counter(shape.frame for shape in o.body.shapes) for o in originals]
     return all(max(counts.values(), default=0) <= 1 for counts in shapes)
