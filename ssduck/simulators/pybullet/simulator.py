@@ -134,6 +134,9 @@ class PyBulletSimulator:
         old_tags = dict(zip(*self._handles_and_tags, strict=True))
         present = {h for h, tag in zip(handles, tags, strict=True) if old_tags.get(h) == tag}
         added = [handle for handle in handles if handle not in present]
+        # Copies have the order of their originals. PyBullet's order changes with a removal.
+        order = {handle: number for number, handle in enumerate(self.loaded.described)}
+        added.sort(key=lambda handle: order.get(handle, len(order)))
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
