@@ -86,7 +86,8 @@ one (see [Time](time.md)).
 Rows of `links` are compared like rows of `entities`, with either: a link consists of its own
 shapes. It has the relations to its entity that an entity has to itself. Whether a link carries
 something together with others (`supports`, `restsOn`, `nextTo`) is asked as if it were a body of
-its own beside the rest of its entity.
+its own beside the rest of its entity. In raw SQL, `id` of a row of `links` is its `name`; the
+column `full_name` has the names of both.
 
 ```python
 import ssduck
