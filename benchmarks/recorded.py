@@ -1,9 +1,9 @@
 """Measures the cost of recording every tick of a world, and of queries about the history.
 
 `python -m benchmarks time [OPTION ...]` takes many minutes; `--only` selects tables, and `--help`
-lists the other options. It prints five tables: the time that recording adds to a tick; the memory
-of a record; a relation over a long run, against the same SQL by hand; the narrow phase over a run,
-against FCL; and opening a record, against `read_parquet` of DuckDB.
+lists the other options. It prints six tables: the time that recording adds to a tick, and to a
+step; the memory of a record; a relation over a long run, against the same SQL by hand; the narrow
+phase over a run, against FCL; and opening a record, against `read_parquet` of DuckDB.
 """
 
 from __future__ import annotations
@@ -86,7 +86,8 @@ def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, 
                 world, _ = stack.enter_context(scene())
                 path = ":memory:" if place == "memory" else f"{folder}/run.duckdb"
                 # Long enough that the memory of dropped ticks is used again.
-                recording = Recording(ticks=1200) if place == "memory" else Recording()
+                ticks_kept = 1200 if place == "memory" else None
+                recording = Recording(tables=("entities",), ticks=ticks_kept)
                 ss = stack.enter_context(ssduck.Interpreter(path, recording=recording))
                 ss.add_variable("world", world)
                 _take_ticks(world, 3 * ticks if place == "memory" else 0)
@@ -107,6 +108,42 @@ def costs(sizes: Sequence[int], ticks: int, rounds: int) -> Iterator[tuple[str, 
                 f"{wall['kept'] / wall['plain']:.2f}",
                 f"{processor['kept'] / processor['plain']:.2f}",
             )
+
+
+# -- a step -------------------------------------------------------------------------------------
+
+STEP = ("a step of the kitchen", "processor", "ratio")
+
+
+def steps(count: int, rounds: int) -> Iterator[tuple[str, ...]]:
+    """Yields the processor time of a step: bare, with its tick, and recorded, in turns.
+
+    The ratios are to the step whose tick is recorded with entities only.
+    """
+    recordings = {
+        "and its tick, entities are recorded": Recording(tables=("entities",)),
+        "and its tick, as by default: links and contacts, too": Recording(),
+    }
+    with ExitStack() as stack:
+        worlds = {}
+        for name, recording in recordings.items():
+            ss = stack.enter_context(ssduck.load("kitchen", recording=recording))
+            worlds[name] = ss.call_variable("kitchen").step(240)
+        bare, _ = stack.enter_context(kitchen())
+        ways: dict[str, Callable[[int], object]] = {
+            "by itself": bare.simulator.step,
+            **{name: world.step for name, world in worlds.items()},
+        }
+        times: dict[str, list[float]] = {name: [] for name in ways}
+        for _ in range(rounds):
+            for name, way in ways.items():
+                start = time.process_time()
+                way(count)
+                times[name].append((time.process_time() - start) / count)
+    middle = {name: statistics.median(values) for name, values in times.items()}
+    reference = middle[next(iter(recordings))]
+    for name, value in middle.items():
+        yield name, text_of(value), f"{value / reference:.2f}"
 
 
 def _take_ticks(world: ssduck.World, ticks: int) -> None:
@@ -428,7 +465,7 @@ def _read(sql: str) -> list[Any]:
 # -- the run ------------------------------------------------------------------------------------
 
 
-PARTS = ("cost", "bytes", "over", "near", "opened")
+PARTS = ("cost", "step", "bytes", "over", "near", "opened")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -454,6 +491,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     if "cost" in options.only:
         print_table(COST, costs(options.sizes, max(options.ticks // 2, 1), options.rounds))
+    if "step" in options.only:
+        print_table(STEP, steps(40, 5 * options.rounds))
     if "bytes" in options.only:
         print_table(BYTES, bytes_per_row(ENTITIES, 4 * options.ticks))
     if "over" in options.only:

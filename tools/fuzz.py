@@ -491,7 +491,7 @@ class Bench:
         try:
             return self._error_of(tested)
         finally:
-            self._ss._variables = dict(self._before)  # noqa: SLF001  # each input anew
+            self._ss._execution.variables = dict(self._before)  # noqa: SLF001  # each input anew
 
     def _error_of(self, tested: Input) -> Exception | None:
         from ssduck import SelectScriptError
@@ -516,7 +516,7 @@ class Bench:
             ss.add_variable(name, value)
         for name, function in _functions().items():
             ss.add_function(name, function)
-        self._before: Mapping[str, Any] = dict(ss._variables)  # noqa: SLF001  # to compare with
+        self._before: Mapping[str, Any] = dict(ss._execution.variables)  # noqa: SLF001  # to compare with
         self._values = self._mutable_values()
         self._run_count = 0
 
@@ -530,7 +530,7 @@ class Bench:
         except BaseException as caught:  # noqa: BLE001  # every exception is a finding
             return _fault_from("raises", caught)
         finally:
-            self._ss._variables = dict(self._before)  # noqa: SLF001  # each input anew
+            self._ss._execution.variables = dict(self._before)  # noqa: SLF001  # each input anew
 
     def _check_error(self, error: Any) -> tuple[str, str, str] | None:
         try:
@@ -547,7 +547,7 @@ class Bench:
                     type(error).__name__,
                     f"{span} of {len(text)}: {message}",
                 )
-        variables = self._ss._variables  # noqa: SLF001  # to compare with
+        variables = self._ss._execution.variables  # noqa: SLF001  # to compare with
         if variables.keys() != self._before.keys():
             return ("names changed", "", str(variables.keys() ^ self._before.keys()))
         for name, value in variables.items():

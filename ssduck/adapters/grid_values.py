@@ -28,6 +28,8 @@ Height: TypeAlias = float | tuple[float, float]
 MAX_CELLS = 100_000_000
 # Pictures in notebooks are enlarged to about this size, pixels.
 NOTEBOOK_SIZE = 400
+# Larger pictures are reduced for charts, pixels.
+_MAX_CHART_SIZE = 2000
 # The colours from nothing to the largest value: red, green, blue.
 _SCALE = np.array([[255, 255, 255], [254, 217, 118], [240, 59, 32], [74, 0, 60]])
 _FREE, _OCCUPIED = 255, 40
@@ -177,6 +179,7 @@ class Grid:
 
         size = validation.integer(size, "chart: size", minimum=1)
         area = self.image()
+        area = area.reduce(max(1, math.ceil(max(area.size) / max(_MAX_CHART_SIZE, size))))
         factor = max(1, math.ceil(size / max(area.size)))
         area = area.resize((area.width * factor, area.height * factor), Image.Resampling.NEAREST)
         values, (lower, upper) = self._flat(), self.bounds

@@ -5,8 +5,7 @@ If a program fails, its variables are restored, and the error has the place.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -46,12 +45,13 @@ from ssduck.world.links import Link
 from ssduck.world.world import World
 
 
-class Execution(Namespace, ABC):
+class Execution(Namespace):
     """Runs programs, and is the scope of their expressions (`EvaluationScope`).
 
     Args:
         database: the database that runs queries.
         limits: the limits of programs.
+        value_of_query: a function that returns the value of a query in a frame.
         row_by_row: whether every query runs row by row in Python.
         strict: whether a probable mistake is an error.
 
@@ -60,15 +60,22 @@ class Execution(Namespace, ABC):
     """
 
     def __init__(
-        self, database: Database, limits: Limits, *, row_by_row: bool, strict: bool = False
+        self,
+        database: Database,
+        limits: Limits,
+        value_of_query: Callable[[Query, Frame], Any],
+        *,
+        row_by_row: bool,
+        strict: bool = False,
     ) -> None:
         super().__init__(database)
         self.strict = strict
-        self._linter = Linter(
+        self._value_of_query = value_of_query
+        self.linter = Linter(
             self.variable_or_none, self.is_function, lambda: self.worlds, self._recorded_names
         )
         self._limits = limits
-        self._planner = Planner(database, self, limits, row_by_row=row_by_row)
+        self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self._temporal = TemporalEvaluator()
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
@@ -76,20 +83,20 @@ class Execution(Namespace, ABC):
         self._reader = SqlReader(self)
 
     @contextmanager
-    def _transaction(self, program: Program) -> Iterator[None]:
+    def transaction(self, program: Program) -> Iterator[None]:
         """Restores the variables if anything inside fails, and adds the place to the error."""
-        with self._lock:
-            self._expire_histories()
-            before = dict(self._variables)
+        with self.lock:
+            self.expire_histories()
+            before = dict(self.variables)
             outermost = not self._program_texts
             if outermost:
-                self._drop_unused_worlds()
-                self._database.connection.meter = UsageMeter(self._limits)
+                self.drop_unused_worlds()
+                self.database.connection.meter = UsageMeter(self._limits)
             self._program_texts.append(program.text)
             try:
                 yield
             except BaseException as error:
-                self._variables = before
+                self.variables = before
                 if isinstance(error, SelectScriptError):
                     error.locate(program.text)
                 if isinstance(error, RecursionError):
@@ -98,14 +105,19 @@ class Execution(Namespace, ABC):
             finally:
                 self._program_texts.pop()
 
-    def _drop_unused_worlds(self) -> None:
-        """Drops worlds that programs made and that are no longer used; no program is running."""
-        if self._database.sweep():
-            self._planner.forget()
+    @property
+    def is_running(self) -> bool:
+        """Whether a program is running."""
+        return bool(self._program_texts)
 
-    def _forget_plans(self) -> None:
+    def drop_unused_worlds(self) -> None:
+        """Drops worlds that programs made and that are no longer used; no program is running."""
+        if self.database.sweep():
+            self.planner.forget()
+
+    def forget_plans(self) -> None:
         """Forgets what was derived from the names of functions."""
-        self._planner.forget()
+        self.planner.forget()
         self._override_cache.clear()
 
     def _with_overrides(self, program: Program) -> Program:
@@ -117,10 +129,10 @@ class Execution(Namespace, ABC):
             overridden = self._override_cache[program] = with_overrides(program, self._overrides)
         return overridden
 
-    def _run(self, program: Program) -> Any:
+    def run(self, program: Program) -> Any:
         """Returns the value of a program, or its explanation."""
         if program.explain:
-            return self._explanation(program)
+            return self.explanation(program)
         return self._value_of(program, Frame(self))
 
     def _value_of(self, program: Program, frame: Frame) -> Any:
@@ -135,70 +147,70 @@ class Execution(Namespace, ABC):
         """Yields the statements of a program, after reporting probable mistakes in each."""
         program = self._reader.read(program, frame.local)
         if program.suspicions:
-            self._report(
+            self.report(
                 ArgumentError(d.message, text=program.text, span=d.span) for d in program.suspicions
             )
         for node in self._with_overrides(program).statements:
-            self._report(self._linter.check(program.text, node, frame.local))
+            self.report(self.linter.check(program.text, node, frame.local))
             yield node
 
-    def _report(self, suspicions: Iterable[SelectScriptError]) -> None:
+    def report(self, suspicions: Iterable[SelectScriptError]) -> None:
         """Warns of probable mistakes, once of each; in strict interpreters it raises the first."""
         for suspicion in suspicions:
             if self.strict:
                 raise suspicion
-            if self._linter.is_new(suspicion):
+            if self.linter.is_new(suspicion):
                 warn(str(suspicion), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:
         """Returns the names of all entities in the record of a world."""
         try:
-            members = self._database.record_of(world).members
+            members = self.database.record_of(world).members
         except SelectScriptError:  # it is not recorded
             return set()
         return {member.name for member in members.values()}
 
     # -- explanations ------------------------------------------------------------------------
 
-    def _explanation(self, program: Program) -> str:
+    def explanation(self, program: Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates."""
         program = self._reader.read(program)
         with self._rehearsal(program) as frame:
             program = self._with_overrides(program)
-            plan_of = partial(self._planner.plan, frame=frame)
+            plan_of = partial(self.planner.plan, frame=frame)
             stand_ins = {
                 name: [m.name for m in world.snapshot.entities if m.body and m.body.has_stand_ins]
-                for name, world in self._database.worlds.items()
+                for name, world in self.database.worlds.items()
             }
             return "\n\n".join(
                 explained(program.text, statement, plan_of, stand_ins)
                 for statement in program.statements[-1:]
             )
 
-    def _sql_of(self, program: Program, dialect: str) -> str:
+    def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""
-        with self._transaction(program), self._rehearsal(program) as frame:
+        with self.transaction(program), self._rehearsal(program) as frame:
             program = self._with_overrides(self._reader.read(program))
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
                 raise ArgumentError("the program does not end with a query")
-            plan, values = self._planner.sql_plan(query, frame)
+            plan, values = self.planner.sql_plan(query, frame)
             return in_dialect(query, plan, values, dialect)
 
     @contextmanager
     def _rehearsal(self, program: Program) -> Iterator[Frame]:
         """Runs all statements but the last, yields their frame, and restores the variables."""
-        before = dict(self._variables)
+        before = dict(self.variables)
         frame = Frame(self)
         try:
             for number, statement in enumerate(self._linted_statements(program, frame), 1):
                 if number < len(program.statements):
                     frame.value(statement)
             read = self._with_overrides(self._reader.read(program))
-            with self._worlds_pinned(*read.statements[-1:]):
+            with self.worlds_pinned(*read.statements[-1:]):
                 yield frame
         finally:
-            self._variables = before
+            self.variables = before
 
     # -- calls outside queries ---------------------------------------------------------------
 
@@ -220,14 +232,14 @@ class Execution(Namespace, ABC):
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
         def rows(query: Query, placeholders: dict[str, Any]) -> list[list[Any]]:
-            selected = self._planner.run(
+            selected = self.planner.run(
                 query, Frame(self, placeholders=placeholders), _accept_columns
             )
             fetched: list[list[Any]] = formed(selected, lambda part: list(map(list, part.values)))
             return fetched
 
-        with self._worlds_pinned(node):
-            series = self._temporal.series(node, frame, self._database.record_of, rows)
+        with self.worlds_pinned(node):
+            series = self._temporal.series(node, frame, self.database.record_of, rows)
             return TEMPORAL_FUNCTIONS[node.name].make(
                 series, None if age is None else validation.seconds(age)
             )
@@ -241,7 +253,7 @@ class Execution(Namespace, ABC):
         try:
             program = parse(text)
             if program.explain:
-                return self._explanation(program)
+                return self.explanation(program)
             return self._value_of(program, frame)
         except SelectScriptError as error:
             error.locate(text)
@@ -266,7 +278,7 @@ class Execution(Namespace, ABC):
         tables = RELATIONS[node.name].inputs
         if any(isinstance(value, Link) for value in values):
             tables |= {"links"}
-        with self._database.pinned(tables, worlds):
+        with self.database.pinned(tables, worlds):
             for argument, value in zip(node.arguments, pinned, strict=True):
                 if isinstance(value, Handle) and not value.is_there:
                     error = value.removed()
@@ -275,13 +287,13 @@ class Execution(Namespace, ABC):
                 moment = value.moment if isinstance(value, Handle) else None
                 if moment is not None and MASSES in RELATIONS[node.name].inputs:
                     moment.record.warn_of_masses()
-            return self._planner.relation(query, Frame(self, placeholders=values_by_name))
+            return self.planner.relation(query, Frame(self, placeholders=values_by_name))
 
     # -- the rest of the scope (`EvaluationScope`) -------------------------------------------
 
-    @abstractmethod
     def query(self, node: Query, frame: Frame) -> Any:
         """Returns the value of a query; `frame` holds the rows of the queries around it."""
+        return self._value_of_query(node, frame)
 
     def deferred(self, node: Node) -> LazyList:
         """Returns a list of the running program, to be evaluated by the query that uses it."""
@@ -290,13 +302,13 @@ class Execution(Namespace, ABC):
     @property
     def meter(self) -> UsageMeter:
         """The use of the running program's limits."""
-        return self._database.connection.meter
+        return self.database.connection.meter
 
     @contextmanager
-    def _worlds_pinned(self, *nodes: Node) -> Iterator[None]:
+    def worlds_pinned(self, *nodes: Node) -> Iterator[None]:
         """Pins all worlds at their tick, and reads the tables of relations."""
         tables = frozenset().union(*map(self.tables_read, nodes))
-        with self._database.pinned(tables, self.worlds_of(nodes) if tables else ()):
+        with self.database.pinned(tables, self.worlds_of(nodes) if tables else ()):
             yield
 
 

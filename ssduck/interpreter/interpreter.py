@@ -3,12 +3,13 @@
 The steps of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this, table) AS list;")`:
 
 1. `Interpreter.eval` parses the text (`ssduck.language.parser`) and runs the program in a
-   transaction (`Execution._transaction`): if it fails, the variables are restored.
-2. `Execution._run` takes the statements in order. Before each, the linter reports probable
-   mistakes (`ssduck.interpreter.linter`). The evaluator (`ssduck.language.evaluator`) computes the
-   value of the statement, and calls `Interpreter.query` for a query.
-3. `Interpreter.query` finds the result form behind AS (`ssduck.interpreter.output`), and holds the
-   worlds at their current tick while the query runs.
+   transaction (`Execution.transaction`): if it fails, the variables are restored.
+2. `Execution.run` reads the spellings of SQL (`ssduck.language.sql_readings`), and takes the
+   statements in order. Before each, the linter reports probable mistakes
+   (`ssduck.interpreter.linter`). The evaluator (`ssduck.language.evaluator`) computes the value of
+   the statement, and calls `Interpreter._value_of_query` for a query.
+3. `Interpreter._value_of_query` finds the result form behind AS (`ssduck.interpreter.output`), and
+   holds the worlds at their current tick while the query runs.
 4. `Planner.run` (`ssduck.interpreter.planner`) evaluates the sources behind FROM, and finds the
    plan for their types: SQL (`ssduck.sql.translator`), or row by row in Python. Plans are cached.
 5. `PlannedQuery.run` (`ssduck.interpreter.query_runner`) executes the SQL
@@ -16,9 +17,10 @@ The steps of one query, `ss.eval("SELECT id(this) FROM kitchen WHERE above(this,
    `RowByRowQuery.run` evaluates all of them in Python.
 6. The result form makes the result from the rows (`AsClause.value`, `ssduck.adapters`).
 
-The base classes hold the rest: `Namespace` the variables and functions, `Execution` the running
-program, `RecordingMethods` and `TriggerMethods` the methods on records and triggers, and
-`EvalAsMethods` those for subclasses in the style of the published interpreters.
+`Execution` runs the program, and holds its variables and functions (`Namespace`). The base classes
+of `Interpreter` have the rest of its methods: `RecordingMethods` those on records, `TriggerMethods`
+those on triggers, and `EvalAsMethods` those for subclasses in the style of the published
+interpreters.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ from ssduck.world.running import run
 from ssduck.world.world import World
 
 
-class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
+class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
@@ -107,15 +109,16 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             recording = Recording()
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
-        super().__init__(
-            Database(database, tracer, limits, recording),
-            limits,
-            row_by_row=row_by_row,
-            strict=strict,
+        self._database = Database(database, tracer, limits, recording)
+        self._limits = limits
+        self._execution = Execution(
+            self._database, limits, self._value_of_query, row_by_row=row_by_row, strict=strict
         )
+        self._lock = self._execution.lock
+        self._planner = self._execution.planner
         self._owned_worlds: list[World] = []
         self._adapter_queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
-        self._triggers = TriggerRegistry(self)
+        self._triggers = TriggerRegistry(self, self._execution)
 
     def close(self) -> None:
         """Removes the triggers, and closes the database and the world that `load` made.
@@ -133,6 +136,20 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    @property
+    def strict(self) -> bool:
+        """Whether a probable mistake in a program is an error instead of a warning."""
+        return self._execution.strict
+
+    @strict.setter
+    def strict(self, strict: bool) -> None:
+        self._execution.strict = validation.boolean(strict, "Interpreter: strict")
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
+        return self._execution.worlds
+
     def __repr__(self) -> str:
         worlds = [
             f"{name} ({len(world)} entities, t={world.time:g} s)"
@@ -141,7 +158,9 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         parts = {
             "worlds": worlds,
             "variables": [name for name in self if name not in self._database.worlds],
-            "functions": [name for name, known in self._functions.items() if not known.builtin],
+            "functions": [
+                name for name, known in self._execution.functions.items() if not known.builtin
+            ],
             "triggers": [state.config.name for state in self.triggers()],
         }
         contents = [f"{kind} {first_names(names, 8)}" for kind, names in parts.items() if names]
@@ -164,7 +183,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         ...     ss.eval(program)
         2
         """
-        return CompiledProgram(text, parse(text), self._sql_of)
+        return CompiledProgram(text, parse(text), self._execution.sql_of)
 
     def eval(
         self,
@@ -194,8 +213,8 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         if isinstance(program, QueryPart | SelectedColumns):
             return program.value(elements, names)
         compiled = tree_of(program)
-        with self._transaction(compiled):
-            return self._run(compiled)
+        with self._execution.transaction(compiled):
+            return self._execution.run(compiled)
 
     def show(self, program: str | CompiledProgram, rows: int = MAX_ROWS) -> TableView:
         """Returns the result of a program as a table for a terminal or a notebook.
@@ -220,24 +239,24 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             SelectScriptError: as `eval` does.
         """
         compiled = tree_of(program)
-        with self._transaction(compiled):
-            return self._explanation(compiled)
+        with self._execution.transaction(compiled):
+            return self._execution.explanation(compiled)
 
     # -- queries of programs ------------------------------------------------------------------
 
-    def query(self, node: Query, frame: Frame) -> Any:
+    def _value_of_query(self, node: Query, frame: Frame) -> Any:
         """Returns the value of a query; `frame` holds the rows of the queries around it."""
         if frame.elements and not sees_outside(node):
             frame = frame.independent()
         if type(self).evalAs is not Interpreter.evalAs:
-            with self._worlds_pinned(node):
+            with self._execution.worlds_pinned(node):
                 return self.evalAs(*self._eval_as_arguments(node, frame))
         return self._result(node, frame, as_clause_of(node, frame))
 
     def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
         """Returns the result that a form makes from the rows of a query."""
         adapted = self._query_of(node, form.adapter)
-        with self._worlds_pinned(adapted):  # the result is made of one tick, too
+        with self._execution.worlds_pinned(adapted):  # the result is made of one tick, too
             return form.value(adapted, frame, self._planner.run)
 
     def _query_of(self, node: Query, adapter: Adapter) -> Query:
@@ -315,8 +334,8 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             if isinstance(value, World):
                 self._database.bind(name, value)
                 self._planner.forget()
-                self._expire_histories()  # the time may be an earlier one now
-            self._variables[name] = _plain(value)
+                self._execution.expire_histories()  # the time may be an earlier one now
+            self._execution.variables[name] = _plain(value)
         if isinstance(value, World):
             self._triggers.rebound()
         return value
@@ -333,7 +352,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         ...     ss["kitchen"]["fridge"].name, ss["high"], "low" in ss
         ('fridge', 1.2, False)
         """
-        return self.variable(name)
+        return self._execution.variable(name)
 
     def __setitem__(self, name: str, value: Any) -> None:
         """Binds a value to a name, as `add_variable` does."""
@@ -341,11 +360,11 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
 
     def __contains__(self, name: object) -> bool:
         """Checks whether a variable has a name."""
-        return name in self._variables
+        return name in self._execution.variables
 
     def __iter__(self) -> Iterator[str]:
         """Yields the names of the variables."""
-        return iter(list(self._variables))
+        return iter(list(self._execution.variables))
 
     def call_variable(self, name: str) -> Any:
         """Returns the value of a variable.
@@ -353,7 +372,7 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         Raises:
             UnknownNameError: no variable has that name; the error suggests the nearest names.
         """
-        return self.variable(name)
+        return self._execution.variable(name)
 
     def add_function(
         self, name: str, function: Callable[..., Any], help: str | None = None
@@ -383,8 +402,31 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             check_name(name, "a function")
         validation.function(function, name)
         with self._lock:
-            self._add_function(Function.of(name, function, help, type_hints_of(function)))
-            self._forget_plans()
+            self._execution.add_function(Function.of(name, function, help, type_hints_of(function)))
+            self._execution.forget_plans()
+
+    def help(self, name: str | None = None) -> Any:
+        """Returns the names of all functions, or the help of one; `AS` lists the result forms.
+
+        Raises:
+            UnknownNameError: no function has that name; the error suggests the nearest names.
+        """
+        return self._execution.help(name)
+
+    def history(self, name: str) -> list[tuple[float, Any]]:
+        """Returns the values of a variable with a history, and their times.
+
+        Args:
+            name: the name of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
+
+        Returns:
+            The simulated time of each assignment, s, and its value, the oldest first.
+
+        Raises:
+            UnknownNameError: no variable has that name; the error suggests the nearest names.
+            ArgumentError: the variable has no history.
+        """
+        return self._execution.history(name)
 
     def del_function(self, name: str) -> None:
         """Removes a function that was added; the function that it replaced is back.
@@ -393,8 +435,8 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
             UnknownNameError: no such function was added; the error suggests the nearest names.
         """
         with self._lock:
-            self._remove_function(name)
-            self._forget_plans()
+            self._execution.remove_function(name)
+            self._execution.forget_plans()
 
     # The tutorial's spellings.
     addVariable = add_variable  # noqa: N815
@@ -472,10 +514,10 @@ class Interpreter(Execution, RecordingMethods, TriggerMethods, EvalAsMethods):
         """
         validation.text(text, "sql: a statement is a text")
         with self._lock:
-            if not self._program_texts:
-                self._drop_unused_worlds()
+            if not self._execution.is_running:
+                self._execution.drop_unused_worlds()
                 self._database.connection.meter = UsageMeter(self._limits)
-            self._report(self._linter.check_sql(text))
+            self._execution.report(self._execution.linter.check_sql(text))
             return Result(self._database.table(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:

@@ -50,18 +50,18 @@ class Namespace:
     """
 
     def __init__(self, database: Database) -> None:
-        self._database = database
-        self._lock = threading.RLock()
-        self._variables: dict[str, Any] = {}
-        self._functions: dict[str, Function] = dict(BUILTINS)
+        self.database = database
+        self.lock = threading.RLock()
+        self.variables: dict[str, Any] = {}
+        self.functions: dict[str, Function] = dict(BUILTINS)
         # The language's own functions that users' functions override, by name.
         self._overrides: dict[str, Function | None] = {}
-        self._functions.update((command.name, command) for command in self._commands())
-        self._functions.update(LINK_FUNCTIONS)
-        self._functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
+        self.functions.update((command.name, command) for command in self._commands())
+        self.functions.update(LINK_FUNCTIONS)
+        self.functions.update((name, form.function) for name, form in TEMPORAL_FUNCTIONS.items())
         for name, allen in RELATIONS_OF_INTERVALS.items():
             if name not in RELATIONS:
-                self._functions[name] = allen.function
+                self.functions[name] = allen.function
 
     # -- variables (ssduck.language.evaluator.EvaluationScope) -------------------------------
 
@@ -72,10 +72,10 @@ class Namespace:
             UnknownNameError: no variable has that name; the error suggests the nearest names.
         """
         validation.text(name, "the name of a variable is a text")
-        if name in self._variables:
-            value = self._variables[name]
+        if name in self.variables:
+            value = self.variables[name]
             return value.last if isinstance(value, ValueHistory) else value
-        if name in RELATIONS or name in self._functions:
+        if name in RELATIONS or name in self.functions:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
@@ -87,15 +87,15 @@ class Namespace:
 
     def has_variable(self, name: str) -> bool:
         """Checks whether a variable has that name."""
-        return name in self._variables
+        return name in self.variables
 
     def is_function(self, name: str) -> bool:
         """Checks whether a function or a relation has that name."""
-        return name in RELATIONS or name in self._functions
+        return name in RELATIONS or name in self.functions
 
     def is_world_without(self, name: str, entity: str) -> bool:
         """Checks whether a variable is a world that has no entity of a name."""
-        value = self._variables.get(name)
+        value = self.variables.get(name)
         return isinstance(value, World) and entity not in value
 
     def variable_or_none(self, name: str) -> Any:
@@ -104,26 +104,26 @@ class Namespace:
 
     def names(self) -> list[str]:
         """Returns the names of all variables and functions."""
-        return [*self._variables, *self._known_functions()]
+        return [*self.variables, *self._known_functions()]
 
     def assign(self, name: str, value: Any) -> None:
         """Sets a variable."""
-        self._variables[name] = value
+        self.variables[name] = value
 
     def keep(self, name: str, value: Any, horizon: float) -> None:
         """Sets a variable that keeps its values for a time in seconds."""
-        before, now = self._variables.get(name), self._now()
+        before, now = self.variables.get(name), self._now()
         if isinstance(value, World):
             raise ArgumentError("a world cannot be kept in a history; assign it without {…}")
-        self._variables[name] = with_assignment(before, value, horizon, now)
+        self.variables[name] = with_assignment(before, value, horizon, now)
 
     def past_value(self, name: str, *age: Any) -> Any:
         """Returns the past value of a variable; all kept values if no age is given."""
         self.variable(name)
-        value = self._variables[name]
+        value = self.variables[name]
         if isinstance(value, World):
             seconds = validation.seconds(age[0], "what is in {…}") if age else None
-            return past_of(self._database.record_of(value), seconds)
+            return past_of(self.database.record_of(value), seconds)
         return past_value(name, value, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
@@ -139,24 +139,24 @@ class Namespace:
             UnknownNameError: no variable has that name; the error suggests the nearest names.
             ArgumentError: the variable has no history.
         """
-        with self._lock:
+        with self.lock:
             self.variable(name)
-            return history_of(name, self._variables[name]).within(math.inf, self._now())
+            return history_of(name, self.variables[name]).within(math.inf, self._now())
 
     def _now(self) -> float:
         """Returns the simulated time of the first world, s."""
-        worlds = self._database.worlds.values()
+        worlds = self.database.worlds.values()
         for world in worlds:
             return world.time
         raise UnknownNameError("there is no world, so no simulated time; add one with add_variable")
 
-    def _expire_histories(self) -> None:
+    def expire_histories(self) -> None:
         """Drops values that are older than their horizon, or later than now."""
-        temporal = [(n, v) for n, v in self._variables.items() if isinstance(v, ValueHistory)]
+        temporal = [(n, v) for n, v in self.variables.items() if isinstance(v, ValueHistory)]
         if temporal:
             now = self._now()
             for name, history in temporal:
-                self._variables[name] = history.until(now).recent(now)
+                self.variables[name] = history.until(now).recent(now)
 
     # -- functions ---------------------------------------------------------------------------
 
@@ -164,30 +164,30 @@ class Namespace:
         """Returns a function that is no relation; the language's own if the name is not marked."""
         if name in self._overrides:
             return self._overrides[name]
-        return self._functions.get(written_name(name))
+        return self.functions.get(written_name(name))
 
     def resolved_name(self, name: str) -> str:
         """Returns the name that calls a function: the user's function, if it overrides another."""
         return marked_name(name) if name in self._overrides else name
 
-    def _add_function(self, function: Function) -> None:
+    def add_function(self, function: Function) -> None:
         """Adds a user's function; warns if it overrides a part of the language.
 
         Raises:
             ArgumentError: a function of that name cannot be replaced.
         """
         name = function.name
-        known = self._functions.get(name)
+        known = self.functions.get(name)
         if name in NOT_OVERRIDABLE or name in TEMPORAL_FUNCTIONS:
             raise ArgumentError(f"{name!r} is a part of the language; choose another name")
         is_users = known is not None and not known.builtin
         if is_users or not (name in RELATIONS or name in OPERATOR_NAMES or known is not None):
-            self._functions[name] = function
+            self.functions[name] = function
             return
         if known is not None and unwrap(known.call) is function.call:
             return  # `addFunction('str', str)` of the published programs
         self._overrides[name] = known
-        self._functions[name] = function
+        self.functions[name] = function
         sign = BINARY_SIGNS.get(name) or UNARY_SIGNS.get(name)
         part = f"the operator {sign}" if sign else f"the language's own {name}"
         sql_note = "; raw SQL keeps its own" if name in RELATIONS else ""
@@ -196,7 +196,7 @@ class Namespace:
             f"del_function({name!r}) restores it"
         )
 
-    def _remove_function(self, name: str) -> None:
+    def remove_function(self, name: str) -> None:
         """Removes a user's function; the one that it overrode is back.
 
         Raises:
@@ -204,16 +204,19 @@ class Namespace:
         """
         is_name = isinstance(name, str) and name == written_name(name)
         if not is_name or not self.is_users(self.resolved_name(name)):
-            names = [n for n, function in self._functions.items() if not function.builtin]
             raise UnknownNameError(
                 f"there is no function {short_repr(name)} of yours",
-                suggestions=nearest(name, names),
+                suggestions=nearest(name, self.users_functions()),
             )
         before = self._overrides.pop(name, None)
         if before is None:
-            del self._functions[name]
+            del self.functions[name]
         else:
-            self._functions[name] = before
+            self.functions[name] = before
+
+    def users_functions(self) -> list[str]:
+        """Returns the names of the users' functions."""
+        return [name for name, function in self.functions.items() if not function.builtin]
 
     def is_users(self, name: str) -> bool:
         """Checks whether a name calls a user's function."""
@@ -236,8 +239,8 @@ class Namespace:
             relation = RELATIONS[node.name]
             minimum, maximum = min(relation.expressions), max(relation.expressions)
             fits, usage = count in relation.expressions, relation.usage
-        elif name in self._functions:
-            function = self._functions[name]
+        elif name in self.functions:
+            function = self.functions[name]
             minimum, maximum = (
                 function.min_arguments,
                 count if function.max_arguments is None else function.max_arguments,
@@ -263,7 +266,7 @@ class Namespace:
             return sorted(self._known_functions(), key=str.casefold)
         if isinstance(name, str) and name.upper() == "AS":
             return help_of_result_forms()
-        described: dict[str, Function | Relation] = {**RELATIONS, **self._functions}
+        described: dict[str, Function | Relation] = {**RELATIONS, **self.functions}
         if not isinstance(name, str) or name not in described:
             raise UnknownNameError(
                 f"there is no function {short_repr(name)}", suggestions=nearest(name, described)
@@ -271,18 +274,18 @@ class Namespace:
         return f"{name}\n{described[name].help}"
 
     def _known_functions(self) -> list[str]:
-        return list(dict.fromkeys((*RELATIONS, *self._functions)))
+        return list(dict.fromkeys((*RELATIONS, *self.functions)))
 
     def _commands(self) -> list[Function]:
         """Returns the functions that use the interpreter."""
 
         def clear(name: str | None = None) -> bool:
             if name is None:
-                kept_variables = {n: v for n, v in self._variables.items() if isinstance(v, World)}
+                kept_variables = {n: v for n, v in self.variables.items() if isinstance(v, World)}
             else:
                 self.variable(name)
-                kept_variables = {n: v for n, v in self._variables.items() if n != name}
-            self._variables = kept_variables
+                kept_variables = {n: v for n, v in self.variables.items() if n != name}
+            self.variables = kept_variables
             return True
 
         def show(*values: Any) -> Any:
@@ -313,7 +316,7 @@ class Namespace:
     @property
     def worlds(self) -> list[World]:
         """The worlds that are bound to variables, the first one first."""
-        return list(self._database.worlds.values())
+        return list(self.database.worlds.values())
 
     def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
         """Returns the worlds that nodes may read; None if that depends on values."""
@@ -322,7 +325,7 @@ class Namespace:
             called = calls_of(node)
             if not called.isdisjoint(("var", "eval")) or any(map(self.is_users, called)):
                 return None
-            values = [self._variables.get(name) for name in variables_of(node)]
+            values = [self.variables.get(name) for name in variables_of(node)]
             for value in values:
                 if isinstance(value, LazyList):
                     value_worlds = self.worlds_of([value.node])
@@ -338,10 +341,10 @@ class Namespace:
     def tables_read(self, node: Node) -> frozenset[str]:
         """Returns the tables that the relations in a node look up."""
         tables = tables_of(node) | tables_read_by(forms_of(node))
-        if mentions_links(node, self._variables):
+        if mentions_links(node, self.variables):
             tables |= {"links"}
         for name in variables_of(node):
-            value = self._variables.get(name)
+            value = self.variables.get(name)
             if isinstance(value, LazyList):
                 tables |= self.tables_read(value.node)
         return tables

@@ -31,7 +31,7 @@ class RecordingMethods(ABC):
     _planner: Planner
 
     @abstractmethod
-    def variable(self, name: str) -> Any:
+    def call_variable(self, name: str) -> Any:
         """Returns the value of a variable."""
 
     @abstractmethod
@@ -191,7 +191,7 @@ class RecordingMethods(ABC):
             return self._database.flush()
 
     def _world(self, world: str | World) -> World:
-        value = self.variable(world) if isinstance(world, str) else world
+        value = self.call_variable(world) if isinstance(world, str) else world
         if not isinstance(value, World) or value not in self._database.worlds.values():
             raise ArgumentError(f"{short_repr(world)} is no world of this interpreter")
         return value

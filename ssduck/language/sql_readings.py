@@ -84,7 +84,9 @@ class SqlReader:
         if not doubtful.names:
             return program
         facts: dict[Any, Any] = {name: self._facts_of(name, local) for name in doubtful.names}
-        facts.update({pair: self._names.is_world_without(*pair) for pair in doubtful.keys})
+        for name, key in doubtful.keys:
+            is_function = self._names.is_function(key)
+            facts[name, key] = is_function and self._names.is_world_without(name, key)
         known = self._read.get(program)
         if known is None or known[0] != facts:
             known = self._read[program] = (facts, _Reading(self._names, program, local).program())

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from ssduck.errors import RemovedEntityError
 from ssduck.schema import MASSES, EntityTable
+from ssduck.world.public_names import HANDLE_INTERNALS, PublicNames
 
 if TYPE_CHECKING:
     from ssduck.world.entities import Entity
@@ -41,7 +42,7 @@ class RecordedTick:
     tick: int
 
 
-class Handle:
+class Handle(PublicNames):
     """A handle of an entity or a link: a row of a table of its world.
 
     Two handles are equal if they stand for the same thing of the same world, at any tick.
@@ -54,6 +55,8 @@ class Handle:
     """
 
     __slots__ = ("id", "moment", "name", "world")
+
+    INTERNAL_NAMES = HANDLE_INTERNALS
 
     kind: str
     # The table of the world that has the row.

@@ -1,7 +1,6 @@
 """Reads ticks from a simulator into tables: `Snapshot`.
 
-A *tick* is one reading of a world's state at a simulated time; its tables are those of
-`ssduck.schema`.
+A *tick* is one reading of a world's state at a simulated time, in the tables of `ssduck.schema`.
 
 `Snapshot.take` replaces all tables at once; between two takes the simulator is not read again. A
 table that nobody requested is not read from the simulator. Requesting one takes a fresh tick that
@@ -80,18 +79,18 @@ class Snapshot:
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
         self.run = new_run() if run is None else run
         self.tables = {name: LiveTable(table.columns) for name, table in TABLES.items()}
-        self.number = 0
-        self.time = 0.0
+        self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
         self.unavailable: Mapping[str, str] = {}
         # Whether every take is of the same tick: with given poses, or of a record.
-        self._is_final = False
-        self._is_past = False
+        self._is_final = self._is_past = False
         self._layout = TableLayout((), is_external=False)
         # The poses of bodies that cannot move are read once; None if they are to be read (again).
         self._static: LinkPoses | None = None
         # The link poses in the tables: of the bodies that cannot move, and of the others.
         self._link_poses: tuple[LinkPoses, ...] = ()
+        # The poses of bodies that cannot move in the rows of links, and of shapes.
+        self._written: dict[str, LinkPoses] = {}
         self.disabled: frozenset[Body] = frozenset()
         self.hidden: frozenset[Body] = frozenset()
         self._requested: dict[str, int] = {}
@@ -108,8 +107,7 @@ class Snapshot:
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
         # The ticks at which masses and margins were last read.
-        self._masses_tick = 0
-        self._margins_tick = 0
+        self._masses_tick = self._margins_tick = 0
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -175,7 +173,7 @@ class Snapshot:
         clone.calls, clone._shapes = CallCounter(), None  # noqa: SLF001
         clone.sensing = self.sensing.clone()
         clone._is_final = True  # noqa: SLF001  # one class
-        clone._requested, clone._read = {}, frozenset()  # noqa: SLF001
+        clone._requested, clone._read, clone._written = {}, frozenset(), {}  # noqa: SLF001
         clone.recorded = frozenset()
         clone._requested_sensors, clone._read_sensors = {}, frozenset()  # noqa: SLF001
         clone._warned = set(self._warned)  # noqa: SLF001
@@ -204,7 +202,7 @@ class Snapshot:
 
     def _lay_out(self, layout: TableLayout) -> None:
         """Resets the tables for the entities of a layout."""
-        self._layout = layout
+        self._layout, self._written = layout, {}
         entities = layout.entities
         self.tables["entities"].fill(
             len(entities),
@@ -347,7 +345,7 @@ class Snapshot:
         missing = (requested | self.recorded) - self._read
         if missing == {"shapes"} and self._link_poses:  # they follow from these
             self._read |= missing
-            self._write_shapes()
+            self._write_parts("shapes")
             self._publish("shapes")
             missing = frozenset()
         return bool(missing)
@@ -532,15 +530,16 @@ class Snapshot:
         if with_static:
             self._layout.static_bodies.write_entities(static, entities)
         self._layout.moving_bodies.write_entities(moving, entities)
-        if "links" in self._read:
-            for group, poses in self.body_groups:
-                group.write_links(poses, self.tables["links"].doubles("x", "zmax"))
-        if "shapes" in self._read:
-            self._write_shapes()
+        for name in self._read.intersection(("links", "shapes")):
+            self._write_parts(name)
 
-    def _write_shapes(self) -> None:
+    def _write_parts(self, name: str) -> None:
+        """Writes the rows of links or shapes; those of bodies that cannot move are written once."""
+        block = self.tables[name].doubles("x", "zmax")
         for group, poses in self.body_groups:
-            group.write_shapes(poses, self.tables["shapes"].doubles("x", "zmax"))
+            if self._written.get(name) is not poses:
+                (group.write_links if name == "links" else group.write_shapes)(poses, block)
+        self._written[name] = self._link_poses[0]
 
     def _finish(self) -> None:
         """Writes tick and time into the tables that were read, and publishes them."""

@@ -49,6 +49,7 @@ from ssduck.world.handles import Handle
 from ssduck.world.links import links_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
+from ssduck.world.public_names import WORLD_INTERNALS, PublicNames
 from ssduck.world.running import run
 from ssduck.world.scene_export import new_folder, scene_of, write_scene
 from ssduck.world.sensor_readings import Reading
@@ -61,7 +62,7 @@ T = TypeVar("T")
 UNNAMED = "world"
 
 
-class World(ManipulableSimulation, OpenRaveWorld):
+class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
     """A simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
@@ -73,6 +74,8 @@ class World(ManipulableSimulation, OpenRaveWorld):
         sensors: the sensors on its bodies, in load order.
         camera: the default camera of `render`.
     """
+
+    INTERNAL_NAMES = WORLD_INTERNALS
 
     def __init__(
         self,

@@ -130,6 +130,15 @@ def test_all_grids_are_drawn(grid):
     assert grid.plot().get_xlabel() == f"{grid.axes[0].lower()} [m]"
 
 
+def test_a_chart_of_many_cells_is_reduced():
+    cells = np.zeros((6001, 10), dtype=bool)
+    cells[3000:] = True
+    picture = OccupancyGrid(cells, (0.0, 0.0), 0.01).chart()
+    assert 1500 < picture.width < 2300
+    row = pixels(picture)[11]
+    assert (row.sum(axis=1) < 300).sum() == pytest.approx(750, abs=30)
+
+
 def test_the_size_of_a_chart_is_a_number():
     with pytest.raises(NumberError, match="chart: size"):
         GRIDS[0].chart(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 import textwrap
 import types
 import warnings
@@ -111,3 +112,22 @@ def test_an_attached_world_is_a_picture_as_long_as_its_client_lives():
     assert world._repr_png_().startswith(b"\x89PNG")
     pybullet.disconnect(client)
     assert world._repr_png_() is None
+
+
+def test_printed_tables_fit_the_page(hall, monkeypatch):
+    class Page(io.TextIOBase):
+        """Like the standard output of a kernel: no terminal, and no buffer below."""
+
+        text = ""
+
+        def write(self, text):
+            self.text += text
+            return len(text)
+
+    result = hall.sql("SELECT * FROM entities")
+    monkeypatch.setitem(sys.modules, "ipykernel", types.ModuleType("ipykernel"))
+    monkeypatch.setattr(sys, "stdout", Page())
+    result.show(rows=4)
+    lines = sys.stdout.text.splitlines()
+    assert max(map(len, lines)) <= 100
+    assert "…" in lines[0]

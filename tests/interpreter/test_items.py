@@ -77,3 +77,26 @@ def test_repr_says_what_is_there(ss):
 def test_load_and_worlds_are_typed(ss):
     assert get_type_hints(ssduck.load)["return"] is ssduck.Interpreter
     assert all(isinstance(world, ssduck.World) for world in ss.worlds)
+
+
+def test_dir_lists_what_is_public(ss):
+    """Each public name has a docstring, and no name is one that only ssduck itself uses."""
+    room = ss["room"]
+    internal = {"assign", "check_call", "keep", "meter", "variable", "notify_observers", "pinned"}
+    for thing in (ss, room, room["can"], room["can"].links[0]):
+        names = {name for name in dir(thing) if not name.startswith("_")}
+        assert not names & (internal | {"INTERNAL_NAMES", "request_tables", "column", "KEY_HINT"})
+        for name in names:
+            member = getattr(type(thing), name, None)
+            assert not callable(member) or member.__doc__, name
+    assert {"eval", "sql", "run", "worlds", "strict", "history", "help"} <= set(dir(ss))
+    assert {"step", "tick", "run", "what_if", "time", "name", "simulator"} <= set(dir(room))
+    assert {"position", "aabb", "links", "move", "full_name"} <= set(dir(room["can"]))
+
+
+def test_strict_is_a_flag(ss):
+    assert not ss.strict
+    ss.strict = True
+    assert ss.strict
+    with pytest.raises(ArgumentError):
+        ss.strict = "yes"

@@ -216,7 +216,7 @@ MISTAKES = [
 
 @pytest.mark.parametrize(("program", "kind", "offending", "words", "suggestions"), MISTAKES)
 def test_mistakes(ss, program, kind, offending, words, suggestions):
-    variables = dict(ss._variables)
+    variables = dict(ss._execution.variables)
     with pytest.raises(kind) as caught:
         ss.eval(program)
     error = caught.value
@@ -232,8 +232,8 @@ def test_mistakes(ss, program, kind, offending, words, suggestions):
         assert place == f"  line {error.line}, column {error.column}"
         assert line[mark.index("^") : mark.rindex("^") + 1] == offending
     # The session goes on, and no variable has changed.
-    assert ss._variables.keys() == variables.keys()
-    assert all(ss._variables[name] is value for name, value in variables.items())
+    assert ss._execution.variables.keys() == variables.keys()
+    assert all(ss._execution.variables[name] is value for name, value in variables.items())
     assert ss.eval("1 + 1;") == 2
 
 

@@ -554,8 +554,8 @@ def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
     for number in range(5):
         with pytest.raises(SelectScriptError):
             ss.eval(f"above({number}, 1);")
-    assert ss._relation_queries
+    assert ss._execution._relation_queries
     parse.cache_clear()
     evaluate._COMPILED.clear()
     gc.collect()
-    assert not ss._relation_queries
+    assert not ss._execution._relation_queries

@@ -387,7 +387,7 @@ def test_entities_of_the_past_may_be_of_another_world(ss, second):
     run(ss, "b{} = SELECT obj FROM young AS value;", 1, "b{} = SELECT obj FROM w AS value;")
     assert ss.eval("[b{0} == b, b{0} IN young, b IN young];") == [False, True, False]
     statements = parse("inContact(b{0}, b{0});").statements
-    assert young in ss.worlds_of(statements)  # so that its contacts are read
+    assert young in ss._execution.worlds_of(statements)  # so that its contacts are read
     assert ss.eval("inContact(b{0}, b{0});") is False
 
 

@@ -456,6 +456,19 @@ def test_meshes_that_are_skipped(load):
         load('[[body]]\nsdf = "a.sdf"\n', a_sdf=sdf_of(sdf_model("m", sdf_link(geometry=mesh))))
 
 
+def test_an_excerpt_of_part_of_a_file_has_the_order_of_the_world(load):
+    text = '[[body]]\nsdf = "a.sdf"\n' + "".join(
+        f'[[body]]\nname = "box_{number}"\nbox = [1, 1, 1]\nposition = [0, 0, {5 + 2 * number}]\n'
+        for number in range(4)
+    )
+    _, world = load(text, a_sdf=SDF)
+    world.remove("crate_2")
+    for copy in (world.excerpt(world), world.excerpt(["box_1", "crate", "box_3", "arm_model"])):
+        kept = [entity.name for entity in world if entity.name in {e.name for e in copy}]
+        assert [entity.name for entity in copy] == kept
+        assert [e.position for e in copy] == [world[name].position for name in kept]
+
+
 def test_an_excerpt_does_not_warn_again(load, recwarn):
     with pytest.warns(UserWarning, match="<joint ref>"):
         ss, world = load('[[body]]\nmjcf = "a.xml"\n', a_xml=filled("mjcf", "joint", ' ref="1"'))

@@ -131,8 +131,8 @@ def test_a_handles_row_is_read_where_a_column_of_it_is(
         assert len(re.findall("entities_history", sql)) == CONDITIONS[condition]
     rows = ssduck.Interpreter(row_by_row=True, recording=None)
     try:
-        rows._database = rows._planner._database = comings._database
-        rows._variables = comings._variables
+        rows._database = rows._execution.database = rows._planner._database = comings._database
+        rows._execution.variables = comings._execution.variables
         assert found == rows.eval(program)
     finally:
         rows._finalized = True

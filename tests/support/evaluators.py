@@ -86,7 +86,9 @@ class Evaluators:
                 interpreter.eval(" ".join(assignments))
             world.step(240)
         self._histories = {
-            interpreter: {name: interpreter._variables[name] for name in ("past", "trail")}
+            interpreter: {
+                name: interpreter._execution.variables[name] for name in ("past", "trail")
+            }
             for interpreter in (self.sql, self.rows)
         }
 
@@ -95,7 +97,7 @@ class Evaluators:
         interpreter.eval("clear();")
         for name, (value, _) in VARIABLES.items():
             interpreter.add_variable(name, value)
-        interpreter._variables.update(self._histories[interpreter])
+        interpreter._execution.variables.update(self._histories[interpreter])
         interpreter.add_variable("box", self.world["box"])
 
     def outcome(self, interpreter: ssduck.Interpreter, text: str) -> Outcome:

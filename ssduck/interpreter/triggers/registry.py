@@ -33,15 +33,19 @@ _LIVE = World | Handle
 class Evaluator(Protocol):
     """The interface of the interpreter to its triggers."""
 
-    @property
-    def worlds(self) -> list[World]:
-        """The worlds that are bound to variables, the first one first."""
-
     def compile(self, text: str) -> CompiledProgram:
         """Parses a program."""
 
     def eval(self, program: CompiledProgram) -> Any:
         """Returns the result of a program."""
+
+
+class Names(Protocol):
+    """The interface of an interpreter's variables and functions to its triggers."""
+
+    @property
+    def worlds(self) -> list[World]:
+        """The worlds that are bound to variables, the first one first."""
 
     def variable(self, name: str) -> Any:
         """Returns the value of a variable."""
@@ -158,10 +162,12 @@ class TriggerRegistry:
 
     Args:
         interpreter: the interpreter that evaluates their programs.
+        names: its variables and functions.
     """
 
-    def __init__(self, interpreter: Evaluator) -> None:
+    def __init__(self, interpreter: Evaluator, names: Names) -> None:
         self._interpreter = interpreter
+        self._names = names
         self._by_name: dict[str, Trigger] = {}
         self._lock = threading.Lock()
         self._observed: WeakSet[World] = WeakSet()
@@ -294,7 +300,7 @@ class TriggerRegistry:
 
     def _dependencies_of(self, trigger: Trigger) -> Any:
         """Returns the variables and ticks on which a result depends; None if unknown."""
-        names, scope = trigger.reads, self._interpreter
+        names, scope = trigger.reads, self._names
         if names is None or any(scope.is_users(scope.resolved_name(name)) for name in names):
             return None
         values = [(name, scope.variable(name)) for name in names if scope.has_variable(name)]
@@ -307,13 +313,13 @@ class TriggerRegistry:
         """Returns the worlds that a program reads; all worlds if unknown or none."""
         worlds: list[World] | None = None
         with suppress(RecursionError):  # a list that contains itself
-            worlds = self._interpreter.worlds_of(trigger.program.tree.statements)
-        return list(dict.fromkeys(worlds or self._interpreter.worlds))
+            worlds = self._names.worlds_of(trigger.program.tree.statements)
+        return list(dict.fromkeys(worlds or self._names.worlds))
 
     def _observe(self, trigger: Trigger) -> list[World]:
         """Observes the worlds that a trigger reads, and all that it may come to read."""
         worlds = self._worlds_of(trigger)
-        for world in (*worlds, *self._interpreter.worlds):
+        for world in (*worlds, *self._names.worlds):
             if world not in self._observed:
                 world.follow(self)
                 self._observed.add(world)

@@ -93,14 +93,20 @@ def excerpt(
 
 
 class _NotCarriedError(Exception):
-    """The restored contacts are not those of the source."""
+    """The restored contacts and states are not those of the source."""
 
 
 def _may_carry_contacts(
     source: PyBulletSimulator, originals: Sequence[BodyToCopy], tick: TickToCopy
 ) -> bool:
-    """Checks whether the contacts of a client can be restored in a copy of all its bodies."""
-    if len(originals) < source.count() or tick.disabled:
+    """Checks whether the contacts of a client can be restored in a copy of all its bodies.
+
+    PyBullet finds bodies by their order. A removal changes it, and the state of another body may
+    crash PyBullet.
+    """
+    if tick.disabled or source.has_removed:
+        return False
+    if source.handles() != list(range(len(originals))):
         return False
     shapes = [Counter(shape.frame for shape in o.body.shapes) for o in originals]
     return all(max(counts.values(), default=0) <= 1 for counts in shapes)
@@ -130,7 +136,7 @@ class _Copier:
         """Copies bodies; on request with the contacts of the solver, if these are all bodies.
 
         Raises:
-            _NotCarriedError: the restored contacts are not those of the source.
+            _NotCarriedError: the restored contacts and states are not those of the source.
         """
         self.loaded.time = self.tick.time
         self._copy_settings()
@@ -361,19 +367,25 @@ class _Copier:
         """Restores the solver's contacts and the impulses that it begins with.
 
         PyBullet finds the bodies of a contact by numbers that count all colliders ever made in a
-        client. The numbers are the same here if the source never removed a body.
+        client, and those of a state by their order, which changes when a body is removed. Both are
+        the same here if the source never removed a body.
 
         Raises:
-            _NotCarriedError: the restored contacts are those of other bodies.
+            _NotCarriedError: the restored contacts or states are those of other bodies.
         """
         assert self.source is not None
         source, client = self.source.client, self.client
         with captured():  # PyBullet prints each contact that it does not find
             pybullet.saveBullet(str(file), source)
-            pybullet.restoreState(fileName=str(file), physicsClientId=client)
+            try:
+                pybullet.restoreState(fileName=str(file), physicsClientId=client)
+            except pybullet.error as error:
+                raise _NotCarriedError from error
         handles = {body.handle: handle for body, handle in self.handles.items()}
         contacts = contacts_of(source, handles)
         if contacts != contacts_of(client, {handle: handle for handle in handles.values()}):
+            raise _NotCarriedError
+        if any(state_of(source, old) != state_of(client, new) for old, new in handles.items()):
             raise _NotCarriedError
 
     # -- constraints ----------------------------------------------------------------------

@@ -76,6 +76,7 @@ class PyBulletSimulator:
     Attributes:
         loaded: the same; updated with the positions that motors hold.
         clock: counts the steps that ssduck runs; in a client of the user's, it follows the ticks.
+        has_removed: whether a body is known to have been removed from the client.
     """
 
     backend = "pybullet"
@@ -109,6 +110,7 @@ class PyBulletSimulator:
         self._described = False
         # Bodies that were removed since `describe` was called.
         self._removed: list[Body] = []
+        self.has_removed = False
         # The reason why the client must not be used any more: PyBullet reuses the number of a
         # disconnected client.
         self._lost_reason: str | None = None
@@ -127,13 +129,16 @@ class PyBulletSimulator:
         if self._described and not self.is_external:
             gone, self._removed = self._removed, []
             return ([], gone) if gone else None
-        handles = self._call(lambda: handles_of(self.client))
+        handles = self.handles()
         tags = self._call(lambda: self._tags_of(handles))
         if self._handles_and_tags == (handles, tags):
             return None
         old_tags = dict(zip(*self._handles_and_tags, strict=True))
         present = {h for h, tag in zip(handles, tags, strict=True) if old_tags.get(h) == tag}
         added = [handle for handle in handles if handle not in present]
+        # Copies have the order of their originals. PyBullet's order changes with a removal.
+        order = {handle: number for number, handle in enumerate(self.loaded.described)}
+        added.sort(key=lambda handle: order.get(handle, len(order)))
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
@@ -142,6 +147,7 @@ class PyBulletSimulator:
         )
         gone = [d.body for handle, d in self._descriptions.items() if handle not in present]
         self._forget(gone)
+        self.has_removed |= bool(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
         self._handles_and_tags = handles, self._call(lambda: self._tags_of(handles))
         # These are of the present bodies, not of later bodies with the same numbers.
@@ -167,6 +173,7 @@ class PyBulletSimulator:
         for values in (self.loaded.origins, self.loaded.motor_positions):
             values.pop(body.handle, None)
         self._removed.append(body)
+        self.has_removed = True
 
     def description_of(self, body: Body) -> BodyDescription | None:
         """Returns the description of a body, if the client still has the body."""
@@ -181,9 +188,9 @@ class PyBulletSimulator:
                 return None
         return description
 
-    def count(self) -> int:
-        """Returns the number of bodies that the client has now."""
-        return self._call(lambda: int(pybullet.getNumBodies(self.client)))
+    def handles(self) -> list[int]:
+        """Returns the numbers of the bodies that the client has now, in PyBullet's order."""
+        return self._call(lambda: handles_of(self.client))
 
     def visual_colours(self, body: Body) -> list[tuple[int, int, Sequence[float]]]:
         """Returns the colours of a body, shown or hidden: link, index of the shape, colour."""

@@ -21,9 +21,9 @@ def _both(ss: ssduck.Interpreter, program: str) -> list[Any]:
     """What a program gives as SQL, and row by row, on the same ticks."""
     rows = ssduck.Interpreter(row_by_row=True, recording=None)
     try:
-        rows._database = ss._database
+        rows._database = rows._execution.database = ss._database
         rows._planner._database = ss._database
-        rows._variables = ss._variables
+        rows._execution.variables = ss._execution.variables
         return [ss.eval(program), rows.eval(program)]
     finally:
         rows._finalized = True

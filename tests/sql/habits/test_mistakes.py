@@ -189,7 +189,12 @@ DOUBTS = [
     (f"{K} WHERE \"id\" IN ('can', 'cup') AS list;", '"id"', "without quotes: id", []),
     (f"{K} WHERE name = 'tabel' AS list;", "'tabel'", "'table'", []),
     (f"{K} WHERE 'tabel' = name(this) AS list;", "'tabel'", "'table'", []),
-    ("SELECT a.id FROM kitchen a WHERE a.name IN ('tabel') AS list;", "'tabel'", "'table'", []),
+    (
+        "SELECT a.id FROM kitchen a WHERE a.name IN ('tabel', 'can') AS list;",
+        "'tabel'",
+        "'table'",
+        ["can"],
+    ),
     (f"{K} WHERE kitchen.name = 'tabel' AS list;", "'tabel'", "'table'", []),
     (f"{K} WHERE name <> 'tabel' LIMIT 0 AS list;", "'tabel'", "'table'", []),
     ('SELECT "id" FROM kitchen LIMIT 1 AS list;', '"id"', "without quotes", ["id"]),

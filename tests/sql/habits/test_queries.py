@@ -53,7 +53,7 @@ def is_equal(found, expected):
 @pytest.mark.parametrize("end", ["", ";"])
 def test_query(room, query, end):
     program = query["text"] + ("\n" if "--" in query["text"] else "") + end
-    before = set(room.names())
+    before = set(room)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ProgramWarning)
         if "error" in query:
@@ -69,7 +69,7 @@ def test_query(room, query, end):
     if end == "":
         assert ["warning" in query] == [bool(messages)]
         assert all(query["warning"] in message for message in messages)
-    assert set(room.names()) == before  # no query sets a variable
+    assert set(room) == before  # no query sets a variable
 
 
 @pytest.mark.parametrize("query", [q for q in QUERIES if "warning" in q], ids=lambda q: q["text"])

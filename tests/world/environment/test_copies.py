@@ -207,6 +207,25 @@ def test_entities_of_two_worlds(kitchen):
 # -- removing, OpenRAVE's names ------------------------------------------------------------------
 
 
+def test_copies_after_a_removal(tmp_path):
+    """Removing a body changes PyBullet's order of the others, by which it restores states."""
+    text = "".join(
+        f'[[body]]\nname = "{name}"\nbox = [1, 1, 1]\nposition = [{3 * number}, 0, 2]\n'
+        for number, name in enumerate("abcd")
+    )
+    (tmp_path / "boxes.toml").write_text(text)
+    with ssduck.load(tmp_path / "boxes.toml") as ss:
+        world = ss.call_variable("boxes")
+        world.remove("a")
+        world.step(10)
+        positions = {entity.name: entity.position for entity in world}
+        assert {entity.name: entity.position for entity in world.excerpt(world)} == positions
+        world.save(tmp_path / "later")
+    with ssduck.load(tmp_path / "later") as ss:
+        saved = {entity.name: entity.position for entity in ss.call_variable("boxes")}
+    assert saved == positions
+
+
 def test_removing(kitchen, client):
     copy = kitchen.excerpt(kitchen)
     copy.remove("fridge_webcam")
