@@ -15,7 +15,8 @@ from ssduck.errors import SelectScriptError
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
-# The names of ssduck's prepared statements: this prefix, a number and the tables that they read.
+# The names of ssduck's prepared statements: this prefix, a number and the tables that they read,
+# for users who trace the statements.
 _NAME_PREFIX = "ssduck statement "
 # The tables of a world whose buffers may be replaced.
 _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
@@ -36,28 +37,41 @@ class PreparedPlans:
         self._user_tables = user_tables
         # A number for each table, which grows when prepared statements on it become invalid.
         self._generations = dict.fromkeys(_TABLES, 0)
+        # The tables that ssduck's own prepared statements read, by the statement's name.
+        self._own: dict[str, frozenset[str]] = {}
 
     def generation(self, tables: Iterable[str]) -> int:
         """Returns a number that grows when statements on one of these tables become invalid."""
         return sum(self._generations.get(table, 0) for table in tables)
 
+    def add(self, name: str, tables: frozenset[str]) -> None:
+        """Adds one of ssduck's own prepared statements, with the tables that it reads."""
+        self._own[name] = tables
+
+    def deallocate(self, name: str) -> None:
+        """Drops one of ssduck's own prepared statements, if DuckDB keeps it."""
+        if self._own.pop(name, None) is not None:
+            self._deallocate(name)
+
     def forget(self, *tables: str) -> None:
         """Drops prepared statements that would go on reading old buffers of one of these tables.
 
-        The names of ssduck's own statements contain their tables. Those of users' statements do
-        not: all of them are dropped if any statement that DuckDB keeps reads such a table.
+        What a single statement of a user reads is not known: all of them are dropped if any
+        statement that DuckDB keeps reads such a table.
         """
-        stale = set(tables)
-        user_tables = bool(stale & self._user_tables)
+        stale = frozenset(tables)
         for table in tables:
             self._generations[table] += 1
-        for (name,) in self.connection.internal_rows(
-            "SELECT name FROM duckdb_prepared_statements()"
-        ):
-            if stale & set(name.split()) if name.startswith(_NAME_PREFIX) else user_tables:
-                self.connection.run(
-                    f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}"
-                )
+        for name in [name for name, reads in self._own.items() if stale & reads]:
+            self.deallocate(name)
+        if stale & self._user_tables:
+            names = self.connection.internal_rows("SELECT name FROM duckdb_prepared_statements()")
+            for (name,) in names:
+                if name not in self._own:
+                    self._deallocate(name)
+
+    def _deallocate(self, name: str) -> None:
+        self.connection.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
 
 
 class Statement:
@@ -97,7 +111,6 @@ class Statement:
         name = exp.to_identifier(self._name, quoted=True).sql("duckdb")
         self._prepare = f"PREPARE {name} AS {tree.sql('duckdb')}"
         self._execute = f"EXECUTE {name}"
-        self._deallocate = f"DEALLOCATE {name}"
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
         """Returns all rows for these values of the parameters; the caller pins the worlds."""
@@ -108,6 +121,7 @@ class Statement:
             if self._has_parameters:
                 self._connection.register(self._name, self._row.arrow)
             self._connection.run(self._prepare, timed=True)
+            self._plans.add(self._name, self._reads)
             self._prepared_for = generation
         try:
             return self._connection.rows(self._execute)
@@ -119,13 +133,12 @@ class Statement:
         """Frees the memory that DuckDB keeps for a statement that failed."""
         self._prepared_for = None
         with suppress(SelectScriptError):
-            self._connection.run(self._deallocate)
+            self._plans.deallocate(self._name)
 
     def forget(self) -> None:
         """Drops the statement."""
-        if self._prepared_for == self._plans.generation(self._reads):
-            self._connection.run(self._deallocate)
-            self._prepared_for = None
+        self._plans.deallocate(self._name)
+        self._prepared_for = None
         if self._has_parameters:
             self._connection.unregister(self._name)
 

@@ -59,7 +59,8 @@ def test_every_table_is_there_with_its_columns(ss, table):
     for name in (table, f"kitchen.{table}"):
         names = list(TABLES[table].names)
         seconds = list(TABLES[table].second_names.values())
-        assert ss.sql(f"FROM {name} LIMIT 0").columns == names + seconds
+        views_only = [column.name for column in TABLES[table].view_columns]
+        assert ss.sql(f"FROM {name} LIMIT 0").columns == names + seconds + views_only
 
 
 @pytest.mark.parametrize("table", sorted(set(TABLES) - {"contacts"}))
@@ -227,6 +228,10 @@ def test_statements_a_run():
             kitchen.step()
             interpreter.eval(program)
         assert [sql.split()[0] for sql in told] == ["EXECUTE"] * 3
+        told.clear()
+        kitchen.remove("can")
+        interpreter.eval(program)
+        assert [sql.split()[0] for sql in told] == ["DEALLOCATE", "PREPARE", "EXECUTE"]
         told.clear()
         interpreter.eval("1 + 1; [1, 2][0];")
         assert told == []

@@ -172,6 +172,7 @@ CALLS = {
     "Interpreter(strict)": (
         "flag", False, lambda _, v: ssduck.Interpreter(strict=v).close()
     ),
+    "Interpreter.strict": ("flag", False, lambda t, v: setattr(t.ss, "strict", v)),
     "Interpreter.run(seconds)": ("seconds", False, lambda t, v: t.ss.run(v)),
     "Interpreter.run(realtime)": ("speed", False, lambda t, v: t.ss.run(0, realtime=v)),
     "Interpreter.run(progress)": ("flag", False, lambda t, v: t.ss.run(0, progress=v)),
