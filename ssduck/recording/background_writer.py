@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import pyarrow as pa
 
-from ssduck import ctrl_c
+from ssduck.world import ctrl_c
 
 # Held by a store while added rows become readable.
 CommitLock: TypeAlias = AbstractContextManager[None]

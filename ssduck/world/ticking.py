@@ -10,12 +10,13 @@ from contextlib import contextmanager, suppress
 from itertools import count
 from typing import Protocol, Self
 
-from ssduck import ctrl_c, validation
+from ssduck import validation
 from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
+from ssduck.world import ctrl_c
 from ssduck.world.entity_registry import EntityRegistry
 from ssduck.world.observers import Observable
 from ssduck.world.snapshot import Snapshot
