@@ -189,7 +189,7 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         entities = [entity_of(id) for id in ids] if has_links else ids
         shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else entities)
         if has_links:
-            shapes = shapes.of(ids, needs_whole_tick=udf.needs_whole_tick)
+            shapes = shapes.of(ids)
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(tick)
         return udf.function(shapes, *ids, *arguments[id_count:])

@@ -17,10 +17,10 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
-from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
+from ssduck.geometry.narrow_phase import MIN_DEPTH, TOUCHING_DISTANCE, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.solids import PlacedSolids
-from ssduck.schema import ID_FACTOR, LINK_FACTOR
+from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
 MIN_PAIRS_AT_ONCE = 64
@@ -79,6 +79,9 @@ class ShapeQueries:
         self._ids = ids
         self._links = links
         self._by_links: dict[frozenset[int], ShapeQueries] = {}
+        # The queries of the tick without links, of queries in which all links stand beside them.
+        self._whole: ShapeQueries | None = None
+        self._loaded: dict[tuple[int, bool], bool] = {}
         self._lock = RLock()
         self._overlapping: dict[float, list[int]] = {}
         self._overlapping_with_margins: dict[float, list[int]] = {}
@@ -103,7 +106,8 @@ class ShapeQueries:
             if key not in self._by_links:
                 if len(self._by_links) > MAX_LINK_QUERIES:
                     self._by_links.clear()
-                self._by_links[key] = self._with_parts(key)
+                queries = self._by_links[key] = self._with_parts(key)
+                queries._whole = None if needs_whole_tick else self  # noqa: SLF001  # one class
             return self._by_links[key]
 
     def _with_parts(self, parts: frozenset[int]) -> ShapeQueries:
@@ -293,10 +297,17 @@ class ShapeQueries:
 
     def supports(self, a: int, b: int) -> bool | None:
         """Checks whether a carries b, alone or together with others."""
+        if self._whole is not None:
+            touches = self.touching(a, b, TOUCHING_DISTANCE)
+            return self._beside_the_rest(a, b).supports(a, b) if touches else touches
         return self._neighbours.supports(*self._pair(a, b))
 
     def rests_on(self, a: int, b: int) -> bool | None:
         """Checks whether b is on a, or on something that rests on a."""
+        if self._whole is not None:
+            if not (self._is_loaded(a, is_below=True) and self._is_loaded(b, is_below=False)):
+                return False
+            return self._beside_the_rest(a, b).rests_on(a, b)
         return self._neighbours.rests_on(self._numbers[a], self._numbers[b])
 
     def encloses(self, a: int, b: int, *orientation: float) -> bool | None:
@@ -315,9 +326,37 @@ class ShapeQueries:
         is_near = self.near(a, b, max_distance)
         if not is_near:
             return is_near
+        if self._whole is not None:
+            queries = self._beside_the_rest(a, b)
+            return queries.beside(a, b, max_distance, *orientations)
         return self._neighbours.are_beside(
             *self._pair(a, b), _orientation(orientations[:4]), _orientation(orientations[4:])
         )
+
+    def _beside_the_rest(self, a: int, b: int) -> ShapeQueries:
+        """Returns the queries in which the links among two ids stand beside the rest of theirs."""
+        assert self._whole is not None
+        return self._whole.of((a, b), needs_whole_tick=True)
+
+    def _is_loaded(self, id: int, *, is_below: bool) -> bool:
+        """Checks whether anything is on an entity or a link; or else, whether that is on anything.
+
+        Unknown counts as something.
+        """
+        key = id, is_below
+        if key not in self._loaded:
+            entity = entity_of(id)
+            # An entity is not on its links, nor they on it; one of its links may be on another.
+            others = [
+                other
+                for other in self._numbers
+                if other not in (id, entity) and (id != entity or entity_of(other) != id)
+            ]
+            self._loaded[key] = any(
+                (self.on(id, other) if is_below else self.on(other, id)) is not False
+                for other in others
+            )
+        return self._loaded[key]
 
     def inside(self, a: int, b: int) -> float | None:
         """Returns the fraction of b's volume inside a's convex hull; 0 if b has no volume."""

@@ -300,9 +300,8 @@ class Snapshot:
                 shape_table.margins,
             )
             entities = self.tables["entities"]
-            boxes = entities.doubles("xmin", "zmax").copy()
-            ids, links = entities["id"].copy(), table["link"]
-            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, links)
+            boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
+            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, table["link"])
         return self._shapes
 
     @property
