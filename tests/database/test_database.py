@@ -215,8 +215,10 @@ def test_selectscript_pairs_are_a_range_join_too(ss):
 def test_statements_a_run():
     """A compiled query is one statement; planning happens once, and for new buffers again."""
     told = []
-    interpreter = ssduck.Interpreter(tracer=told.append)
-    with ssduck.load("kitchen") as other:
+    # Each tick with another number of contacts has new buffers for them.
+    recording = ssduck.Recording(tables=("entities",))
+    interpreter = ssduck.Interpreter(tracer=told.append, recording=recording)
+    with ssduck.load("kitchen", recording=recording) as other:
         kitchen = other.call_variable("kitchen")
         interpreter.add_variable("kitchen", kitchen)
         program = interpreter.compile("SELECT id FROM kitchen WHERE z(this) > 1.5 AS list;")
