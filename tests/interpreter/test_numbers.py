@@ -211,7 +211,7 @@ CALLS = {
 # Arguments that are numbers and not in `CALLS`: what results are made of, what is called by
 # ssduck and not by users, and what is another entry's.
 OTHERS = {
-    "Entity(id)": "made by worlds",
+    "Entity(id)": "made by worlds", "Link(id)": "made by worlds",
     "Episode": "a result",
     "Past": "a result; `Interpreter.past` makes it",
     "OccupancyGrid": "a result", "Grid": "a result", "SensorGrid": "a result",
