@@ -220,7 +220,7 @@ OTHERS = {
     "World.enable": "Entity.enabled", "World.show": "Entity.visible",
     "World.place": "Entity.move", "World.reading": "Sensor.reading",
     "World.switch": "Sensor.power", "World.reached": "for followers",
-    "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
+    "World.handle(id)": "of a row", "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",
 }  # fmt: skip
 
