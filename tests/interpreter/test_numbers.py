@@ -110,6 +110,7 @@ def occupied(**arguments):
 # Of each argument: what it is expected to be, whether None is fine, and the call.
 CALLS = {
     "World.step(count)": ("steps", False, lambda t, v: t.sim.step(v)),
+    "World.step(every)": ("above 0", True, lambda t, v: t.sim.step(0, every=v)),
     "World.tick(steps)": ("steps", True, lambda t, v: t.sim.tick(steps=v)),
     "World.tick(time)": ("time", True, lambda t, v: t.sim.tick(time=v)),
     "World.run(seconds)": ("seconds", False, lambda t, v: t.sim.run(v)),
@@ -220,7 +221,8 @@ OTHERS = {
     "World.enable": "Entity.enabled", "World.show": "Entity.visible",
     "World.place": "Entity.move", "World.reading": "Sensor.reading",
     "World.switch": "Sensor.power", "World.reached": "for followers",
-    "World.handle(id)": "of a row", "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
+    "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
+    "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",
 }  # fmt: skip
 
