@@ -100,7 +100,13 @@ class Result(RowsOfColumns):
         return rows[0] if rows else None
 
     def part(self, start: int, count: int) -> list[tuple[Any, ...]]:
-        """Returns at most `count` rows from an index on, as tuples."""
+        """Returns at most `count` rows from an index on, as tuples.
+
+        Raises:
+            NumberError: `start` or `count` is not a whole number of at least 0.
+        """
+        start = validation.integer(start, "part: start", minimum=0)
+        count = validation.integer(count, "part: count", minimum=0)
         columns = [python_values(column) for column in self._table.slice(start, count).columns]
         return list(zip(*columns, strict=True)) if columns else []
 
