@@ -132,17 +132,25 @@ def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
 
 
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
+    return _extreme(series, age, "least", min)
+
+
+def _greatest(series: TickSeries, age: Any) -> list[Any] | None:
+    return _extreme(series, age, "greatest", max)
+
+
+def _extreme(
+    series: TickSeries, age: Any, name: str, choose: Callable[..., tuple[float, Any]]
+) -> list[Any] | None:
+    """Returns [time, value] of the first of the extreme values; None without numbers."""
     times, values = series.at(past_of(series.record, age))
     entries = [
-        (value, time) for time, value in zip(times, values, strict=True) if _is_number(value)
+        (time, value) for time, value in zip(times, values, strict=True) if _is_number(value)
     ]
     invalid = [v for v in values if v is not None and not isinstance(v, int | float)]
     if invalid:
-        raise ArgumentError(f"least takes an expression of numbers, not {short_repr(invalid[0])}")
-    if not entries:
-        return None
-    value, time = min(entries, key=lambda entry: entry[0])
-    return [time, value]
+        raise ArgumentError(f"{name} takes an expression of numbers, not {short_repr(invalid[0])}")
+    return list(choose(entries, key=lambda entry: entry[1])) if entries else None
 
 
 def _is_number(value: Any) -> bool:
@@ -188,6 +196,14 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "at its first tick, the time in seconds: least(clearance(a, b)) is the closest "
             "approach.",
             "least(expression[, age]) -> list",
+        ),
+        TemporalFunction(
+            "greatest",
+            _greatest,
+            "Returns [time, value] of the greatest value of an expression over the recorded ticks, "
+            "at its first tick, the time in seconds: greatest(contactForce(a, b)) is the hardest "
+            "push.",
+            "greatest(expression[, age]) -> list",
         ),
     )
 }

@@ -175,6 +175,9 @@ def test_questions_about_the_finger_as_a_value(hour: tuple[Loop, ssduck.Interpre
     changes = ss.eval(f"changes(inContact({finger}, sim.cube));")
     assert next(time for time, holds in changes if holds) == first
     forces = [math.fsum(loop.finger[step]) for step in steps]
+    time, force = ss.eval(f"greatest(contactForce({finger}, sim.cube));")
+    assert force == pytest.approx(max(forces), abs=1e-9)
+    assert time == times.expected[forces.index(max(forces))]
     found = ss.eval(f"SELECT contactForce(this, sim.cube) {of_links} AS list;")
     assert found == pytest.approx(forces, abs=1e-9)
     rows = ss.sql("""

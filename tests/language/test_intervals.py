@@ -175,7 +175,8 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     ss._database.connection._tracer = told.append
     assert ss.eval("since(z(ball) < 2);") == 0.0
     blocks = [sql for sql in told if "entities_history" in sql]
-    assert len(blocks) == (1 if ticks < 239 else 2 if ticks < 719 else 3)
+    # Three ticks are of the time 0, and stay together.
+    assert len(blocks) == (1 if ticks < 240 else 2 if ticks < 719 else 3)
 
 
 def test_the_closest_approach(lab: Any) -> None:
@@ -184,6 +185,15 @@ def test_the_closest_approach(lab: Any) -> None:
     assert (time, distance) == (pytest.approx(times[2]), pytest.approx(0.05, abs=1e-6))
     late = _evaluated(lab, f"least(clearance(ball, board), {-0.5 * STEP});")
     assert late[1] == pytest.approx(0.2, abs=0.01)
+
+
+def test_the_greatest_value(lab: Any) -> None:
+    """At the first tick that has it, and of numbers alone."""
+    times = _put(lab[2], [0.5, 0.7, 0.3, 0.7])
+    first = [pytest.approx(times[1]), pytest.approx(0.7)]
+    assert _evaluated(lab, "greatest(z(ball), -3.5 / 240);") == first
+    with pytest.raises(ssduck.SelectScriptError, match="greatest takes an expression of numbers"):
+        lab[0].eval("greatest(id(ball));")
 
 
 def test_changes_of_a_value(lab: Any) -> None:

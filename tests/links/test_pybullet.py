@@ -94,9 +94,9 @@ def test_contacts_at_every_tick(cell, name):
         )
         assert found[-STEPS:] == pytest.approx(forces)
     rows = cell.ss.sql(
-        "SELECT l.tick, contactForce(l, c) FROM sim.links_history l "
+        "SELECT l.tick, sim.contactForce(l, c) FROM sim.links_history l "
         "JOIN sim.entities_history c USING (tick) WHERE l.full_name = $1 AND c.name = 'cube' "
-        "AND inContact(l, c) ORDER BY tick",
+        "AND sim.inContact(l, c) ORDER BY tick",
         [f"panda.{name}"],
     ).fetchall()
     assert [tick for tick, _ in rows] == touching
@@ -109,7 +109,7 @@ def test_forces_on_the_links_of_a_body_sum_up_to_that_on_the_body(cell):
     assert np.sum(parts, axis=0) == pytest.approx(whole, abs=1e-9)
     torques = [cell.ss.eval(f"torque({name});") for name in ("sim.cube.baseLink", "sim.cube")]
     assert torques[0] == pytest.approx(torques[1], abs=1e-9)
-    rows = cell.ss.sql("SELECT list_sum([force(l)[3]]) FROM sim.links l WHERE l.entity = 3")
+    rows = cell.ss.sql("SELECT list_sum([sim.force(l)[3]]) FROM sim.links l WHERE l.entity = 3")
     assert sum(z for (z,) in rows.fetchall()) == pytest.approx(whole[2], abs=1e-9)
 
 

@@ -89,7 +89,7 @@ def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     opened = kitchen[2]["folder"]
     world = opened.call_variable("kitchen")
     assert repr(world) == (
-        "<RecordedWorld 'kitchen': 37 entities, ticks 2 to 27, t=0 s to 0.416667 s>"
+        "<RecordedWorld 'kitchen': 37 entities, ticks 2 to 102, t=0 s to 0.416667 s>"
     )
     cup = world["cup_905a"]
     assert (cup.kind, len(cup.position), cup.mass > 0) == ("kinbody", 3, True)
@@ -148,19 +148,19 @@ def test_others_read_the_folder_as_it_is(folder, table):
 def test_episodes_are_told_and_opened_by_world_and_number(folder):
     told = ssduck.episodes(folder)
     assert [(e.world, e.number, e.ticks) for e in told] == [
-        ("lab", 0, 6),
-        ("lab", 1, 7),
+        ("lab", 0, 11),
+        ("lab", 1, 12),
         ("still", 0, 1),
     ]
     assert told[0].tables == tuple(sorted(RECORDABLE))
-    assert (told[1].first_tick, told[1].last_tick) == (3, 9)
+    assert (told[1].first_tick, told[1].last_tick) == (3, 14)
     assert told[1].end == pytest.approx(11 / 240)
     with ssduck.open(folder) as ss:
-        assert ss.call_variable("lab").snapshot.number == 9
+        assert ss.call_variable("lab").snapshot.number == 14
         assert len(ss.call_variable("still")) == 1
         assert ss.sql("SELECT count(*) FROM still.entities_history").fetchall() == [(1,)]
     with ssduck.open(folder, episode=0) as ss:
-        assert ss.call_variable("lab").snapshot.number == 8
+        assert ss.call_variable("lab").snapshot.number == 13
     with ssduck.open(folder, episode=1) as ss:
         assert next(iter(ss)) == "lab"
         assert "still" not in ss

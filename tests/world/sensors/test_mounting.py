@@ -284,7 +284,7 @@ MISTAKES = [
         ("range_finder", "mast"),
         {"max_rang": 1},
         ArgumentError,
-        "max_range: missing; did you mean 'max_rang'",
+        "max_range: missing, but there is 'max_rang'",
     ),
     (
         ("range_finder", "mast"),
