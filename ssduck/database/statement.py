@@ -35,14 +35,12 @@ class PreparedPlans:
     def __init__(self, connection: Connection, user_tables: AbstractSet[str]) -> None:
         self.connection = connection
         self._user_tables = user_tables
-        # A number for each table, which grows when prepared statements on it become invalid.
-        self._generations = dict.fromkeys(_TABLES, 0)
-        # The tables that ssduck's own prepared statements read, by the statement's name.
+        # The tables that ssduck's own valid statements read, by the statement's name.
         self._own: dict[str, frozenset[str]] = {}
 
-    def generation(self, tables: Iterable[str]) -> int:
-        """Returns a number that grows when statements on one of these tables become invalid."""
-        return sum(self._generations.get(table, 0) for table in tables)
+    def has(self, name: str) -> bool:
+        """Checks whether one of ssduck's own statements is prepared and valid."""
+        return name in self._own
 
     def add(self, name: str, tables: frozenset[str]) -> None:
         """Adds one of ssduck's own prepared statements, with the tables that it reads."""
@@ -60,10 +58,11 @@ class PreparedPlans:
         statement that DuckDB keeps reads such a table.
         """
         stale = frozenset(tables)
-        for table in tables:
-            self._generations[table] += 1
-        for name in [name for name, reads in self._own.items() if stale & reads]:
-            self.deallocate(name)
+        invalid = [name for name, reads in self._own.items() if stale & reads]
+        for name in invalid:  # all of them, even if a DEALLOCATE fails
+            del self._own[name]
+        for name in invalid:
+            self._deallocate(name)
         if stale & self._user_tables:
             names = self.connection.internal_rows("SELECT name FROM duckdb_prepared_statements()")
             for (name,) in names:
@@ -103,7 +102,6 @@ class Statement:
         self._name = _statement_name(next(self._numbers), self._reads)
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
         self._row.fill(1, {})
-        self._prepared_for: int | None = None
         tree = select.copy()
         self._has_parameters = bool(types)
         if types:
@@ -116,13 +114,11 @@ class Statement:
         """Returns all rows for these values of the parameters; the caller pins the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
-        generation = self._plans.generation(self._reads)
-        if self._prepared_for != generation:
+        if not self._plans.has(self._name):
             if self._has_parameters:
                 self._connection.register(self._name, self._row.arrow)
             self._connection.run(self._prepare, timed=True)
             self._plans.add(self._name, self._reads)
-            self._prepared_for = generation
         try:
             return self._connection.rows(self._execute)
         except SelectScriptError:
@@ -131,14 +127,12 @@ class Statement:
 
     def _release(self) -> None:
         """Frees the memory that DuckDB keeps for a statement that failed."""
-        self._prepared_for = None
         with suppress(SelectScriptError):
             self._plans.deallocate(self._name)
 
     def forget(self) -> None:
         """Drops the statement."""
         self._plans.deallocate(self._name)
-        self._prepared_for = None
         if self._has_parameters:
             self._connection.unregister(self._name)
 

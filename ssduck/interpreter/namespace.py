@@ -127,18 +127,7 @@ class Namespace:
         return past_value(name, value, age, self._now)
 
     def history(self, name: str) -> list[tuple[float, Any]]:
-        """Returns the values of a variable with a history, and their times.
-
-        Args:
-            name: the name of a variable that was assigned by `name{5.0} = …` or `name{} = …`.
-
-        Returns:
-            The simulated time of each assignment, s, and its value, the oldest first.
-
-        Raises:
-            UnknownNameError: no variable has that name; the error suggests the nearest names.
-            ArgumentError: the variable has no history.
-        """
+        """Returns the values of a variable and their times; see `Interpreter.history`."""
         with self.lock:
             self.variable(name)
             return history_of(name, self.variables[name]).within(math.inf, self._now())

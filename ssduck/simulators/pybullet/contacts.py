@@ -42,8 +42,7 @@ _Point: TypeAlias = tuple[Any, ...]
 def read_contacts(client: int) -> ContactPoints:
     """Returns the contact points of the last step, without those of separate shapes."""
     points = pybullet.getContactPoints(physicsClientId=client)
-    columns = _columns(points) if points else None
-    return ContactPoints.none() if columns is None else _meeting(columns)
+    return _meeting(_columns(points)) if points else ContactPoints.none()
 
 
 def _meeting(columns: dict[str, npt.NDArray[Any]]) -> ContactPoints:
