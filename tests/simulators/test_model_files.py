@@ -16,6 +16,7 @@ import ssduck
 from ssduck.errors import SceneError
 from ssduck.simulators.pybullet.ignored_parts import IGNORED
 from tests.support import urdf
+from tests.support.bodies import client_of
 from tests.support.models import mjcf_body, mjcf_of, sdf_link, sdf_model, sdf_of
 
 LIBRARY = Path(pybullet_data.getDataPath())
@@ -47,27 +48,6 @@ MJCF = mjcf_of(
     model="my lab",
     before='<compiler angle="degree"/>',
 )
-
-
-@pytest.fixture
-def load(write):
-    """Loads a scene of one text with model files beside it; returns interpreter and world."""
-    opened = []
-
-    def loaded(text, **files):
-        for name, content in files.items():
-            write(name.replace("_", "."), content)
-        ss = ssduck.load(write("room.toml", text))
-        opened.append(ss)
-        return ss, ss.call_variable("room")
-
-    yield loaded
-    for ss in opened:
-        ss.close()
-
-
-def client_of(world):
-    return world.simulator.client
 
 
 def states(client, bodies, get=pybullet.getDynamicsInfo):

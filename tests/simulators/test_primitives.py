@@ -14,6 +14,7 @@ from ssduck.cli.app import app
 from ssduck.errors import SceneError
 from ssduck.simulators.scene_bodies import Material, Primitive
 from ssduck.simulators.scenes import find_scene, read_scene
+from tests.support.bodies import client_of
 from tests.support.cases import sampled
 
 HALF_TURN = 0.7071067811865476
@@ -52,25 +53,6 @@ restitution = 0.25
 colour = [0, 0.5, 1, 0.5]
 velocity = [0, 0, 0, 0, 0, 3]
 """
-
-
-@pytest.fixture
-def load(write):
-    """Loads the text of a scene; returns the interpreter and the world."""
-    opened = []
-
-    def loaded(text):
-        ss = ssduck.load(write("room.toml", text))
-        opened.append(ss)
-        return ss, ss.call_variable("room")
-
-    yield loaded
-    for ss in opened:
-        ss.close()
-
-
-def client_of(world):
-    return world.simulator.client
 
 
 @sampled("name", BODIES, every=2)

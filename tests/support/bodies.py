@@ -29,3 +29,8 @@ def create_linked_body(client, mass, shape, *, link_shape=None, **settings):
         "linkJointAxis": [[0, 0, 1]],
     }
     return pybullet.createMultiBody(mass, shape, **(link | settings), physicsClientId=client)
+
+
+def client_of(world):
+    """Returns the number of the client that runs a world."""
+    return world.simulator.client
