@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import pyarrow as pa
 
@@ -49,39 +50,69 @@ _FAMILIES = (
 )
 
 
+class TupleRows(Protocol):
+    """Rows that are tuples already, of which an Arrow table is made when it is needed."""
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """The names of the columns."""
+
+    @property
+    def types(self) -> list[str]:
+        """DuckDB's names of the columns' types."""
+
+    @property
+    def rows(self) -> list[tuple[Any, ...]]:
+        """The rows."""
+
+    @property
+    def table(self) -> pa.Table:
+        """The rows as an Arrow table."""
+
+    def __len__(self) -> int:
+        """Returns the number of rows."""
+
+
 class Result(RowsOfColumns):
     """The rows of an SQL query, all fetched, so that stepping the world does not change them.
 
     Args:
-        table: the rows.
+        rows: the rows, as an Arrow table or as tuples.
 
     >>> result = Result(pa.table({"name": ["sink", "table"]}))
     >>> result.types, result.fetchone(), len(result)
     (['varchar'], ('sink',), 2)
     """
 
-    def __init__(self, table: pa.Table) -> None:
-        self._table = table
+    def __init__(self, rows: pa.Table | TupleRows) -> None:
+        self._rows = rows
         self._fetched = 0
+
+    @cached_property
+    def _table(self) -> pa.Table:
+        return self._rows if isinstance(self._rows, pa.Table) else self._rows.table
 
     @property
     def columns(self) -> list[str]:
         """The names of the columns."""
-        return list(self._table.column_names)
+        is_table = isinstance(self._rows, pa.Table)
+        return list(self._table.column_names if is_table else self._rows.columns)
 
     @property
     def types(self) -> list[str]:
         """DuckDB's names of the columns' types."""
+        if not isinstance(self._rows, pa.Table):
+            return self._rows.types
         return [_type_name(column.type) for column in self._table.columns]
 
     @property
     def shape(self) -> tuple[int, int]:
         """The numbers of rows and of columns."""
-        return (self._table.num_rows, self._table.num_columns)
+        return (len(self), len(self.columns))
 
     def fetchall(self) -> list[tuple[Any, ...]]:
         """Returns the rows not fetched yet, as tuples."""
-        return self.fetchmany(self._table.num_rows)
+        return self.fetchmany(len(self))
 
     def fetchmany(self, size: int = 1) -> list[tuple[Any, ...]]:
         """Returns the next rows, at most `size`, as tuples.
@@ -107,6 +138,8 @@ class Result(RowsOfColumns):
         """
         start = validation.integer(start, "part: start", minimum=0)
         count = validation.integer(count, "part: count", minimum=0)
+        if not isinstance(self._rows, pa.Table):
+            return self._rows.rows[start : start + count]
         columns = [python_values(column) for column in self._table.slice(start, count).columns]
         return list(zip(*columns, strict=True)) if columns else []
 
@@ -163,10 +196,10 @@ class Result(RowsOfColumns):
         return save(self, Path(path))
 
     def __len__(self) -> int:
-        return int(self._table.num_rows)
+        return len(self._rows)
 
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
-        return iter(Result(self._table).fetchall())
+        return iter(self.part(0, len(self)))
 
     def __repr__(self) -> str:
         rows, count = self.shape

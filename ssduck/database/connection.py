@@ -18,6 +18,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
+from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     EvaluationError,
@@ -86,9 +87,7 @@ class Connection:
         self._raised: list[BaseException] = []
         # For small data and many queries, a second thread costs more time than it saves.
         self.run("SET threads = 1")
-        # In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
-        # invalidates the database at its second run. A nested loop is correct.
-        self.run("SET merge_join_threshold = 1000000000")
+        self.forbid_merge_joins()
         # DuckDB would draw it on standard output.
         self.run("SET enable_progress_bar = false")
         # The name of an unknown table is an error, not a Python variable of the caller.
@@ -107,6 +106,14 @@ class Connection:
         if not limits.files:
             self.run("SET enable_external_access = false")
             self.run("SET lock_configuration = true")
+
+    def forbid_merge_joins(self) -> None:
+        """Lets DuckDB plan other joins than merge joins.
+
+        In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
+        invalidates the database at its second run. A nested loop is correct.
+        """
+        self.run("SET merge_join_threshold = 1000000000")
 
     @property
     def is_file(self) -> bool:
@@ -224,6 +231,45 @@ class Connection:
         table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)
         return table
+
+    def fetched(
+        self, sql: str, parameters: Parameters, header: Header | None
+    ) -> FetchedRows | None:
+        """Returns all rows of a user's statement as tuples; the caller pins the worlds.
+
+        Args:
+            sql: the statement.
+            parameters: the values of its parameters.
+            header: the columns, with the expected number of rows; None if they are not known.
+
+        Returns:
+            The rows; None if the types of the columns require an Arrow table.
+        """
+        max_rows = self.meter.limits.rows
+        most = None if max_rows is None else max_rows + 1
+
+        def fetch() -> FetchedRows | None:
+            return fetched(self._connection.execute(sql, parameters), most, header)
+
+        rows = self._execute(sql, fetch)
+        if rows is not None:
+            self.meter.check_rows(len(rows))
+        return rows
+
+    def columns(self, sql: str, parameters: Parameters) -> list[tuple[str, str]]:
+        """Returns the names and the types of a query's columns; the query does not run."""
+        described = self._execute(
+            sql, lambda: self._connection.execute(f"DESCRIBE {sql}", parameters).fetchall()
+        )
+        return [(name, type) for name, type, *_ in described]
+
+    def is_query(self, sql: str) -> bool:
+        """Checks whether a text is one statement that only reads."""
+        try:
+            statements = self._connection.extract_statements(sql)
+        except duckdb.Error:
+            return False
+        return len(statements) == 1 and statements[0].type == duckdb.StatementType.SELECT
 
     def run(self, sql: str, *, timed: bool = False) -> None:
         """Runs a statement of ssduck's own, which no limit cuts off unless `timed` is set."""

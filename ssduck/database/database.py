@@ -15,9 +15,16 @@ from pathlib import Path
 import pyarrow as pa
 
 from ssduck.database.connection import Connection, Parameters
+from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.functions import add_geometry_functions, add_user_function, converter_of
+from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
-from ssduck.database.referenced_tables import ReferencedTables, check_length, reads_recorded_masses
+from ssduck.database.referenced_tables import (
+    ReferencedTables,
+    StatementWords,
+    check_length,
+    words_of,
+)
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
@@ -67,6 +74,7 @@ class Database:
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
+        self._raw_sql = RawSql(self.connection, self.plans, self._references, self._worlds)
         if self.connection.is_file:
             self._schemas.drop_stale_views()
         add_geometry_functions(self.connection, self._worlds.by_schema)
@@ -93,7 +101,7 @@ class Database:
 
     # -- statements -----------------------------------------------------------------------
 
-    def table(self, sql: str, parameters: Parameters) -> pa.Table:
+    def user_rows(self, sql: str, parameters: Parameters) -> FetchedRows | pa.Table:
         """Returns all rows of a user's statement, for which the tables that it names are read.
 
         Args:
@@ -106,17 +114,24 @@ class Database:
         """
         if self.connection.meter.limits.seconds is not None:
             check_length(sql)
-        tables = self._references.tables(sql)
-        with self.pinned(tables, self._references.worlds(sql, self._worlds.bound)):
-            schemas = list(self._worlds.by_schema)
+        words = words_of(sql)
+        with self._lock:
+            tables = self._references.tables(words) - self._raw_sql.unread(sql)
+            with self.pinned(tables, self._references.worlds(words, self._worlds.bound)):
+                self._describe(words)
+                return self._raw_sql.rows(sql, parameters, words)
+
+    def _describe(self, words: StatementWords) -> None:
+        """Creates the macros and comments that a user's statement may need."""
+        schemas = list(self._worlds.by_schema)
+        if not self._schemas.are_described(schemas):
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)
-            self._schemas.make_formulas(sql, schemas)
-            if reads_recorded_masses(sql):
-                for bound in self._worlds.bound:
-                    if bound.history is not None and bound.reference() is not None:
-                        bound.history.record.warn_of_masses()
-            return self.connection.table(sql, parameters)
+        self._schemas.make_formulas(words.formulas, schemas)
+        if words.reads_recorded_masses:
+            for bound in self._worlds.bound:
+                if bound.history is not None and bound.reference() is not None:
+                    bound.history.record.warn_of_masses()
 
     @contextmanager
     def pinned(
@@ -149,6 +164,7 @@ class Database:
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""
+        self._raw_sql.statements.forget()
         add_user_function(self.connection, signature, function, self._worlds.by_schema)
 
     def converter(self, sql_type: SqlType) -> Converter | None:

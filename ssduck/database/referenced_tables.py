@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from functools import lru_cache
 
 import duckdb
 
@@ -56,6 +59,42 @@ MAX_TOKENS = 200_000
 MAX_BRACKETS = 100
 
 
+@dataclass(frozen=True)
+class StatementWords:
+    """What the words in a user's statement say.
+
+    Attributes:
+        tables: the tables that they refer to.
+        stores_a_query: whether it makes a view, a macro or a prepared statement.
+        changes_search_path: whether it may change the schemas that may be omitted.
+        formulas: the relations without tables that it may call with a schema before them.
+        reads_recorded_masses: whether it reads recorded masses: the column, or all columns.
+        folded: its text in small letters.
+    """
+
+    tables: frozenset[str]
+    stores_a_query: bool
+    changes_search_path: bool
+    formulas: frozenset[str]
+    reads_recorded_masses: bool
+    folded: str
+
+
+@lru_cache(maxsize=256)
+def words_of(sql: str) -> StatementWords:
+    """Returns what the words in a statement say."""
+    words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+    return StatementWords(
+        tables=frozenset(table for word in words for table in _TABLES_OF[word]),
+        stores_a_query=_STORES_A_QUERY.search(sql) is not None,
+        changes_search_path=_CHANGES_SEARCH_PATH.search(sql) is not None,
+        formulas=frozenset(qualified_formulas(sql)),
+        reads_recorded_masses=_MASS_HISTORIES.search(sql) is not None
+        and _MASS_OR_ALL.search(sql) is not None,
+        folded=sql.casefold(),
+    )
+
+
 class ReferencedTables:
     """The tables and worlds that users' statements refer to.
 
@@ -64,40 +103,36 @@ class ReferencedTables:
 
     Attributes:
         persistent: the tables that count for all later statements.
+        search_path_changes: whether a statement may have changed the schemas that may be omitted.
     """
 
     def __init__(self) -> None:
         self.persistent: set[str] = set()
-        self._search_path_changes = False
+        self.search_path_changes = False
 
-    def tables(self, sql: str) -> set[str]:
+    def tables(self, words: StatementWords) -> AbstractSet[str]:
         """Returns the tables that a statement may read."""
-        words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
-        tables = {table for word in words for table in _TABLES_OF[word]}
-        if _STORES_A_QUERY.search(sql):
-            self.persistent |= tables
-        return tables | self.persistent
+        if words.stores_a_query:
+            self.persistent |= words.tables
+        return words.tables | self.persistent if self.persistent else words.tables
 
-    def worlds(self, sql: str, bound: Sequence[BoundWorld]) -> list[World] | None:
+    def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[World] | None:
         """Returns the worlds that a statement may read; None for all, if it may use others.
 
         The schema of the first world may be omitted.
         """
-        self._search_path_changes |= _CHANGES_SEARCH_PATH.search(sql) is not None
-        if self.persistent or self._search_path_changes or _STORES_A_QUERY.search(sql):
+        self.search_path_changes |= words.changes_search_path
+        if self.persistent or self.search_path_changes or words.stores_a_query:
             return None
-        text = sql.casefold()
         return [
             world
             for number, entry in enumerate(bound)
             if (world := entry.reference()) is not None
-            and (number == 0 or any(schema.casefold() in text for schema in entry.schemas))
+            and (
+                number == 0
+                or any(schema.casefold() in words.folded for schema in entry.schemas)
+            )
         ]
-
-
-def reads_recorded_masses(sql: str) -> bool:
-    """Checks whether a statement reads recorded masses: the column, or all columns."""
-    return _MASS_HISTORIES.search(sql) is not None and _MASS_OR_ALL.search(sql) is not None
 
 
 def qualified_formulas(sql: str) -> set[str]:

@@ -74,6 +74,10 @@ class Schemas:
         view = f"{quoted(schema)}.{quoted(name)}"
         self._connection.run(f"CREATE OR REPLACE VIEW {view} AS {rows}")
 
+    def are_described(self, names: Collection[str]) -> bool:
+        """Checks whether the macros and comments are those of these schemas."""
+        return self._described == set(names)
+
     def describe(self, names: Sequence[str], only: str | None, recorded: Collection[str]) -> None:
         """Creates the macros of relations, and the comments on tables.
 
@@ -82,32 +86,31 @@ class Schemas:
             only: the schema of the only world; None if there are several worlds.
             recorded: the schemas of recorded worlds.
         """
-        if self._described != set(names):
-            known = None if self._described is None else frozenset(self._described)
-            script = description_script(tuple(names), only, known, frozenset(recorded))
-            self._connection.run(script)
-            self._described = set(names)
+        known = None if self._described is None else frozenset(self._described)
+        script = description_script(tuple(names), only, known, frozenset(recorded))
+        self._connection.run(script)
+        self._described = set(names)
 
-    def make_formulas(self, sql: str, names: Sequence[str]) -> None:
+    def make_formulas(self, called: Collection[str], names: Sequence[str]) -> None:
         """Creates the macros of relations without tables in schemas, if a statement calls them.
 
         All of them in all schemas would take longer than a statement. Views and macros in a file
         may call them, too.
 
         Args:
-            sql: the statement that is about to run.
+            called: the relations that the statement calls with a schema before them.
             names: the names of all schemas of worlds.
         """
-        called = qualified_formulas(sql)
+        needed = set(called)
         if self._connection.is_file and not self._is_searched:
             self._is_searched = True
             for (text,) in self._connection.internal_rows(_STORED_TEXTS):
-                called |= qualified_formulas(text)
-        for name in names if called else ():
+                needed |= qualified_formulas(text)
+        for name in names if needed else ():
             existing = self._formulas.setdefault(name, set())
-            for statement in formula_statements(sorted(called - existing), name):
+            for statement in formula_statements(sorted(needed - existing), name):
                 self._connection.run(statement)
-            existing |= called
+            existing |= needed
 
     def drop(self, schema: str, history: WorldHistory | None) -> None:
         """Drops a schema whose world is gone; in a file its history stays."""

@@ -87,8 +87,6 @@ class Statement:
         types: the types of the parameters, by name; all of them are numbers.
     """
 
-    _numbers = count(1)
-
     def __init__(
         self,
         plans: PreparedPlans,
@@ -99,7 +97,7 @@ class Statement:
         self._connection = plans.connection
         # The entities' buffers are replaced whenever any other part of the worlds changes.
         self._reads = frozenset(("entities", *(t.name for t in select.find_all(exp.Table))))
-        self._name = _statement_name(next(self._numbers), self._reads)
+        self._name = statement_name(self._reads)
         self._row = LiveTable(tuple(Column(name, type, "") for name, type in types.items()))
         self._row.fill(1, {})
         tree = select.copy()
@@ -137,9 +135,12 @@ class Statement:
             self._connection.unregister(self._name)
 
 
-def _statement_name(number: int, reads: Iterable[str]) -> str:
-    """Returns the name of one of ssduck's prepared statements."""
-    return f"{_NAME_PREFIX}{number} {' '.join(sorted(_TABLES & set(reads)))}"
+_numbers = count(1)
+
+
+def statement_name(reads: Iterable[str]) -> str:
+    """Returns a new name for one of ssduck's prepared statements, with the tables it reads."""
+    return f"{_NAME_PREFIX}{next(_numbers)} {' '.join(sorted(_TABLES & set(reads)))}"
 
 
 def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:

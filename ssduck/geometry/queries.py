@@ -193,6 +193,10 @@ class ShapeQueries:
         pairs = self._neighbours.all_resting()
         return sorted(ids[a] * ID_FACTOR + ids[b] for a, b in pairs)
 
+    def all_unknown(self) -> list[int]:
+        """Returns the entities whose poses are not finite, or whose shapes are not valid."""
+        return [id for id, number in self._numbers.items() if not self._narrow.is_known(number)]
+
     @cached_property
     def _boxes_with_margins(self) -> Array:
         """The boxes, grown by the largest margin of their shapes, (6, n)."""

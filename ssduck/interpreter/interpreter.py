@@ -518,7 +518,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
                 self._execution.drop_unused_worlds()
                 self._database.connection.meter = UsageMeter(self._limits)
             self._execution.report(self._execution.linter.check_sql(text))
-            return Result(self._database.table(text, parameters))
+            return Result(self._database.user_rows(text, parameters))
 
     def statistics(self) -> dict[str, Statistics]:
         """Returns the numbers of shape comparisons so far, by the name of the world."""

@@ -23,6 +23,9 @@ MARGINS_UDF = "narrow margins"
 MARGINS = f'"{MARGINS_UDF}"($world)'
 ZERO = "0.0::DOUBLE"
 
+# The ids of the entities whose pairs are unknown.
+UNKNOWN_UDF = "narrow all_unknown"
+
 # The pairs that the narrow phase compares, as the manual and EXPLAIN state them.
 MEETING_BOXES = "on pairs whose boxes meet"
 EVERY_PAIR = "on every pair"
@@ -215,4 +218,11 @@ def search_udf(search: PairSearch) -> GeometryUdf:
         numbers=int(search.takes_distance),
         result="BIGINT[]",
         uses_margins=search.uses_margins,
+    )
+
+
+def unknown_udf() -> GeometryUdf:
+    """Returns the function that DuckDB calls to find the entities whose pairs are unknown."""
+    return GeometryUdf(
+        UNKNOWN_UDF, ShapeQueries.all_unknown, entities=0, numbers=0, result="BIGINT[]"
     )

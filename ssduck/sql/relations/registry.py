@@ -24,10 +24,12 @@ from ssduck.sql.relations.contacts import CONTACT_RELATIONS
 from ssduck.sql.relations.entities import ENTITY_RELATIONS
 from ssduck.sql.relations.geometry_query import (
     PAIR_SEARCHES,
+    UNKNOWN_UDF,
     GeometryUdf,
     boxes_within,
     search_udf,
     udf_name,
+    unknown_udf,
 )
 from ssduck.sql.relations.joints import JOINT_RELATIONS
 from ssduck.sql.relations.ode import ODE_RELATIONS
@@ -81,6 +83,7 @@ def geometry_udfs(relations: Iterable[Relation]) -> dict[str, GeometryUdf]:
         ValueError: two relations describe the same function differently.
     """
     result = {search.name: search_udf(search) for search in PAIR_SEARCHES}
+    result[UNKNOWN_UDF] = unknown_udf()
     for relation in relations:
         if relation.geometry is not None:
             udf = _geometry_udf(relation)

@@ -1,0 +1,125 @@
+"""Runs users' statements: as they are, or as queries whose plans and pairs are kept."""
+
+from __future__ import annotations
+
+import re
+
+import pyarrow as pa
+
+from ssduck.database.connection import Connection, Parameters
+from ssduck.database.fetched_rows import FetchedRows
+from ssduck.database.referenced_tables import ReferencedTables, StatementWords
+from ssduck.database.statement import PreparedPlans
+from ssduck.database.statement_names import WorldNames
+from ssduck.database.user_statements import UserStatements
+from ssduck.database.worlds import WorldRegistry
+from ssduck.schema import HISTORIES, TABLES
+from ssduck.sql.relations.registry import RELATIONS
+
+_COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
+_NAME = r'(?:"[^"]*"|\w+)'
+# What a statement defines, changes or drops, with the schemas before it.
+_DEFINED = re.compile(
+    r"\b(?:TABLE|VIEW|MACRO|FUNCTION)\s+(?:IF\s+(?:NOT\s+)?EXISTS\s+)?"
+    rf"({_NAME}(?:\s*\.\s*{_NAME})*)",
+    re.IGNORECASE,
+)
+_NAMES = frozenset(
+    name.lower()
+    for name in (*TABLES, *(table.history_view for table in HISTORIES.values()), *RELATIONS)
+)
+_MERGE_JOINS = re.compile(r"merge_join|\bRESET\b", re.IGNORECASE)
+# The names of what users have defined in the schema that comes before that of the first world.
+_OWN_NAMES = (
+    "SELECT lower(table_name) FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
+    "UNION SELECT lower(view_name) FROM duckdb_views() WHERE NOT internal AND schema_name = 'main' "
+    "UNION SELECT lower(function_name) FROM duckdb_functions() "
+    "WHERE NOT internal AND schema_name = 'main' AND database_name <> 'temp'"
+)
+
+
+class RawSql:
+    """Runs users' statements.
+
+    Args:
+        connection: the connection to the database.
+        plans: the plans of prepared statements.
+        references: the tables that users' statements refer to.
+        worlds: the worlds of the database.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        plans: PreparedPlans,
+        references: ReferencedTables,
+        worlds: WorldRegistry,
+    ) -> None:
+        self._connection = connection
+        self._references = references
+        self._worlds = worlds
+        self.statements = UserStatements(connection, plans)
+        self._world_names: WorldNames | None = None
+        # The worlds that `_world_names` are of.
+        self._key: tuple[tuple[str, str], ...] = ()
+        # The tables and relations that users' statements have defined anew.
+        self._redefined: set[str] = set()
+        # A file may have tables and macros from before.
+        self._may_have_own_names = connection.is_file
+
+    def unread(self, sql: str) -> frozenset[str]:
+        """Returns the data of a simulator that a text refers to and is known not to read."""
+        statement = self.statements.known(sql)
+        return frozenset() if statement is None else statement.unread
+
+    def rows(
+        self, sql: str, parameters: Parameters, words: StatementWords
+    ) -> FetchedRows | pa.Table:
+        """Returns all rows of a user's statement; the caller pins the worlds.
+
+        Args:
+            sql: the statement.
+            parameters: the values of its parameters.
+            words: what its words say.
+
+        Raises:
+            LimitError: it exceeds a limit.
+            SqlError: DuckDB cannot run it.
+        """
+        names = self._names()
+        statement = self.statements.statement(sql, words.tables)
+        if statement is not None and not self._references.search_path_changes:
+            return self.statements.rows(statement, parameters, names)
+        try:
+            return self._connection.table(sql, parameters)
+        finally:
+            if statement is None:
+                self._update(sql)
+
+    def _names(self) -> WorldNames:
+        """Returns the names of the worlds; forgets all statements when these have changed."""
+        worlds = self._worlds
+        key = tuple((schema, bound.schemas[0]) for schema, bound in worlds.by_schema.items())
+        if self._world_names is None or key != self._key:
+            self.statements.forget()
+            first = next((bound.schemas[0] for bound in worlds.bound if bound.schemas), None)
+            schemas = {schema.lower(): name for schema, name in key}
+            only = first if len(set(schemas.values())) == 1 else None
+            self._world_names = WorldNames(schemas, first, only, self._hidden_names())
+            self._key = key
+        return self._world_names
+
+    def _hidden_names(self) -> frozenset[str]:
+        own: set[str] = set()
+        if self._may_have_own_names:
+            own = {name for (name,) in self._connection.internal_rows(_OWN_NAMES)}
+        return frozenset(_NAMES & (own | self._redefined))
+
+    def _update(self, sql: str) -> None:
+        """Takes note of a statement that may have changed what names and settings mean."""
+        self._world_names = None
+        self._may_have_own_names = True
+        defined = _DEFINED.findall(_COMMENT.sub(" ", sql))
+        self._redefined |= {name.rpartition(".")[2].strip().strip('"').lower() for name in defined}
+        if _MERGE_JOINS.search(sql) and self._connection.is_open:
+            self._connection.forbid_merge_joins()

@@ -1,0 +1,360 @@
+"""Rewrites users' SQL so that relations of shapes use all pairs of the tick, found at once.
+
+A statement is changed only where a relation is called for two rows of entities that come from a
+world's table unchanged; the rest of its text stays as it is. There are three forms:
+
+- A condition that all rows satisfy becomes a join with the table of pairs.
+- Elsewhere (under NOT, in OR, in the selected columns), a call becomes a check whether the pair is
+  in the table. The macro answers for an entity whose pose is unknown.
+- A call whose pairs cannot be found at once becomes its formula, without the check that the row
+  belongs to the tick.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count
+
+import sqlglot
+from sqlglot import exp
+from sqlglot.errors import SqlglotError
+from sqlglot.tokens import TokenType
+
+from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner
+from ssduck.schema import ID_FACTOR
+from ssduck.sql.from_clause import pair_table
+from ssduck.sql.relation_calls import expanded
+from ssduck.sql.relations.geometry_query import UNKNOWN_UDF, PairSearch
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.relation import Relation, in_schema
+from ssduck.sql.sql_values import SqlValue
+from ssduck.sql.types import DOUBLE, SqlType
+
+_RELATIONS = {r.name.lower(): r for r in RELATIONS.values() if r.geometry is not None}
+_MENTIONED = re.compile(rf"\b({'|'.join(_RELATIONS)})\b", re.IGNORECASE | re.ASCII)
+# Longer statements are not rewritten: sqlglot's time grows with them.
+MAX_LENGTH = 20_000
+
+
+def mentions_relations(sql: str) -> bool:
+    """Checks whether a statement may call a relation of shapes."""
+    return len(sql) <= MAX_LENGTH and _MENTIONED.search(sql) is not None
+
+
+def parsed(sql: str) -> exp.Expr | None:
+    """Returns the tree of a query; None for other statements, and what sqlglot does not know."""
+    if len(sql) > MAX_LENGTH:
+        return None
+    try:
+        statements = sqlglot.parse(sql, dialect="duckdb")
+    except (SqlglotError, RecursionError):
+        return None
+    return statements[0] if len(statements) == 1 and isinstance(statements[0], exp.Query) else None
+
+
+def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) -> str | None:
+    """Returns a statement with its relations rewritten; None if there is nothing to rewrite.
+
+    Args:
+        sql: the statement.
+        tree: its tree.
+        names: the names of the worlds.
+        only_joins: whether calls outside of joins become formulas, as DuckDB does not allow a
+            subquery everywhere.
+    """
+    edits: list[_Edit] = []
+    numbers = count(1)
+    tokens = sqlglot.tokenize(sql, dialect="duckdb")
+    for call in _calls(sql, tree, names, tokens):
+        if only_joins and call.join_place() is None:
+            edits.append(_Edit(call.start, call.end, call.formula()))
+        else:
+            edits += call.edits(f"ssduck pairs {next(numbers)}")
+    return _edited(sql, edits) if edits else None
+
+
+@dataclass(frozen=True)
+class _Edit:
+    """A replacement of a part of a statement; the parts that are inserted are empty."""
+
+    start: int
+    end: int
+    text: str
+
+
+def _edited(sql: str, edits: list[_Edit]) -> str:
+    parts, position = [], 0
+    for edit in sorted(set(edits), key=lambda edit: (edit.start, edit.end, edit.text)):
+        parts += [sql[position : edit.start], edit.text]
+        position = edit.end
+    return "".join((*parts, sql[position:]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Call:
+    """A call of a relation for two rows of entities of one world.
+
+    Attributes:
+        sql: the statement.
+        node: the call, with the schema before it.
+        start: the index of its first character.
+        end: the index after its last one.
+        relation: the relation.
+        entities: the sources of its rows.
+        numbers: its further arguments.
+        schema: the schema of the world.
+        scope: the names where it stands.
+    """
+
+    sql: str
+    node: exp.Expr
+    start: int
+    end: int
+    relation: Relation
+    entities: tuple[Source, ...]
+    numbers: tuple[exp.Expr, ...]
+    schema: str
+    scope: Scope
+
+    @property
+    def search(self) -> PairSearch | None:
+        """The search for its pairs; None if a condition leaves few of them, or there is none."""
+        pairs = self.relation.candidate_pairs
+        if pairs is None or any(entity.is_selected for entity in self.entities):
+            return None
+        return pairs.search
+
+    def edits(self, name: str) -> Iterator[_Edit]:
+        """Yields the changes of the statement.
+
+        Args:
+            name: the name of the table of pairs.
+        """
+        search, place = self.search, self.join_place()
+        if search is None:
+            yield _Edit(self.start, self.end, self.formula())
+        elif place is None:
+            yield _Edit(self.start, self.end, self._membership(search))
+        else:
+            yield _Edit(place, place, f" CROSS JOIN {self._pair_table(search, name)}")
+            yield from self._expanded_stars()
+            condition = " AND ".join(
+                f"{_id_of(entity)} = {_quoted(name)}.{_quoted(f'{name} {side}')}"
+                for entity, side in zip(self.entities, "ab", strict=True)
+            )
+            if not search.is_exact:
+                condition += f" AND {self.formula()}"
+            yield _Edit(self.start, self.end, f"({condition})")
+
+    def join_place(self) -> int | None:
+        """Returns the index at which a table of pairs can be joined; None if it cannot be.
+
+        The call is a condition of all rows of its SELECT, and the table follows the first source.
+        """
+        select, position = self.scope.select, self.node
+        while isinstance(position.parent, exp.Paren | exp.And):
+            position = position.parent
+        parent = position.parent
+        is_condition = isinstance(parent, exp.Where) or (
+            isinstance(parent, exp.Join) and is_inner(parent) and parent.args.get("on") is position
+        )
+        owner = None if parent is None else parent.find_ancestor(exp.Select)
+        is_own = any(entity in self.scope.sources.values() for entity in self.entities)
+        if self.search is None or not (is_condition and owner is select and is_own):
+            return None
+        if not self._can_expand_stars():
+            return None
+        return _end_of(self.scope.items[0])
+
+    def _can_expand_stars(self) -> bool:
+        """Checks whether no star would include the columns of the table of pairs."""
+        select = self.scope.select
+        stars = [star for star in select.find_all(exp.Star) if _owner(star) is select]
+        for star in stars:
+            if isinstance(star.parent, exp.Count | exp.Column):
+                continue
+            is_written = self.sql[star.meta.get("start", 0) :][:1] == "*"
+            if star.parent is not select or any(star.args.values()) or not is_written:
+                return False
+        is_plain = all(is_inner(join) or join.side == "LEFT" for join in self.scope.joins)
+        is_plain = is_plain and not any(join.args.get("using") for join in self.scope.joins)
+        is_plain = is_plain and all(source.text for source in self.scope.sources.values())
+        has_columns = any(_owner(part) is select for part in select.find_all(exp.Columns))
+        return is_plain and not has_columns
+
+    def _expanded_stars(self) -> Iterator[_Edit]:
+        """Yields the changes of `*` to the columns of all sources but the table of pairs."""
+        select = self.scope.select
+        columns = ", ".join(f"{_quoted(s.text)}.*" for s in self.scope.sources.values())
+        for star in select.expressions:
+            if isinstance(star, exp.Star):
+                start = star.meta["start"]
+                yield _Edit(start, start + 1, columns)
+
+    def _distance(self) -> exp.Expr:
+        parameters = self.relation.parameters
+        names = [parameter.name for parameter in parameters[2 : 2 + len(self.numbers)]]
+        values = {
+            name: SqlValue(number, DOUBLE)
+            for name, number in zip(names, self.numbers, strict=True)
+        }
+        return expanded(self.relation.candidate_distance(2 + len(self.numbers)), values)
+
+    def _pair_table(self, search: PairSearch, name: str) -> str:
+        """Returns the table of pairs, whose columns have names that no statement has."""
+        table = pair_table(search, self._distance(), self.schema, "found").table
+        columns = (exp.alias_(exp.column(side), f"{name} {side}", quoted=True) for side in "ab")
+        subquery = exp.select(*columns).from_(table).subquery(exp.to_identifier(name, quoted=True))
+        return subquery.sql("duckdb")
+
+    def _membership(self, search: PairSearch) -> str:
+        """Returns the check whether the pair is among those of the tick."""
+        table = pair_table(search, self._distance(), self.schema, "found").table
+        numbers = exp.select("n").from_(table).sql("duckdb")
+        ids = [_id_of(entity) for entity in self.entities]
+        a, b = (f"({id})::BIGINT" for id in ids)
+        unknown = exp.Anonymous(
+            this=exp.to_identifier(UNKNOWN_UDF, quoted=True),
+            expressions=[exp.Literal.string(self.schema)],
+        )
+        is_unknown = " OR ".join(
+            f"{id} IS NULL OR {id} IN (SELECT unnest({unknown.sql('duckdb')}))" for id in ids
+        )
+        formula = self.formula()
+        holds = "TRUE" if search.is_exact else formula
+        return (
+            f"(CASE WHEN {is_unknown} THEN {formula} "
+            f"WHEN {a} * {ID_FACTOR} + {b} IN ({numbers}) THEN {holds} ELSE FALSE END)"
+        )
+
+    def formula(self) -> str:
+        """Returns the formula of the relation."""
+        relation = self.relation
+        names = [parameter.name for parameter in relation.parameters]
+        values = {
+            name: _entity_value(self.schema, entity.text)
+            for name, entity in zip(names, self.entities, strict=False)
+        }
+        rest = names[len(self.entities) :]
+        for name, number in zip(rest, self.numbers, strict=False):
+            values[name] = SqlValue(number, DOUBLE)
+        count = len(self.entities) + len(self.numbers)
+        tree = in_schema(relation.expressions[count], self.schema)
+        return f"({expanded(tree, values).sql('duckdb')})"
+
+
+def _calls(
+    sql: str, tree: exp.Expr, names: WorldNames, tokens: list[sqlglot.tokens.Token]
+) -> Iterator[_Call]:
+    """Yields the calls of relations of shapes that can be rewritten."""
+    ends = _closing_brackets(tokens)
+    for node in tree.find_all(exp.Anonymous, exp.Contains):
+        name = "contains" if isinstance(node, exp.Contains) else node.name.lower()
+        relation = _RELATIONS.get(name)
+        select = _owner(node)
+        if relation is None or name in names.hidden or select is None:
+            continue
+        arguments = [*node.expressions]
+        if isinstance(node, exp.Contains):
+            arguments = [node.this, node.expression]
+        scope = Scope(select, names)
+        entity_count = sum(parameter.type == "entity" for parameter in relation.parameters)
+        numbers = tuple(arguments[entity_count:])
+        entities = [_entity(argument, scope) for argument in arguments[:entity_count]]
+        place = _place(sql, node, ends)
+        if place is None or len(arguments) not in relation.expressions:
+            continue
+        if not all(isinstance(n, exp.Literal) and not n.is_string for n in numbers):
+            continue
+        outer, start, end = place
+        schema = names.only
+        if isinstance(outer, exp.Dot):
+            schema = _schema_of(outer, scope, names)
+        sources = [entity for entity in entities if entity is not None]
+        is_of_world = all(source.schema == schema for source in sources)
+        is_one_pair = len({source.text.lower() for source in sources}) == entity_count
+        if schema is None or len(sources) < entity_count or not (is_of_world and is_one_pair):
+            continue
+        yield _Call(sql, outer, start, end, relation, tuple(sources), numbers, schema, scope)
+
+
+def _entity(argument: exp.Expr, scope: Scope) -> Source | None:
+    if not isinstance(argument, exp.Column) or argument.table:
+        return None
+    return scope.entity(argument.name)
+
+
+def _schema_of(call: exp.Dot, scope: Scope, names: WorldNames) -> str | None:
+    """Returns the world before a call; None if the name may be something else."""
+    name = call.this.name.lower()
+    around: Scope | None = scope
+    while around is not None:
+        if name in around.sources or any(s.may_have(name) for s in around.sources.values()):
+            return None
+        around = around.outer
+    return names.schemas.get(name)
+
+
+def _place(
+    sql: str, node: exp.Expr, ends: dict[int, int]
+) -> tuple[exp.Expr, int, int] | None:
+    """Returns a call with the schema before it, and its place; None if that is not known."""
+    start = node.meta.get("start")
+    if start is None and isinstance(node.this, exp.Identifier):
+        start = node.this.meta.get("start")
+    if start is None:
+        return None
+    opening = sql.find("(", start)
+    end = ends.get(opening)
+    parent = node.parent
+    if end is None:
+        return None
+    if not isinstance(parent, exp.Dot):
+        return node, start, end
+    if not isinstance(parent.this, exp.Identifier) or isinstance(parent.parent, exp.Dot):
+        return None
+    start = parent.this.meta.get("start")
+    return None if start is None else (parent, start, end)
+
+
+def _closing_brackets(tokens: list[sqlglot.tokens.Token]) -> dict[int, int]:
+    """Returns the index after each closing bracket, by that of its opening one."""
+    result, opened = {}, []
+    for token in tokens:
+        if token.token_type == TokenType.L_PAREN:
+            opened.append(token.start)
+        elif token.token_type == TokenType.R_PAREN and opened:
+            result[opened.pop()] = token.end + 1
+    return result
+
+
+def _owner(node: exp.Expr) -> exp.Select | None:
+    """Returns the SELECT in whose clauses a node stands."""
+    return node.find_ancestor(exp.Select)
+
+
+def _end_of(source: exp.Expr) -> int | None:
+    """Returns the index after a source behind FROM; None if it is not known."""
+    alias = source.args.get("alias")
+    names = [] if alias is None else [alias.this]
+    if isinstance(source, exp.Table):
+        names.append(source.this)
+    ends = [name.meta.get("end") for name in names]
+    return None if not ends or None in ends else max(ends) + 1
+
+
+def _entity_value(schema: str, alias: str) -> SqlValue:
+    def column(name: str) -> exp.Expr:
+        return exp.column(name, table=alias, quoted=True)
+
+    return SqlValue(column("id"), SqlType("entity", schema=schema), column)
+
+
+def _id_of(entity: Source) -> str:
+    return f"{_quoted(entity.text)}.id"
+
+
+def _quoted(name: str) -> str:
+    return exp.to_identifier(name, quoted=True).sql("duckdb")

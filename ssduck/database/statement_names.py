@@ -1,0 +1,302 @@
+"""Finds out what the names in a user's statement refer to: tables of worlds, and rows of entities.
+
+Whatever is not certain counts as unknown: a name that a source may have twice, a row that a
+subquery may have changed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from sqlglot import exp
+
+from ssduck.schema import HISTORIES, MARGINS, MASSES, TABLES, Table
+from ssduck.sql.relations.registry import RELATIONS
+
+# The tables of worlds by the names that statements use, in small letters.
+_LIVE_TABLES = {table.name.lower(): table for table in TABLES.values()}
+_HISTORIES = {table.history_view.lower(): table for table in HISTORIES.values()}
+_IDENTIFIERS = ("name", "id")
+_WORD = re.compile(r"\w+")
+
+
+@dataclass(frozen=True)
+class WorldNames:
+    """The names of the worlds in a database.
+
+    Attributes:
+        schemas: the schema that ssduck's own statements use, by each schema of a world in small
+            letters.
+        first: the schema of the first world, whose tables need no schema before them.
+        only: the schema of the only world; None if there are several.
+        hidden: the names in small letters of tables and relations that have another meaning here,
+            because the user has defined them.
+    """
+
+    schemas: Mapping[str, str]
+    first: str | None
+    only: str | None
+    hidden: frozenset[str] = frozenset()
+
+    def live_table(self, table: exp.Table) -> Table | None:
+        """Returns the table of a world that a name in FROM refers to; None for any other."""
+        return self._table(table, _LIVE_TABLES)
+
+    def history(self, table: exp.Table) -> Table | None:
+        """Returns the table whose recorded rows a name in FROM refers to; None for any other."""
+        return self._table(table, _HISTORIES)
+
+    def schema(self, table: exp.Table) -> str | None:
+        """Returns the schema of the world that a name in FROM refers to."""
+        return self.schemas.get(table.db.lower()) if table.db else self.first
+
+    def _table(self, table: exp.Table, tables: Mapping[str, Table]) -> Table | None:
+        name = table.name.lower()
+        is_plain = isinstance(table.this, exp.Identifier) and not table.args.get("catalog")
+        if not is_plain or name in self.hidden or self.schema(table) is None:
+            return None
+        return tables.get(name)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A source behind FROM.
+
+    Attributes:
+        columns: its columns, in small letters; None if they are unknown.
+        schema: the world whose entities its rows are, unchanged and of the current tick.
+        is_selected: whether a condition selects its rows by name or id.
+        text: its name as the statement has it.
+    """
+
+    columns: frozenset[str] | None = None
+    schema: str | None = None
+    is_selected: bool = False
+    text: str = ""
+
+    def may_have(self, column: str) -> bool:
+        """Checks whether a column may have that name, in small letters."""
+        return self.columns is None or column in self.columns
+
+
+@dataclass(frozen=True, eq=False)
+class Scope:
+    """The names that a SELECT sees.
+
+    Args:
+        select: the SELECT.
+        names: the names of the worlds.
+    """
+
+    select: exp.Select
+    names: WorldNames
+
+    @cached_property
+    def items(self) -> list[exp.Expr]:
+        """The sources behind FROM, in their order."""
+        clause = self.select.args.get("from_")
+        return [] if clause is None else [clause.this, *(join.this for join in self.joins)]
+
+    @cached_property
+    def joins(self) -> list[exp.Join]:
+        """The joins behind FROM, which are its first table's if FROM comes first."""
+        clause = self.select.args.get("from_")
+        first = [] if clause is None else clause.this.args.get("joins") or []
+        return [*first, *(self.select.args.get("joins") or ())]
+
+    @cached_property
+    def sources(self) -> dict[str, Source]:
+        """The sources by name in small letters; a name that is there twice is unknown."""
+        result: dict[str, Source] = {}
+        for number, item in enumerate(self.items):
+            alias = item.alias_or_name
+            name = alias.lower() or f" {number}"
+            source = Source() if name in result else self._source(item, is_first=number == 0)
+            result[name] = replace(
+                source, is_selected=source.is_selected or self._selects(name), text=alias
+            )
+        return result
+
+    @cached_property
+    def outer(self) -> Scope | None:
+        """The scope around a subquery; None for a source behind FROM, which sees no other."""
+        child: exp.Expr = self.select
+        parent = child.parent
+        while parent is not None and not isinstance(parent, exp.Select):
+            is_source = isinstance(parent, exp.Join) and parent.this is child
+            if is_source or isinstance(parent, exp.From | exp.CTE | exp.Lateral):
+                return None
+            child, parent = parent, parent.parent
+        return None if parent is None else Scope(parent, self.names)
+
+    def entity(self, name: str) -> Source | None:
+        """Returns the source whose row a name is; None if it may be a column, or is none."""
+        wanted = name.lower()
+        if any(source.may_have(wanted) for source in self.sources.values()):
+            return None
+        if wanted in self.sources:
+            return self.sources[wanted]
+        return None if self.outer is None else self.outer.entity(name)
+
+    def conditions(self) -> Iterator[exp.Expr]:
+        """Yields the parts of WHERE and of the inner joins' ON that all rows satisfy."""
+        where = self.select.args.get("where")
+        if where is not None:
+            yield from _conjuncts(where.this)
+        for join in self.joins:
+            if is_inner(join) and join.args.get("on") is not None:
+                yield from _conjuncts(join.args["on"])
+
+    def _selects(self, source: str) -> bool:
+        """Checks whether a condition compares the name or the id of a source with a constant."""
+        for part in self.conditions():
+            sides = [part.this, part.args.get("expression"), *part.expressions]
+            if not isinstance(part, exp.EQ | exp.In) or part.args.get("query") is not None:
+                continue
+            columns = [side for side in sides if isinstance(side, exp.Column)]
+            if len(columns) == 1 and columns[0].name.lower() in _IDENTIFIERS:
+                table = columns[0].table.lower()
+                if table == source or (not table and len(self.items) == 1):
+                    return True
+        return False
+
+    def _source(self, item: exp.Expr, *, is_first: bool) -> Source:
+        alias = item.args.get("alias")
+        changed = ["sample", "pivots", "laterals", "when", "version"]
+        if not (is_first and isinstance(item, exp.Table)):
+            changed.append("joins")
+        if any(item.args.get(part) for part in changed) or (alias is not None and alias.columns):
+            return Source()
+        if isinstance(item, exp.Subquery):
+            return self._source_of_query(item.this)
+        if not isinstance(item, exp.Table):
+            return Source()
+        cte = None if item.db else _visible_cte(self.select, item.name)
+        if cte is not None:
+            is_plain = not cte.args["alias"].columns and not cte.parent.args.get("recursive")
+            return self._source_of_query(cte.this) if is_plain else Source()
+        table = self.names.live_table(item) or self.names.history(item)
+        if table is None:
+            return Source()
+        columns = {*table.names, *(column.name for column in table.view_columns)}
+        columns |= set(table.second_names.values())
+        is_entities = table.name == "entities" and self.names.live_table(item) is not None
+        schema = self.names.schema(item) if is_entities else None
+        return Source(frozenset(name.lower() for name in columns), schema)
+
+    def _source_of_query(self, query: exp.Expr) -> Source:
+        """Returns the rows of a subquery: those of its source, if it selects whole rows."""
+        if not isinstance(query, exp.Select):
+            return Source()
+        scope, selected = Scope(query, self.names), query.expressions
+        if len(selected) != 1 or query.args.get("distinct") or query.args.get("group"):
+            return Source(_names_of(query))
+        name = _name_of_star(selected[0])
+        if name == "" and len(scope.sources) == 1:
+            return next(iter(scope.sources.values()))
+        return scope.sources.get(name or " ", Source(_names_of(query)))
+
+
+def _name_of_star(column: exp.Expr) -> str | None:
+    """Returns the name before the star of `a.*`, an empty one of `*`, None for other columns."""
+    star = column.this if isinstance(column, exp.Column) else column
+    if not isinstance(star, exp.Star) or any(star.args.values()):
+        return None
+    return column.table.lower() if isinstance(column, exp.Column) else ""
+
+
+def _names_of(query: exp.Select) -> frozenset[str] | None:
+    """Returns the names of the selected columns in small letters; None if they are unknown."""
+    names = [column.alias_or_name.lower() for column in query.expressions]
+    is_known = all(names) and not any(column.is_star for column in query.expressions)
+    is_known = is_known and not any(query.find_all(exp.Columns))
+    return frozenset(names) if is_known else None
+
+
+def is_inner(join: exp.Join) -> bool:
+    """Checks whether a join keeps exactly the pairs of rows for which its condition holds."""
+    return not join.side and not join.method and join.kind in ("", "INNER", "CROSS")
+
+
+def _conjuncts(condition: exp.Expr) -> Iterator[exp.Expr]:
+    condition = condition.unnest()
+    if isinstance(condition, exp.And):
+        yield from _conjuncts(condition.left)
+        yield from _conjuncts(condition.right)
+    else:
+        yield condition
+
+
+def _visible_cte(place: exp.Expr, name: str) -> exp.CTE | None:
+    """Returns the common table expression of a name that a SELECT sees."""
+    child: exp.Expr | None = None
+    parent: exp.Expr | None = place
+    while parent is not None:
+        clause, visible = parent.args.get("with_"), []
+        if isinstance(parent, exp.With):
+            visible = parent.expressions
+            if not parent.args.get("recursive"):  # an expression sees those before it
+                visible = visible[: _index_of(visible, child)]
+        elif clause is not None and clause is not child:
+            visible = clause.expressions
+        for cte in visible:
+            if cte.alias.lower() == name.lower():
+                return cte  # type: ignore[no-any-return]
+        child, parent = parent, parent.parent
+    return None
+
+
+def _index_of(parts: list[exp.Expr], part: exp.Expr | None) -> int:
+    return next(number for number, other in enumerate(parts) if other is part)
+
+
+def reads_only_live_tables(statement: exp.Expr, names: WorldNames) -> bool:
+    """Checks whether all tables behind FROM are those of worlds at their current tick."""
+    for table in statement.find_all(exp.Table):
+        select = table.find_ancestor(exp.Select)
+        if select is not None and not table.db and _visible_cte(select, table.name) is not None:
+            continue
+        if names.live_table(table) is None:
+            return False
+    return True
+
+
+# The data that a simulator is asked for on behalf of one column, by the column.
+_READ_FOR = {"mass": MASSES, "margin": MARGINS}
+_INPUTS = {name.lower(): relation.macro_inputs for name, relation in RELATIONS.items()}
+
+
+def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
+    """Returns the data of `_READ_FOR` that a statement does not read.
+
+    Args:
+        statement: its tree.
+        sql: its text.
+    """
+    words = set(map(str.lower, _WORD.findall(sql)))
+    relations = [_INPUTS[word] for word in words if word in _INPUTS]
+    names = {table.alias_or_name.lower() for table in statement.find_all(exp.Table, exp.Subquery)}
+    is_all_read = any(join.method for join in statement.find_all(exp.Join)) or any(
+        not isinstance(star.parent, exp.Count)
+        for star in statement.find_all(exp.Star, exp.Columns)
+    )
+    is_all_read = is_all_read or any(
+        not column.table and column.name.lower() in names and not _is_argument(column)
+        for column in statement.find_all(exp.Column)
+    )
+    if is_all_read:
+        return frozenset()
+    return frozenset(
+        data
+        for column, data in _READ_FOR.items()
+        if column not in words and not any(data in inputs for inputs in relations)
+    )
+
+
+def _is_argument(column: exp.Column) -> bool:
+    """Checks whether a row is the argument of a relation, which reads the columns of its formula."""
+    call = column.parent
+    return isinstance(call, exp.Anonymous) and call.name.lower() in _INPUTS

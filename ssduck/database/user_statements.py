@@ -1,0 +1,219 @@
+"""Users' statements: what is known of their texts, and the plans that DuckDB keeps of them.
+
+The first run of a text is DuckDB's own. From the second one on, a query of the current tick is a
+prepared statement, which is forgotten when anything that its plan depends on changes. A query with
+relations of shapes is rewritten (`relation_rewriting`) from the first run on, if its columns remain
+the same. A statement that cannot be rewritten or prepared runs as it is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+
+import pyarrow as pa
+from sqlglot import exp
+
+from ssduck.database.connection import Connection, Parameters
+from ssduck.database.fetched_rows import FetchedRows, Header, are_plain, has_plain_types
+from ssduck.database.relation_rewriting import mentions_relations, parsed, rewritten
+from ssduck.database.statement import PreparedPlans, statement_name
+from ssduck.database.statement_names import WorldNames, reads_only_live_tables, unread_columns
+from ssduck.errors import SelectScriptError, SqlError
+
+# The number of texts that are known at a time.
+MAX_STATEMENTS = 256
+# Functions whose values a kept plan would not follow.
+_CHANGES = re.compile(
+    r"\b(current_query\w*|current_transaction_id|txid_current|nextval|currval|setval|setseed)\b",
+    re.IGNORECASE,
+)
+
+
+@dataclass(eq=False)
+class UserStatement:
+    """A user's statement that is a single query.
+
+    Attributes:
+        text: the statement.
+        name: the name of the prepared statement.
+        tables: the tables that its plan reads, as far as their buffers may be replaced.
+        query: the statement that runs in its place; None if it is not known yet.
+        columns: the names of its columns, if another query runs in its place.
+        has_plain_types: whether its columns are fetched as Python's values; None if unknown.
+        may_be_kept: whether its plan may be kept; None if that is not known yet.
+        is_planned_next: whether the next run prepares it, if it is not prepared.
+        unread: the data of a simulator that its words refer to, and that it does not read.
+        last_header: the columns of its last run, and whether it had many rows.
+    """
+
+    text: str
+    name: str
+    tables: frozenset[str]
+    query: str | None = None
+    columns: tuple[str, ...] | None = None
+    has_plain_types: bool | None = None
+    may_be_kept: bool | None = None
+    is_planned_next: bool = False
+    unread: frozenset[str] = frozenset()
+    last_header: Header | None = None
+
+    @cached_property
+    def execute(self) -> str:
+        """The statement that executes it once it is prepared."""
+        return f"EXECUTE {exp.to_identifier(self.name, quoted=True).sql('duckdb')}"
+
+
+class UserStatements:
+    """Runs users' queries, and keeps their plans by text.
+
+    Args:
+        connection: the connection to the database.
+        plans: the plans of prepared statements.
+    """
+
+    def __init__(self, connection: Connection, plans: PreparedPlans) -> None:
+        self._connection = connection
+        self._plans = plans
+        self._statements: OrderedDict[str, UserStatement | None] = OrderedDict()
+
+    def forget(self) -> None:
+        """Forgets all statements, because a name may have another meaning now."""
+        for statement in self._statements.values():
+            if statement is not None:
+                self._plans.deallocate(statement.name)
+        self._statements.clear()
+
+    def known(self, sql: str) -> UserStatement | None:
+        """Returns what is known of a text; None if it is not known, or not a single query."""
+        return self._statements.get(sql)
+
+    def statement(self, sql: str, tables: AbstractSet[str]) -> UserStatement | None:
+        """Returns what is known of a text; None if it is not a single query.
+
+        Args:
+            sql: the text.
+            tables: the tables that it reads.
+        """
+        if sql in self._statements:
+            self._statements.move_to_end(sql)
+            return self._statements[sql]
+        statement = None
+        if self._connection.is_query(sql):
+            reads = frozenset(("entities", *tables))
+            statement = UserStatement(sql, statement_name(reads), reads)
+        self._statements[sql] = statement
+        if len(self._statements) > MAX_STATEMENTS:
+            _, oldest = self._statements.popitem(last=False)
+            if oldest is not None:
+                self._plans.deallocate(oldest.name)
+        return statement
+
+    def rows(
+        self, statement: UserStatement, parameters: Parameters, names: WorldNames
+    ) -> FetchedRows | pa.Table:
+        """Returns the rows of a query; the caller pins the worlds.
+
+        Args:
+            statement: the query.
+            parameters: the values of its parameters.
+            names: the names of the worlds.
+
+        Raises:
+            LimitError: it exceeds a limit.
+            SqlError: DuckDB cannot run it.
+        """
+        if statement.query is None:
+            statement.query = self._query(statement, parameters, names)
+        is_rewritten = statement.query != statement.text
+        if is_rewritten or statement.has_plain_types is not None:
+            try:
+                return self._run(statement, parameters, names)
+            except SqlError as error:
+                self._release(statement)
+                if error.is_final or not (is_rewritten or error.is_refused):
+                    raise
+                # DuckDB's message about the user's own text is the one that helps.
+                statement.query, statement.may_be_kept = statement.text, False
+                statement.columns = None
+            except SelectScriptError:
+                self._release(statement)
+                raise
+        table = self._connection.table(statement.text, parameters)
+        statement.has_plain_types = has_plain_types(table)
+        return table
+
+    def _release(self, statement: UserStatement) -> None:
+        """Frees the memory that DuckDB keeps for a statement that failed."""
+        with suppress(SelectScriptError):
+            self._plans.deallocate(statement.name)
+
+    def _query(self, statement: UserStatement, parameters: Parameters, names: WorldNames) -> str:
+        """Returns the query that runs in place of a user's: rewritten, if the types agree.
+
+        DuckDB names a column that has no name of its own after its expression.
+        """
+        sql = statement.text
+        tree = parsed(sql) if mentions_relations(sql) else None
+        if tree is None:
+            return sql
+        columns = None
+        for only_joins in (False, True):
+            query = rewritten(sql, tree, names, only_joins=only_joins)
+            if query is None:
+                return sql
+            try:
+                columns = columns or self._connection.columns(sql, parameters)
+                types = [kind for _, kind in columns]
+                if [kind for _, kind in self._connection.columns(query, parameters)] == types:
+                    statement.has_plain_types = are_plain(types)
+                    statement.columns = tuple(name for name, _ in columns)
+                    return query
+            except SqlError:
+                if columns is None:
+                    return sql
+        return sql
+
+    def _run(
+        self, statement: UserStatement, parameters: Parameters, names: WorldNames
+    ) -> FetchedRows | pa.Table:
+        sql = statement.query
+        assert sql is not None
+        header = None
+        if not parameters and self._is_prepared(statement, sql, names):
+            sql, parameters, header = statement.execute, None, statement.last_header
+        if statement.has_plain_types:
+            rows = self._connection.fetched(sql, parameters, header)
+            if rows is not None:
+                if statement.columns is not None:
+                    rows = rows.renamed(statement.columns)
+                statement.last_header = rows.header
+                return rows
+            statement.has_plain_types = False
+        table = self._connection.table(sql, parameters)
+        return table if statement.columns is None else table.rename_columns(statement.columns)
+
+    def _is_prepared(self, statement: UserStatement, sql: str, names: WorldNames) -> bool:
+        """Prepares a statement at its second run with the same tables."""
+        if self._plans.has(statement.name):
+            return True
+        if not statement.is_planned_next:
+            statement.is_planned_next = True
+            return False
+        if statement.may_be_kept is None:
+            tree = None if _CHANGES.search(statement.text) else parsed(statement.text)
+            statement.may_be_kept = tree is not None and reads_only_live_tables(tree, names)
+            if tree is not None and statement.may_be_kept:
+                statement.unread = unread_columns(tree, statement.text)
+        if not statement.may_be_kept:
+            return False
+        name = statement.execute.removeprefix("EXECUTE ")
+        self._connection.run(f"PREPARE {name} AS {sql}", timed=True)
+        self._plans.add(statement.name, statement.tables)
+        statement.is_planned_next, statement.last_header = False, None
+        return True
+
