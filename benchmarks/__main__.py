@@ -1,8 +1,9 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, language and
-adapters. All of them take one or two minutes. `python -m benchmarks pairs [OPTION ...]` and `python
--m benchmarks time [OPTION ...]` take many minutes; `--help` lists their options.
+adapters. All of them take one or two minutes. `raw` takes some minutes. `python -m benchmarks pairs
+[OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many minutes; `--help` lists their
+options.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from __future__ import annotations
 import platform
 import sys
 
-from benchmarks import adapters, language, pairs, queries, recorded, ticks
+from benchmarks import adapters, language, pairs, queries, raw, recorded, ticks
 from benchmarks.timing import print_table
 
 TABLES = {"ticks": ticks, "queries": queries, "language": language, "adapters": adapters}
+# Tables that take minutes.
+LONG_TABLES = {"raw": raw}
 LONG = {"pairs": pairs.main, "time": recorded.main}
 
 
@@ -23,11 +26,12 @@ def main() -> None:
     if sys.argv[1:] and sys.argv[1] in LONG:
         sys.exit(LONG[sys.argv[1]](sys.argv[2:]))
     names = sys.argv[1:] or list(TABLES)
-    unknown = [name for name in names if name not in TABLES]
+    tables = TABLES | LONG_TABLES
+    unknown = [name for name in names if name not in tables]
     if unknown:
-        sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join([*TABLES, *LONG])}")
+        sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join([*tables, *LONG])}")
     for name in names:
-        print_table(TABLES[name].HEADER, TABLES[name].rows())
+        print_table(tables[name].HEADER, tables[name].rows())
 
 
 if __name__ == "__main__":

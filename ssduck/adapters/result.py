@@ -112,7 +112,8 @@ class Result(RowsOfColumns):
 
     def fetchall(self) -> list[tuple[Any, ...]]:
         """Returns the rows not fetched yet, as tuples."""
-        return self.fetchmany(len(self))
+        start, self._fetched = self._fetched, len(self)
+        return self._slice(start, len(self))
 
     def fetchmany(self, size: int = 1) -> list[tuple[Any, ...]]:
         """Returns the next rows, at most `size`, as tuples.
@@ -138,6 +139,9 @@ class Result(RowsOfColumns):
         """
         start = validation.integer(start, "part: start", minimum=0)
         count = validation.integer(count, "part: count", minimum=0)
+        return self._slice(start, count)
+
+    def _slice(self, start: int, count: int) -> list[tuple[Any, ...]]:
         if not isinstance(self._rows, pa.Table):
             return self._rows.rows[start : start + count]
         columns = [python_values(column) for column in self._table.slice(start, count).columns]

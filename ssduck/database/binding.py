@@ -61,6 +61,7 @@ class BoundWorld:
         key: the prefix of its buffers' names among DuckDB's temporary views.
         schemas: its names; ssduck's own statements use the first.
         versions: the versions of the tables that DuckDB has registered.
+        registered: the versions of all buffers, and the margins, that DuckDB has.
         planned_margins: the margins, m, that DuckDB's plans assume.
         history: its recorded ticks; None if they are not recorded.
         named_world: the world, if the user named it; it keeps the world alive.
@@ -70,6 +71,7 @@ class BoundWorld:
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
+    registered: tuple[tuple[object, ...], float] | None = None
     history: WorldHistory | None = None
     named_world: World | None = None
     planned_margins: float = 0.0
@@ -162,6 +164,13 @@ class BoundWorld:
             for table, rows in tables.items():
                 buffers.append((RECORDED[table].history_view, self.buffer_views(table)[part], rows))
         return buffers
+
+    def buffer_versions(self) -> tuple[object, ...]:
+        """Returns the history, and the versions of the rows that DuckDB reads in place."""
+        versions: list[object] = [live.version for live in self.world.snapshot.tables.values()]
+        for tables in self.history.visible_rows if self.history else ():
+            versions += [rows.version for rows in tables.values()]
+        return (self.history, *versions)
 
     def live_view(self, table: str) -> str:
         """Returns the name of a table's buffers among DuckDB's temporary views."""

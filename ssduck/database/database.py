@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Iterator
+from collections.abc import Set as AbstractSet
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -137,7 +138,7 @@ class Database:
     @contextmanager
     def pinned(
         self,
-        tables: set[str] | frozenset[str] = frozenset(),
+        tables: AbstractSet[str] = frozenset(),
         worlds: Collection[World] | None = None,
     ) -> Iterator[None]:
         """Pins all worlds at their tick while statements run.

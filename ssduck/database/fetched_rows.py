@@ -72,7 +72,11 @@ class FetchedRows:
     def header(self) -> Header:
         """The columns, and whether there are many rows."""
         is_long = len(self) >= MAX_TUPLES
-        return self._header if self._header.is_long is is_long else replace(self._header, is_long=is_long)
+        return (
+            self._header
+            if self._header.is_long is is_long
+            else replace(self._header, is_long=is_long)
+        )
 
     def __len__(self) -> int:
         return len(self._first) + (len(self._rest[0]) if self._rest else 0)

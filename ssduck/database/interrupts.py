@@ -7,7 +7,7 @@ once, though; a thread listens to it.
 
 from __future__ import annotations
 
-import inspect
+import importlib
 import os
 import select
 import selectors
@@ -22,7 +22,7 @@ from typing import TypeAlias
 Stop: TypeAlias = Callable[[], None]
 
 # Without its wrapper, which looks up an enumeration and takes as long as the rest of this module.
-_handler = inspect.unwrap(signal.getsignal)
+_handler = importlib.import_module("_signal").getsignal
 _write_to = partial(signal.set_wakeup_fd, warn_on_full_buffer=False)
 
 

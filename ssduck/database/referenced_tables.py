@@ -128,10 +128,7 @@ class ReferencedTables:
             world
             for number, entry in enumerate(bound)
             if (world := entry.reference()) is not None
-            and (
-                number == 0
-                or any(schema.casefold() in words.folded for schema in entry.schemas)
-            )
+            and (number == 0 or any(schema.casefold() in words.folded for schema in entry.schemas))
         ]
 
 

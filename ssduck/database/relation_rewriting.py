@@ -20,7 +20,7 @@ from itertools import count
 import sqlglot
 from sqlglot import exp
 from sqlglot.errors import SqlglotError
-from sqlglot.tokens import TokenType
+from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner
 from ssduck.schema import ID_FACTOR
@@ -197,8 +197,7 @@ class _Call:
         parameters = self.relation.parameters
         names = [parameter.name for parameter in parameters[2 : 2 + len(self.numbers)]]
         values = {
-            name: SqlValue(number, DOUBLE)
-            for name, number in zip(names, self.numbers, strict=True)
+            name: SqlValue(number, DOUBLE) for name, number in zip(names, self.numbers, strict=True)
         }
         return expanded(self.relation.candidate_distance(2 + len(self.numbers)), values)
 
@@ -245,9 +244,7 @@ class _Call:
         return f"({expanded(tree, values).sql('duckdb')})"
 
 
-def _calls(
-    sql: str, tree: exp.Expr, names: WorldNames, tokens: list[sqlglot.tokens.Token]
-) -> Iterator[_Call]:
+def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> Iterator[_Call]:
     """Yields the calls of relations of shapes that can be rewritten."""
     ends = _closing_brackets(tokens)
     for node in tree.find_all(exp.Anonymous, exp.Contains):
@@ -297,9 +294,7 @@ def _schema_of(call: exp.Dot, scope: Scope, names: WorldNames) -> str | None:
     return names.schemas.get(name)
 
 
-def _place(
-    sql: str, node: exp.Expr, ends: dict[int, int]
-) -> tuple[exp.Expr, int, int] | None:
+def _place(sql: str, node: exp.Expr, ends: dict[int, int]) -> tuple[exp.Expr, int, int] | None:
     """Returns a call with the schema before it, and its place; None if that is not known."""
     start = node.meta.get("start")
     if start is None and isinstance(node.this, exp.Identifier):
@@ -319,7 +314,7 @@ def _place(
     return None if start is None else (parent, start, end)
 
 
-def _closing_brackets(tokens: list[sqlglot.tokens.Token]) -> dict[int, int]:
+def _closing_brackets(tokens: list[Token]) -> dict[int, int]:
     """Returns the index after each closing bracket, by that of its opening one."""
     result, opened = {}, []
     for token in tokens:

@@ -176,7 +176,9 @@ class Scope:
             return Source()
         cte = None if item.db else _visible_cte(self.select, item.name)
         if cte is not None:
-            is_plain = not cte.args["alias"].columns and not cte.parent.args.get("recursive")
+            clause = cte.parent
+            is_recursive = clause is None or clause.args.get("recursive")
+            is_plain = not cte.args["alias"].columns and not is_recursive
             return self._source_of_query(cte.this) if is_plain else Source()
         table = self.names.live_table(item) or self.names.history(item)
         if table is None:
@@ -280,8 +282,7 @@ def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
     relations = [_INPUTS[word] for word in words if word in _INPUTS]
     names = {table.alias_or_name.lower() for table in statement.find_all(exp.Table, exp.Subquery)}
     is_all_read = any(join.method for join in statement.find_all(exp.Join)) or any(
-        not isinstance(star.parent, exp.Count)
-        for star in statement.find_all(exp.Star, exp.Columns)
+        not isinstance(star.parent, exp.Count) for star in statement.find_all(exp.Star, exp.Columns)
     )
     is_all_read = is_all_read or any(
         not column.table and column.name.lower() in names and not _is_argument(column)
@@ -297,6 +298,6 @@ def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
 
 
 def _is_argument(column: exp.Column) -> bool:
-    """Checks whether a row is the argument of a relation, which reads the columns of its formula."""
+    """Checks whether a row is the argument of a relation, whose formula reads its columns."""
     call = column.parent
     return isinstance(call, exp.Anonymous) and call.name.lower() in _INPUTS

@@ -216,4 +216,3 @@ class UserStatements:
         self._plans.add(statement.name, statement.tables)
         statement.is_planned_next, statement.last_header = False, None
         return True
-

@@ -196,6 +196,10 @@ class WorldRegistry:
 
     def register(self, bound: BoundWorld) -> None:
         """Registers replaced buffers with DuckDB."""
+        versions = bound.buffer_versions(), bound.margins
+        if versions == bound.registered:
+            return
+        bound.registered = versions
         new = [
             entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version
         ]

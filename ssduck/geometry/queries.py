@@ -196,6 +196,7 @@ class ShapeQueries:
     def all_unknown(self) -> list[int]:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
         return [id for id, number in self._numbers.items() if not self._narrow.is_known(number)]
+
     def rows_of(self, ids: Ids) -> Indices:
         """Returns the places of entities' ids in `ids`, (n,)."""
         ascending, order = self._ascending_ids

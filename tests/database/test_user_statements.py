@@ -1,0 +1,377 @@
+"""Raw SQL: its plans are kept, and every spelling of a relation has the rows of its macro."""
+
+import math
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.adapters.result import Result
+from ssduck.errors import EvaluationError, LimitError, SqlError
+from tests.support.cases import sampled
+
+# Relations of two entities, with their further arguments.
+SEARCHED = {
+    "collides": "",
+    "touching": ", 0.02",
+    "near": ", 0.05",
+    "onTop": "",
+    "supports": "",
+    "restsOn": "",
+    "contains": "",
+    "enclosed": "",
+}
+OTHERS = {"penetration": " > 0", "clearance": " < 0.05", "inside": " > 0", "nextTo": ""}
+# Statements over entities a and b; {r} is a call of the relation.
+SPELLINGS = (
+    "SELECT a.name, b.name FROM entities a, entities b WHERE {r}",
+    "SELECT * FROM entities a, entities b WHERE a.id < b.id AND {r}",
+    "SELECT *, a.z + 1 FROM entities AS a JOIN entities AS b ON {r} ORDER BY ALL",
+    "SELECT a.name FROM sim.entities a JOIN entities b ON a.id <> b.id AND ({r}) WHERE b.z > 0",
+    "FROM entities a, entities b SELECT a.name, b.z WHERE {r}",
+    "FROM entities a, entities b WHERE {r}",
+    "SELECT a.name, b.name FROM entities a LEFT JOIN entities b ON {r}",
+    "SELECT a.name, b.name FROM entities a RIGHT JOIN entities b ON b.z > 0.2 WHERE {r}",
+    "SELECT a.name FROM entities a WHERE EXISTS (SELECT 1 FROM entities b WHERE {r})",
+    "SELECT a.name FROM entities a WHERE NOT EXISTS (FROM entities b WHERE {r})",
+    "SELECT a.name, (SELECT count(*) FROM entities b WHERE {r}) FROM entities a",
+    "SELECT a.name, b.name FROM entities a, entities b WHERE NOT {r}",
+    "SELECT a.name, b.name FROM entities a, entities b WHERE {r} IS NULL",
+    "SELECT a.name, b.name FROM entities a, entities b WHERE {r} OR a.z > b.z + 0.1",
+    "SELECT a.name, b.name, {r} FROM entities a, entities b",
+    "SELECT a.name, {r} AS holds, count(*) FROM entities a, entities b GROUP BY ALL",
+    "SELECT count(*) FILTER ({r}), sum(CASE WHEN {r} THEN a.z END) > 0 FROM entities a, entities b",
+    "SELECT a.name, max(b.z) FROM entities a, entities b WHERE {r} GROUP BY a.name HAVING max(b.z) > 0",
+    "SELECT DISTINCT a.name FROM entities a, entities b WHERE {r} AND b.name IN ('b1', 'b2')",
+    "SELECT b.name FROM entities a, entities b WHERE a.name = 'b1' AND {r}",
+    "WITH a AS (SELECT * FROM entities WHERE z > 0.05) SELECT a.name, b.id FROM a, entities b "
+    "WHERE {r}",
+    "WITH e AS (FROM entities) SELECT a.name FROM e a, e b WHERE {r}",
+    "SELECT a.name FROM (SELECT * FROM entities WHERE kind = 'kinbody') a, (FROM entities) AS b "
+    "WHERE {r}",
+    "SELECT a.name FROM entities a, entities b, entities c WHERE {r} AND c.id = b.id",
+    "SELECT a.name FROM entities a JOIN ticks t USING (tick) JOIN entities b ON {r}",
+    "SELECT a.name FROM entities a, entities b WHERE {r} UNION ALL SELECT b.name FROM entities a, "
+    "entities b WHERE NOT {r}",
+    "SELECT x.* FROM (SELECT a.name AS n FROM entities a, entities b WHERE {r}) x",
+    "SELECT a.name /* ( */ FROM entities a, entities b WHERE {r} -- ) comment",
+    "SELECT a.id, row_number() OVER (ORDER BY a.id, b.id) FROM entities a, entities b WHERE {r}",
+    'SELECT "a".name, B.name FROM Entities "a", SIM.entities b WHERE ({r}) LIMIT 1000',
+    "SELECT COLUMNS('name') FROM entities a, entities b WHERE {r}",
+    # Rows that need not be those of the tick.
+    "SELECT a.name FROM (SELECT * REPLACE (z + 0 AS z) FROM entities) a, entities b WHERE {r}",
+    "SELECT a.name FROM entities_history a JOIN entities_history b USING (tick) WHERE {r}",
+)
+
+
+def scene(client):
+    """Boxes in a row, each penetrating or touching the next ones, on a floor, and a ball."""
+    halves = [0.1, 0.1, 0.1]
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=halves, physicsClientId=client
+    )
+    floor = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.1], physicsClientId=client
+    )
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.04, physicsClientId=client)
+    bodies = {"floor": (floor, [0, 0, -0.1]), "ball": (ball, [0, 0, 0.1])}
+    x = 0.0
+    for number, gap in enumerate((0.0, -0.05, 0.01, 0.04, 0.3, -0.001)):
+        x += 0.2 + gap
+        bodies[f"b{number}"] = (box, [x, 0, 0.1])
+    bodies["upper"] = (box, [x, 0, 0.3])
+    return {
+        pybullet.createMultiBody(1, shape, basePosition=place, physicsClientId=client): name
+        for name, (shape, place) in bodies.items()
+    }
+
+
+@pytest.fixture(scope="module")
+def ss():
+    """An interpreter with a world of boxes, one of whose poses is unknown."""
+    client = pybullet.connect(pybullet.DIRECT)
+    names = scene(client)
+    sphere = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    lost = pybullet.createMultiBody(
+        1, sphere, basePosition=[math.nan, 0, 0], physicsClientId=client
+    )
+    with ssduck.Interpreter() as interpreter:
+        with pytest.warns(UserWarning, match="lost"):
+            world = ssduck.World.attach(client, names=names | {lost: "lost"})
+        interpreter.add_variable("sim", world)
+        world.tick()
+        yield interpreter
+    pybullet.disconnect(client)
+
+
+def row_by_row(ss, sql):
+    """The result of a statement as DuckDB runs it, with the macros of relations."""
+    ss.sql("SELECT e.mass, s.margin FROM sim.entities e, sim.shapes s LIMIT 1")
+    with ss._database.pinned({"shapes"}):
+        return Result(ss._database.connection.table(sql, None))
+
+
+def rows(result):
+    """The rows in an order of their own."""
+    return sorted(map(repr, result.fetchall()))
+
+
+def query(ss, sql):
+    """What runs in place of a statement that ran before."""
+    return ss._database._raw_sql.statements.known(sql).query
+
+
+def check(ss, sql):
+    """Compares a statement at its first, second and third run with the row-by-row macro."""
+    expected = row_by_row(ss, sql)
+    expected_rows = rows(expected)
+    for _ in range(3):
+        found = ss.sql(sql)
+        assert (found.columns, found.types) == (expected.columns, expected.types)
+        assert found.arrow().schema == expected.arrow().schema
+        assert rows(found) == expected_rows
+    return expected_rows
+
+
+@sampled("spelling", SPELLINGS, every=3)
+@sampled("relation", [*SEARCHED, *OTHERS], every=3)
+def test_every_spelling_has_the_rows_of_the_macro(ss, relation, spelling):
+    comparison = OTHERS.get(relation, "")
+    arguments = f"(a, b{SEARCHED.get(relation, '')})"
+    for schema in ("", "sim."):
+        check(ss, spelling.format(r=f"({schema}{relation}{arguments}{comparison})"))
+
+
+@pytest.mark.parametrize("relation", SEARCHED)
+def test_selectscript_has_the_same_pairs(ss, relation):
+    more = SEARCHED[relation]
+    names = ss.eval(
+        "SELECT id(a.this), id(b.this) FROM a = sim, b = sim "
+        f"WHERE {relation}(a.this, b.this{more}) AS list;"
+    )
+    expected = list(zip(names[::2], names[1::2], strict=True))
+    sql = f"SELECT a.name, b.name FROM entities a, entities b WHERE {relation}(a, b{more})"
+    for _ in range(3):
+        assert sorted(ss.sql(sql).fetchall()) == sorted(expected)
+    assert "ssduck pairs" in query(ss, sql)
+
+
+def test_unknown_pairs_are_unknown(ss):
+    sql = "SELECT a.name, b.name FROM entities a, entities b WHERE collides(a, b) IS NULL"
+    found = check(ss, sql)
+    assert found
+    assert all("lost" in row for row in found)
+    assert "all_unknown" in query(ss, sql).lower()
+
+
+@pytest.mark.parametrize("relation", ["collides", "onTop", "supports"])
+def test_a_semi_join_has_the_rows_of_the_join(ss, relation):
+    # DuckDB 2.0.0 drops rows of a semi join on the range conditions of the macro.
+    expected = ss.sql(f"SELECT DISTINCT a.name FROM entities a, entities b WHERE {relation}(a, b)")
+    found = ss.sql(f"SELECT a.name FROM entities a SEMI JOIN entities b ON {relation}(a, b)")
+    assert rows(found) == rows(expected)
+    assert len(found) > 0
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT collides(a, b, -1) FROM entities a, entities b",
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b, -1)",
+        "SELECT a.name FROM entities a, entities b WHERE collides(a)",
+        "SELECT a.nam FROM entities a, entities b WHERE collides(a, b)",
+        "SELECT a.name FROM entities x, entities b WHERE collides(x, b)",
+        "SELECT error('no') FROM entities a, entities b WHERE collides(a, b)",
+        "SELECT 1 FROM entities a, entities b WHERE other.collides(a, b)",
+        "SELECT name FROM entities WHERE name::DOUBLE > 0",
+    ],
+)
+def test_errors_are_those_of_the_macro(ss, sql):
+    with pytest.raises(SqlError) as expected:
+        row_by_row(ss, sql)
+    for _ in range(3):
+        with pytest.raises(SqlError) as found:
+            ss.sql(sql)
+        assert found.value.message == expected.value.message
+
+
+def test_a_row_selected_by_name_is_compared_alone(ss):
+    sql = "SELECT b.name FROM entities a, entities b WHERE a.name = 'b1' AND collides(a, b)"
+    ss.call_variable("sim").tick()
+    before = ss.statistics()["sim"].pairs
+    found = ss.sql(sql).fetchall()
+    assert ss.statistics()["sim"].pairs - before == len(found) + 1  # b1 touches b2 by its box
+    assert "ssduck pairs" not in query(ss, sql)
+
+
+# -- plans that are kept -------------------------------------------------------------------------
+
+
+@pytest.fixture
+def traced(client):
+    """An interpreter with the boxes, their client, and the statements that ran."""
+    statements = []
+    with ssduck.Interpreter(tracer=statements.append, recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.attach(client, names=scene(client)))
+        ss.sql("SELECT 1")
+        statements.clear()
+        yield ss, client, statements
+
+
+PAIRS = "SELECT a.name, b.name FROM entities a, entities b WHERE a.id < b.id AND collides(a, b)"
+FILTER = "SELECT name FROM entities WHERE kind = 'kinbody'"
+
+
+def prepared(statements):
+    """The number of statements that were prepared since the last call."""
+    count = sum(sql.startswith("PREPARE") for sql in statements)
+    statements.clear()
+    return count
+
+
+@pytest.mark.parametrize("sql", [PAIRS, FILTER])
+def test_a_statement_is_prepared_once_at_its_second_run(traced, sql):
+    ss, _, statements = traced
+    expected = ss.sql(sql).fetchall()
+    assert prepared(statements) == 0
+    for _ in range(3):
+        ss.call_variable("sim").tick()
+        assert sorted(ss.sql(sql).fetchall()) == sorted(expected)
+    assert prepared(statements) == 1
+    ss.sql(sql)
+    assert [sql.split()[0] for sql in statements] == ["EXECUTE"]
+
+
+def test_a_new_body_or_function_makes_new_plans(traced):
+    ss, client, statements = traced
+    for _ in range(3):
+        ss.sql(PAIRS)
+    assert prepared(statements) == 1
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, shape, basePosition=[0.2, 0, 0.1], physicsClientId=client)
+    ss.call_variable("sim").tick()
+    found = [sorted(ss.sql(PAIRS).fetchall()) for _ in range(3)]
+    assert found[0] == found[1] == found[2] == sorted(row_by_row(ss, PAIRS).fetchall())
+    assert prepared(statements) == 1
+
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    ss.add_function("double", double)
+    assert ss.eval("SELECT id FROM sim WHERE double(z(this)) > 0.5 AS list;") == ["upper"]
+    statements.clear()
+    for _ in range(3):
+        ss.sql(PAIRS)
+    assert prepared(statements) == 1
+
+
+def test_the_search_for_pairs_is_that_of_selectscript(traced):
+    ss, _, _ = traced
+    world = ss.call_variable("sim")
+    counts = []
+    for ask in (
+        lambda: ss.sql(PAIRS),
+        lambda: ss.eval(
+            "SELECT id(a.this), id(b.this) FROM a = sim, b = sim "
+            "WHERE collides(a.this, b.this) AS list;"
+        ),
+    ):
+        for _ in range(3):
+            world.tick()
+            before = ss.statistics()["sim"]
+            ask()
+            ask()
+            after = ss.statistics()["sim"]
+            counts.append((after.pairs - before.pairs, after.calls - before.calls))
+    assert len(set(counts)) == 1
+
+
+def test_a_second_world_requires_its_name(traced):
+    ss, _, _ = traced
+    for _ in range(3):
+        ss.sql(PAIRS)
+    ss.add_variable("other", ss.call_variable("sim").what_if({}))
+    for _ in range(3):
+        with pytest.raises(SqlError, match="needs one world"):
+            ss.sql(PAIRS)
+    for name in ("sim", "other"):
+        sql = PAIRS.replace("collides", f"{name}.collides").replace("entities", f"{name}.entities")
+        expected = rows(row_by_row(ss, sql))
+        assert expected
+        assert [rows(ss.sql(sql)) for _ in range(3)] == [expected] * 3
+    mixed = PAIRS.replace("collides", "other.collides")
+    for _ in range(3):
+        with pytest.raises(EvaluationError, match="belongs to the run"):
+            ss.sql(mixed)
+
+
+def test_what_users_define_comes_first(traced):
+    ss, _, _ = traced
+    for _ in range(3):
+        assert len(ss.sql(FILTER)) > 1
+        assert len(ss.sql(PAIRS)) > 0
+    ss.sql("CREATE MACRO main.collides(a, b) AS a.id + b.id = 0")
+    ss.sql("CREATE OR REPLACE TEMP MACRO collides(a, b) AS a.id + 1 = b.id")
+    count = len(ss.sql("SELECT * FROM entities")) - 1
+    assert [len(ss.sql(PAIRS)) for _ in range(3)] == [count] * 3
+    ss.sql("CREATE VIEW main.entities AS SELECT * FROM sim.entities WHERE name = 'b1'")
+    assert [ss.sql(FILTER).fetchall() for _ in range(3)] == [[("b1",)]] * 3
+
+
+def test_what_a_simulator_is_asked_for(traced):
+    ss, client, _ = traced
+    whole = "SELECT sum(e.m.mass) FROM (SELECT e AS m FROM entities e) e"
+    for sql in ("SELECT sum(mass) FROM entities", whole, "SELECT * FROM entities"):
+        for mass in (2.0, 3.0, 4.0):
+            pybullet.changeDynamics(0, -1, mass=mass, physicsClientId=client)
+            ss.call_variable("sim").tick()
+            assert rows(ss.sql(sql)) == rows(row_by_row(ss, sql))
+
+
+@pytest.mark.parametrize("setting", ["SET merge_join_threshold = 1", "RESET merge_join_threshold"])
+def test_merge_joins_which_crash_prepared_statements_stay_off(traced, setting):
+    ss, _, _ = traced
+    ss.sql(setting)
+    value = "SELECT current_setting('merge_join_threshold')::BIGINT"
+    assert ss.sql(value).fetchall() == [(10**9,)]
+
+
+def test_results_of_many_rows_types_and_parameters(traced):
+    ss, _, _ = traced
+    cases = {
+        "SELECT a.id, a.name, b.z, a.enabled, NULL::INTEGER FROM entities a, entities b, entities c": None,
+        "SELECT range AS n, CASE WHEN n % 3 = 0 THEN 's' || n END s, n / 7 FROM range(5000)": None,
+        "SELECT [z], {'a': z}, DATE '2026-01-01', 1.5::DECIMAL(4, 1), sum(id) OVER () FROM entities": None,
+        "SELECT name AS n, name AS n FROM entities WHERE z > ? AND kind = ?": [0.0, "kinbody"],
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND a.z < $z": {"z": 1},
+        "SELECT 1 WHERE false": None,
+    }
+    for sql, parameters in cases.items():
+        ss.sql("SELECT collides(e, e) FROM entities e LIMIT 1")
+        with ss._database.pinned({"shapes"}):
+            expected = Result(ss._database.connection.table(sql, parameters))
+        for _ in range(4):
+            found = ss.sql(sql, parameters)
+            assert (found.columns, found.types, found.shape) == (
+                expected.columns,
+                expected.types,
+                expected.shape,
+            )
+            assert found.arrow().schema == expected.arrow().schema
+            assert sorted(map(repr, found)) == rows(Result(expected.arrow()))
+            assert found.fetchone() == (found.part(0, 1) or [None])[0]
+            assert found.fetchall() == found.part(1, 10**6)
+            assert found.fetchall() == []
+    assert repr(ss.sql("SELECT 1 AS one")) == "<Result: 1 rows of one>"
+
+
+def test_a_limit_of_rows_holds_for_kept_plans(client):
+    limits = ssduck.Limits(rows=5)
+    with ssduck.Interpreter(limits=limits, recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.attach(client, names=scene(client)))
+        for _ in range(3):
+            assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
+            with pytest.raises(LimitError, match="more than 5 rows"):
+                ss.sql("SELECT name FROM entities")
+        ss.call_variable("sim").tick()
+        assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
