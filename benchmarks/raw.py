@@ -14,6 +14,7 @@ from functools import partial
 import ssduck
 from benchmarks.random_scenes import bodies_of, random_scene
 from benchmarks.timing import Way, minima, text_of
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 
 SIZES = (300, 1000, 10000)
 # The relations, with their further arguments.
@@ -47,7 +48,7 @@ def rows() -> Iterator[tuple[str, ...]]:
             scene = random_scene("cube", "boxes", size)
             client, _ = stack.enter_context(bodies_of(scene))
             ss = stack.enter_context(ssduck.Interpreter(recording=None))
-            ss.add_variable("world", ssduck.World.attach(client))
+            ss.add_variable("world", ssduck.World(PyBulletSimulator(client, owned=True)))
             yield from _scene(ss, "world", f"{size:,} boxes")
 
 

@@ -58,7 +58,7 @@ class RawSql:
         self._connection = connection
         self._references = references
         self._worlds = worlds
-        self.statements = UserStatements(connection, plans)
+        self.statements = UserStatements(connection, plans, worlds.by_schema)
         self._world_names: WorldNames | None = None
         # The worlds that `_world_names` are of.
         self._key: tuple[tuple[str, str], ...] = ()

@@ -25,6 +25,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.from_clause import pair_table
+from ssduck.sql.pair_lookup import JoinedPairs, PairLookup, pair_lookup
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.geometry_query import UNKNOWN_UDF, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
@@ -73,6 +74,32 @@ def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) 
         else:
             edits += call.edits(f"ssduck pairs {next(numbers)}")
     return _edited(sql, edits) if edits else None
+
+
+def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
+    """Returns the look-up that replaces a query of all pairs; None if it does more than look up.
+
+    Args:
+        sql: the statement.
+        tree: its tree.
+        names: the names of the worlds.
+    """
+    calls = list(_calls(sql, tree, names, sqlglot.tokenize(sql, dialect="duckdb")))
+    clauses = {name for name, value in tree.args.items() if value}
+    if len(calls) != 1 or not clauses <= {"expressions", "from_", "joins", "where"}:
+        return None
+    (call,) = calls
+    sources = list(call.scope.sources.values())
+    is_plain = call.scope.select is tree and len(sources) == 2 and call.join_place() is not None
+    is_plain = is_plain and all(isinstance(item, exp.Table) for item in call.scope.items)
+    is_plain = is_plain and all(entity in sources for entity in call.entities)
+    is_plain = is_plain and all(is_inner(join) for join in call.scope.joins)
+    if not is_plain or call.search is None or [*call.entities] != sources:
+        return None
+    pairs = JoinedPairs(call.schema, call.search, call.distance(), call.node)
+    tables = [source.text for source in sources]
+    columns = [column.unalias() for column in tree.expressions]
+    return pair_lookup(pairs, tables, list(call.scope.conditions()), columns)
 
 
 @dataclass(frozen=True)
@@ -193,7 +220,7 @@ class _Call:
                 start = star.meta["start"]
                 yield _Edit(start, start + 1, columns)
 
-    def _distance(self) -> exp.Expr:
+    def distance(self) -> exp.Expr:
         parameters = self.relation.parameters
         names = [parameter.name for parameter in parameters[2 : 2 + len(self.numbers)]]
         values = {
@@ -203,14 +230,14 @@ class _Call:
 
     def _pair_table(self, search: PairSearch, name: str) -> str:
         """Returns the table of pairs, whose columns have names that no statement has."""
-        table = pair_table(search, self._distance(), self.schema, "found").table
+        table = pair_table(search, self.distance(), self.schema, "found").table
         columns = (exp.alias_(exp.column(side), f"{name} {side}", quoted=True) for side in "ab")
         subquery = exp.select(*columns).from_(table).subquery(exp.to_identifier(name, quoted=True))
         return subquery.sql("duckdb")
 
     def _membership(self, search: PairSearch) -> str:
         """Returns the check whether the pair is among those of the tick."""
-        table = pair_table(search, self._distance(), self.schema, "found").table
+        table = pair_table(search, self.distance(), self.schema, "found").table
         numbers = exp.select("n").from_(table).sql("duckdb")
         ids = [_id_of(entity) for entity in self.entities]
         a, b = (f"({id})::BIGINT" for id in ids)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
+from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -18,12 +19,20 @@ from functools import cached_property
 import pyarrow as pa
 from sqlglot import exp
 
+from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows, Header, are_plain, has_plain_types
-from ssduck.database.relation_rewriting import mentions_relations, parsed, rewritten
+from ssduck.database.pair_rows import pair_rows
+from ssduck.database.relation_rewriting import (
+    lookup_of,
+    mentions_relations,
+    parsed,
+    rewritten,
+)
 from ssduck.database.statement import PreparedPlans, statement_name
 from ssduck.database.statement_names import WorldNames, reads_only_live_tables, unread_columns
 from ssduck.errors import SelectScriptError, SqlError
+from ssduck.sql.pair_lookup import PairLookup
 
 # The number of texts that are known at a time.
 MAX_STATEMENTS = 256
@@ -44,6 +53,7 @@ class UserStatement:
         tables: the tables that its plan reads, as far as their buffers may be replaced.
         query: the statement that runs in its place; None if it is not known yet.
         columns: the names of its columns, if another query runs in its place.
+        lookup: the look-up that has its rows without a statement, if there is one.
         has_plain_types: whether its columns are fetched as Python's values; None if unknown.
         may_be_kept: whether its plan may be kept; None if that is not known yet.
         is_planned_next: whether the next run prepares it, if it is not prepared.
@@ -56,6 +66,7 @@ class UserStatement:
     tables: frozenset[str]
     query: str | None = None
     columns: tuple[str, ...] | None = None
+    lookup: PairLookup | None = None
     has_plain_types: bool | None = None
     may_be_kept: bool | None = None
     is_planned_next: bool = False
@@ -74,10 +85,14 @@ class UserStatements:
     Args:
         connection: the connection to the database.
         plans: the plans of prepared statements.
+        worlds: the worlds of the database by name, up to date.
     """
 
-    def __init__(self, connection: Connection, plans: PreparedPlans) -> None:
+    def __init__(
+        self, connection: Connection, plans: PreparedPlans, worlds: Mapping[str, BoundWorld]
+    ) -> None:
         self._connection = connection
+        self._worlds = worlds
         self._plans = plans
         self._statements: OrderedDict[str, UserStatement | None] = OrderedDict()
 
@@ -172,6 +187,11 @@ class UserStatements:
                 if [kind for _, kind in self._connection.columns(query, parameters)] == types:
                     statement.has_plain_types = are_plain(types)
                     statement.columns = tuple(name for name, _ in columns)
+                    if reads_only_live_tables(tree, names):
+                        statement.unread = unread_columns(tree, sql)
+                    if statement.has_plain_types and not parameters:
+                        statement.lookup = lookup_of(sql, tree, names)
+                        statement.last_header = Header(statement.columns, tuple(types))
                     return query
             except SqlError:
                 if columns is None:
@@ -183,6 +203,11 @@ class UserStatements:
     ) -> FetchedRows | pa.Table:
         sql = statement.query
         assert sql is not None
+        if statement.lookup is not None and statement.last_header is not None:
+            found = pair_rows(statement.lookup, self._worlds[statement.lookup.schema], {})
+            self._connection.meter.check_time()
+            self._connection.meter.check_rows(len(found))
+            return FetchedRows(statement.last_header, found)
         header = None
         if not parameters and self._is_prepared(statement, sql, names):
             sql, parameters, header = statement.execute, None, statement.last_header

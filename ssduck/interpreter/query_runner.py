@@ -13,9 +13,9 @@ from typing import Any
 from sqlglot import exp
 
 from ssduck.database.database import Database, Statement
+from ssduck.database.pair_rows import pair_rows
 from ssduck.database.values import to_sql
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
-from ssduck.interpreter.pair_rows import pair_rows
 from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (

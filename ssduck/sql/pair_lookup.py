@@ -17,6 +17,7 @@ from ssduck.schema import TABLES
 from ssduck.sql.relations.geometry_query import PairSearch
 
 _COLUMNS = frozenset(column.name for column in TABLES["entities"].columns)
+_COMPARED = ("name", "id")
 _SIGNS: Mapping[type[exp.Expr], str] = {
     exp.LT: "<",
     exp.LTE: "<=",
@@ -42,15 +43,17 @@ class PairColumn:
 
 @dataclass(frozen=True)
 class NameComparison:
-    """A condition on the names of the two entities of a pair: `a.name < b.name`.
+    """A condition on the names or the ids of the two entities of a pair: `a.name < b.name`.
 
     Attributes:
         sign: `<`, `<=`, `>`, `>=`, `=` or `<>`.
         sides: the sides of the two names.
+        column: `name` or `id`.
     """
 
     sign: str
     sides: tuple[int, int]
+    column: str = "name"
 
 
 @dataclass(frozen=True)
@@ -132,14 +135,14 @@ def _constant(distance: exp.Expr) -> float | str | None:
 
 
 def _comparison(condition: exp.Expr, tables: Sequence[str]) -> NameComparison | None:
-    """Returns a condition in SQL as a comparison of the two names."""
+    """Returns a condition in SQL as a comparison of the two names or ids."""
     sign = _SIGNS.get(type(condition))
     if sign is None:
         return None
     left, right = (_column(side, tables) for side in (condition.this, condition.expression))
-    if left is None or right is None or (left.name, right.name) != ("name", "name"):
+    if left is None or right is None or left.name != right.name or left.name not in _COMPARED:
         return None
-    return NameComparison(sign, (left.side, right.side))
+    return NameComparison(sign, (left.side, right.side), left.name)
 
 
 def _column(column: exp.Expr, tables: Sequence[str]) -> PairColumn | None:

@@ -218,7 +218,9 @@ def traced(client):
         yield ss, client, statements
 
 
-PAIRS = "SELECT a.name, b.name FROM entities a, entities b WHERE a.id < b.id AND collides(a, b)"
+PAIRS = (
+    "SELECT a.name, b.name || '' FROM entities a, entities b WHERE a.id < b.id AND collides(a, b)"
+)
 FILTER = "SELECT name FROM entities WHERE kind = 'kinbody'"
 
 
@@ -375,3 +377,50 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
                 ss.sql("SELECT name FROM entities")
         ss.call_variable("sim").tick()
         assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT a.name, b.name FROM entities a, entities b WHERE collides(a, b)",
+        "SELECT b.name AS n, a.z, a.id, b.enabled FROM entities a JOIN sim.entities AS b "
+        "ON a.id < b.id AND sim.collides(a, b)",
+        "SELECT a.name, b.mass FROM entities a, entities b WHERE near(a, b, 0.05) AND a.name > b.name",
+        "FROM entities a, entities b SELECT b.vx WHERE touching(a, b) AND b.id <> a.id",
+    ],
+)
+def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
+    ss, _, statements = traced
+    expected = check(ss, sql)
+    assert len(expected) > 0
+    statements.clear()
+    for _ in range(2):
+        ss.call_variable("sim").tick()
+        assert len(ss.sql(sql)) == len(expected)
+    assert statements == []
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b) LIMIT 2",
+        "SELECT DISTINCT a.name FROM entities a, entities b WHERE collides(a, b)",
+        "SELECT a.name, b.name FROM entities a, entities b WHERE collides(a, b) ORDER BY b.z",
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND a.z < 0.2",
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND a.id < 30",
+        "SELECT count(*) FROM entities a, entities b WHERE collides(a, b)",
+        "SELECT a.name FROM entities a, entities b WHERE collides(b, a) AND a.id < b.id",
+        "SELECT a.name FROM entities a, (SELECT * FROM entities WHERE id > 2) b WHERE collides(a, b)",
+        "SELECT a.name FROM entities a LEFT JOIN entities b ON true WHERE collides(a, b)",
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND near(a, b, 0)",
+        "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND b.name < a.kind",
+    ],
+)
+def test_a_query_that_does_more_runs_as_a_statement(traced, sql):
+    ss, _, statements = traced
+    unordered = sql.removesuffix(" LIMIT 2")
+    assert len(check(ss, unordered)) > 0
+    assert len(ss.sql(sql)) <= len(ss.sql(unordered))
+    statements.clear()
+    ss.sql(sql)
+    assert len(statements) > 0

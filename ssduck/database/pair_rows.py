@@ -45,7 +45,7 @@ def pair_rows(
     pairs = np.array(numbers, np.int64)
     rows = shapes.rows_of(pairs // ID_FACTOR), shapes.rows_of(pairs % ID_FACTOR)
     for comparison in lookup.comparisons:
-        ranks = _ranks(entities)
+        ranks = entities["id"] if comparison.column == "id" else _ranks(entities)
         left, right = (ranks[rows[side]] for side in comparison.sides)
         holds: Flags = _COMPARE[comparison.sign](left, right)
         rows = rows[0][holds], rows[1][holds]
