@@ -144,7 +144,10 @@ class NarrowPhase:
             if predicate not in self._results:
                 tick = self._tick_shapes(table)
                 result = matching_pairs(
-                    tick, predicate, lambda s, t: self.satisfies(s, t, predicate)
+                    tick,
+                    predicate,
+                    lambda s, t: self.satisfies(s, t, predicate),
+                    kept=table.witnesses(predicate),
                 )
                 self.count_compared(result.compared.tolist())
                 self._results[predicate] = result
