@@ -283,11 +283,11 @@ def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: A
         tick: the shapes.
         first: (n,), known shapes that have points.
         second: (n,), the same.
-        bounds: (n,), one for each pair, metres.
+        bounds: (n,), one for each pair, metres; not negative.
     """
     verdicts = np.zeros(len(first), np.int8)
     pairs = np.arange(len(first))
-    for rule in (_by_spheres, _by_planes, _by_cores):
+    for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
         verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs])
         pairs = pairs[verdicts[pairs] == UNDECIDED]
     return verdicts
