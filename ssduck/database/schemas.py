@@ -61,7 +61,7 @@ class Schemas:
         for table in HISTORIES.values():
             rows = None
             if history is not None:
-                waiting = bound.buffer_views if history.recorder is not None else None
+                waiting = bound.buffer_views if history.visible_rows else None
                 rows = history.store.select(table.name, waiting)
             if rows is None:
                 rows = _live_rows(bound, table, _not_recorded(table, name, history))

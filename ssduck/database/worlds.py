@@ -157,7 +157,10 @@ class WorldRegistry:
         self.bound.append(bound)
         try:
             if isinstance(world, ReplayedWorld):
-                bound.history = WorldHistory(world.archive, world.source_record)
+                archive = world.archive
+                bound.history = WorldHistory(
+                    archive, world.source_record, visible_rows=archive.visible_rows
+                )
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
             self.register(bound)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from ssduck.errors import RecordError
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
-from ssduck.recording.stores.history_sql import all_columns, near_pair_rows
+from ssduck.recording.stores.complete_rows import complete_rows
+from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import MODELS, RECORDED, TABLES, Column
 
@@ -33,6 +35,7 @@ class ParquetArchive(TickArchive):
 
     Attributes:
         ticks: the numbers and times of the stored ticks.
+        visible_rows: the rows of the log, which DuckDB reads from memory, by table.
 
     Raises:
         RecordError: a file is missing or damaged, or nothing was stored.
@@ -46,16 +49,24 @@ class ParquetArchive(TickArchive):
         self._starts, self.ticks = run.ticks()
         # Fails now if files are missing, rather than in a later query.
         self._files = {table: run.files(table) for table in run.tables}
+        self._models = {table: run.read(f"models/{table}") for table in MODELS}
+        self._log = _logged_rows(run, self._models)
+        self.visible_rows = (self._log,) if self._log else ()
 
     def model_rows(self) -> dict[str, pa.Table]:
         """Returns the stored rows of each model, by the name of its table."""
-        return {table: self._run.read(f"models/{table}") for table in MODELS}
+        return self._models
 
-    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:  # noqa: ARG002
+    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
         """Returns the SELECT of the view of a table's history; None if it is not recorded."""
         if table not in self._files:
             return None
-        return self._select_all(self._files[table], TABLES[table].columns)
+        columns = TABLES[table].columns
+        parts = [self._select_all(self._files[table], columns)] if self._files[table] else []
+        names = column_list(column.name for column in columns)
+        views = () if buffer_views is None else buffer_views(table)
+        parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
+        return " UNION ALL ".join(parts)
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
@@ -78,8 +89,17 @@ class ParquetArchive(TickArchive):
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
         files = self._files[table][begin:end]
-        if not files:
+        if not files and not self._log:
             files, first, last = self._files[table][:1], 0, -1
+        parts = [self._fetch(table, files, first, last)] if files else []
+        if self._log:
+            logged = self._log[table].arrow.select(RECORDED[table].tick_columns.names)
+            ticks = logged["tick"].to_numpy()
+            parts.append(logged.filter(pa.array((ticks >= first) & (ticks <= last))))
+            parts = [part.cast(parts[0].schema) for part in parts]
+        return pa.concat_tables(parts)
+
+    def _fetch(self, table: str, files: Sequence[Path], first: int, last: int) -> pa.Table:
         condition = "tick BETWEEN ? AND ?"
         if table == "links":  # the rows of bodies with one link repeat the pose of the body
             entities = _scan(self._run.files("models/entities"))
@@ -89,11 +109,29 @@ class ParquetArchive(TickArchive):
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
-        return near_pair_rows(self._connection, self.select("entities", None), request, buffered)
+        stored = self.select("entities", None) or None
+        logged = self._log["entities"].arrow if self._log else buffered
+        return near_pair_rows(self._connection, stored, request, logged)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Closes the connection; keeps the folder."""
         self._connection.close()
+
+
+@dataclass(frozen=True)
+class _LoggedRows:
+    """The rows of the log of a table, which remain as they are."""
+
+    arrow: pa.Table
+    version: int = 1
+
+
+def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _LoggedRows]:
+    """Returns the rows of the log of an episode with all columns, by table."""
+    return {
+        table: _LoggedRows(complete_rows(table, rows, run.log["entities"], models))
+        for table, rows in run.log.items()
+    }
 
 
 def _columns_in(files: Sequence[Path]) -> list[str]:
