@@ -14,6 +14,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, RecordError
+from ssduck.recording import flush_timer
 from ssduck.recording import recorder as recorders
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores import parquet
@@ -52,11 +53,12 @@ def world(client: int) -> ssduck.World:
 
 
 class Clock:
-    """The time that recorders see, which goes on when a test says so."""
+    """The time that recorders see, which goes on when a test says so; the timer is off."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = 1000.0
         monkeypatch.setattr(recorders, "monotonic", lambda: self.now)
+        monkeypatch.setattr(flush_timer, "start_watching", lambda _: None)
 
 
 @pytest.fixture

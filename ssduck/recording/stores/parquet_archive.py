@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,8 @@ class ParquetArchive(TickArchive):
         # Fails now if files are missing, rather than in a later query.
         self._files = {table: run.files(table) for table in run.tables}
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
+        entities = self._models["entities"]
+        self._linked = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
         self._log = _logged_rows(run, self._models)
         self.visible_rows = (self._log,) if self._log else ()
 
@@ -80,32 +83,25 @@ class ParquetArchive(TickArchive):
         return self._select_columns(files, {column.name: column.sql for column in columns})
 
     def _select_columns(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
-        geometries = _scan(self._run.files("models/geometries"))
-        missing = default_values(self.unrecorded_run, geometries)
-        return all_columns(_scan(files), columns, _columns_in(files), missing)
+        present, missing = _columns_in(files), {}
+        if not columns.keys() <= set(present):
+            geometries = _scan(self._run.files("models/geometries"))
+            missing = default_values(self.unrecorded_run, geometries)
+        return all_columns(_scan(files), columns, present, missing)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
-        files = self._files[table][begin:end]
-        if not files and not self._log:
-            files, first, last = self._files[table][:1], 0, -1
-        parts = [self._fetch(table, files, first, last)] if files else []
+        types = _arrow_types(table)
+        parts = [_rows_of_ticks(file, types, first, last) for file in self._files[table][begin:end]]
         if self._log:
-            logged = self._log[table].arrow.select(RECORDED[table].tick_columns.names)
-            ticks = logged["tick"].to_numpy()
-            parts.append(logged.filter(pa.array((ticks >= first) & (ticks <= last))))
-            parts = [part.cast(parts[0].schema) for part in parts]
-        return pa.concat_tables(parts)
-
-    def _fetch(self, table: str, files: Sequence[Path], first: int, last: int) -> pa.Table:
-        condition = "tick BETWEEN ? AND ?"
+            logged = self._log[table].arrow.select(types.names).cast(types)
+            parts.append(_between(logged, first, last))
+        rows = pa.concat_tables([types.empty_table(), *parts])
         if table == "links":  # the rows of bodies with one link repeat the pose of the body
-            entities = _scan(self._run.files("models/entities"))
-            condition += f" AND entity IN (SELECT id FROM {entities} WHERE links > 1)"  # noqa: S608
-        rows = self._select_columns(files, RECORDED[table].tick_columns.sql)
-        return self._connection.rows(f"{rows} WHERE {condition}", (first, last))
+            rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
+        return rows
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
@@ -132,6 +128,44 @@ def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _L
         table: _LoggedRows(complete_rows(table, rows, run.log["entities"], models))
         for table, rows in run.log.items()
     }
+
+
+@cache
+def _arrow_types(table: str) -> pa.Schema:
+    """Returns the columns of a table that a record stores with each tick."""
+    columns = RECORDED[table].tick_columns
+    return pa.schema(
+        [
+            *((name, pa.int64()) for name in columns.integers),
+            *((name, pa.float64()) for name in columns.doubles),
+            *((name, pa.bool_()) for name in columns.booleans),
+        ]
+    )
+
+
+def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:
+    """Returns the rows of a part at the ticks from first to last, with NULL for missing columns.
+
+    Raises:
+        RecordError: the file is damaged or missing.
+    """
+    try:
+        part = pq.ParquetFile(file.absolute())
+        present = set(part.schema_arrow.names)
+        rows = part.read(columns=[name for name in types.names if name in present])
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    rows = _between(rows, first, last)
+    missing = [types.field(name) for name in types.names if name not in present]
+    for field in missing:
+        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+    return rows.select(types.names).cast(types)
+
+
+def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
+    """Returns the rows at the ticks from first to last."""
+    ticks = rows["tick"].to_numpy()
+    return rows.filter(pa.array((ticks >= first) & (ticks <= last)))
 
 
 def _columns_in(files: Sequence[Path]) -> list[str]:
