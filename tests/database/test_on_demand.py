@@ -92,9 +92,12 @@ def test_a_program_makes_what_it_names(run: Path, monkeypatch: pytest.MonkeyPatc
         count.take()
         ss.eval("SELECT id FROM lab{} WHERE z > 2.5 AS list;")
         assert not [sql for sql in count.take() if sql.startswith("CREATE")]
-        near = ss.eval("SELECT id FROM lab WHERE near(this, this, 0.1) AS list;")
-        assert len(near) == BODIES
+        ss.add_variable("box_0", ss.call_variable("lab")["box_0"])
+        assert _functions(ss) == set()
+        gaps = ss.eval("SELECT clearance(this, box_0) FROM lab AS list;")
+        assert len([gap for gap in gaps if gap > 0.5]) == BODIES - 1
         assert "entities" in _views(ss)
+        assert len(_functions(ss)) == 1
         assert not _views(ss) & {"links", "joints", "shapes", "links_history", "shapes_model"}
 
 
