@@ -48,8 +48,10 @@ class ParquetArchive(TickArchive):
         self._run = run
         self._connection = connection
         self._starts, self.ticks = run.ticks()
-        # Fails now if files are missing, rather than in a later query.
-        self._files = {table: run.files(table) for table in run.tables}
+        # Fails now if files are missing, or DuckDB cannot read them, rather than in a later query.
+        _exact_path(run.path)
+        # The working directory may change.
+        self._files = {t: [file.absolute() for file in run.files(t)] for t in run.tables}
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         entities = self._models["entities"]
         self._linked = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
@@ -150,7 +152,7 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
         RecordError: the file is damaged or missing.
     """
     try:
-        part = pq.ParquetFile(file.absolute())
+        part = pq.ParquetFile(file)
         present = set(part.schema_arrow.names)
         rows = part.read(columns=[name for name in types.names if name in present])
     except (pa.ArrowException, OSError) as error:
