@@ -63,7 +63,8 @@ def _told(ss: ssduck.Interpreter, program: str, long: int) -> tuple[Any, list[st
     before, queries.LONG = queries.LONG, long
     ss._database.connection._tracer = told.append
     try:
-        return ss.eval(program), told
+        found = ss.eval(program)
+        return found, [sql for sql in told if not sql.startswith("CREATE")]  # views
     finally:
         ss._database.connection._tracer = None
         queries.LONG = before
