@@ -59,7 +59,8 @@ class Connection:
 
     Args:
         path: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each statement before it runs.
+        tracer: a function that is called with each statement before it runs, but for those that
+            make views.
         limits: the limits of SQL.
         recorders: the recorders whose waiting ticks are stored before it is closed.
 
@@ -305,6 +306,14 @@ class Connection:
     def run(self, sql: str) -> None:
         """Runs a statement of ssduck's own, which no limit cuts off."""
         self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=False)
+
+    def define(self, sql: str) -> None:
+        """Runs a statement that makes a view; it is not traced, as any statement may need it."""
+        tracer, self._tracer = self._tracer, None
+        try:
+            self.run(sql)
+        finally:
+            self._tracer = tracer
 
     def prepare(self, name: str, select: str) -> None:
         """Prepares a statement from the translator; the caller pins the worlds.

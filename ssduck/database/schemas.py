@@ -157,7 +157,7 @@ class Schemas:
 
 def _make_view(connection: Connection, schema: str, name: str, rows: str) -> None:
     view = f"{quoted(schema)}.{quoted(name)}"
-    connection.run(f"CREATE OR REPLACE VIEW {view} AS {rows}")
+    connection.define(f"CREATE OR REPLACE VIEW {view} AS {rows}")
 
 
 def _make_live_view(
