@@ -85,7 +85,7 @@ def record(
         typer.Option(
             min=0.001,
             metavar="T",
-            help="The wall-clock time, s, after which a step is on the disk.",
+            help="The real time, s, after which a step is on the disk.",
         ),
     ] = 1.0,
 ) -> None:

@@ -89,7 +89,7 @@ class Connection:
         self._recorders = recorders
         self._tracer = tracer
         self.meter = UsageMeter(limits)
-        self.on_demand = OnDemand()
+        self.on_demand: OnDemand[Connection] = OnDemand()
         self.has_records = self.is_file
         # Whether something may be in the database that `_empty` does not remove.
         self._is_altered = False

@@ -9,28 +9,28 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Generic, TypeAlias, TypeVar
 
-if TYPE_CHECKING:
-    from ssduck.database.connection import Connection
+T = TypeVar("T")
 
 # A schema, or None for names without one; and the name of a view or a function.
 Name: TypeAlias = tuple[str | None, str]
-# Makes a view or a function; it must not keep the connection alive.
-Maker: TypeAlias = "Callable[[Connection], None]"
 # The number of statements whose names are known to be there.
 _MAX_STATEMENTS = 4096
 
 
-class OnDemand:
-    """Views and functions that are made before the first statement that names them."""
+class OnDemand(Generic[T]):
+    """Views and functions that are made before the first statement that names them.
+
+    They are made by functions of the connection, which do not keep it alive.
+    """
 
     def __init__(self) -> None:
-        self._makers: dict[Name, Maker] = {}
+        self._makers: dict[Name, Callable[[T], None]] = {}
         # Statements that name nothing that is still to be made.
         self._complete: set[str] = set()
 
-    def offer(self, name: Name, make: Maker) -> None:
+    def offer(self, name: Name, make: Callable[[T], None]) -> None:
         """Has a view or a function made when a statement names it; replaces an earlier offer."""
         self._makers[name] = make
         self._complete.clear()
@@ -48,24 +48,24 @@ class OnDemand:
         """Takes all offers back, as the connection is closed."""
         self._makers.clear()
 
-    def make(self, name: Name, connection: Connection) -> None:
+    def make(self, name: Name, connection: T) -> None:
         """Makes a view or a function if that has not been done."""
         maker = self._makers.get(name)
         if maker is not None:
             maker(connection)
             self._makers.pop(name, None)
 
-    def make_all(self, connection: Connection) -> None:
+    def make_all(self, connection: T) -> None:
         """Makes everything, for a statement that may read anything."""
         while self._makers:
             self.make(next(iter(self._makers)), connection)
 
-    def make_schema(self, schema: str, connection: Connection) -> None:
+    def make_schema(self, schema: str, connection: T) -> None:
         """Makes the views of a schema."""
         for name in [name for name in self._makers if name[0] == schema]:
             self.make(name, connection)
 
-    def provide(self, sql: str, connection: Connection) -> None:
+    def provide(self, sql: str, connection: T) -> None:
         """Makes what one of ssduck's own statements may name."""
         if not self._makers or sql in self._complete:
             return

@@ -41,7 +41,7 @@ class Recorder:
         recording: what is recorded of each tick.
         store: takes the rows.
         max_ticks: the largest number of buffered ticks.
-        flush_every: the time after which a tick is on the disk, s of wall clock; None for no limit.
+        flush_every: the time after which a tick is on the disk, s of real time; None for no limit.
 
     Attributes:
         buffers: the buffered rows, by table.

@@ -17,7 +17,7 @@ from ssduck.world.layout import EntityInfo
 RETENTION_PARTS = 4
 # The memory that the ticks of a world take at most by default, bytes.
 DEFAULT_MAX_BYTES = 512 * 2**20
-# The time after which a tick is on the disk by default, s of wall clock.
+# The time after which a tick is on the disk by default, s of real time.
 DEFAULT_FLUSH_EVERY = 1.0
 
 
