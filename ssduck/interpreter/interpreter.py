@@ -36,7 +36,7 @@ from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import UnknownNameError
-from ssduck.formatting import first_names
+from ssduck.formatting import count_of, first_names
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
     Condition,
@@ -154,7 +154,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
 
     def __repr__(self) -> str:
         worlds = [
-            f"{name} ({len(world)} entities, t={world.time:g} s)"
+            f"{name} ({count_of(len(world), 'entity')}, t={world.time:g} s)"
             for name, world in self._database.worlds.items()
         ]
         parts = {
