@@ -368,7 +368,7 @@ def query(
         ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)
-        value = ss.sql(text) if sql else rows_to_show(ss, text)
+        value = ss.sql(text) if sql else rows_to_show(ss.compile(text), ss.eval)
     write(value)
 
 

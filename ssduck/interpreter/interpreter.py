@@ -229,7 +229,8 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             SelectScriptError: as `eval` does.
         """
         rows = validation.integer(rows, "show: rows", minimum=0)
-        return TableView(rows_to_show(self, program), rows)
+        compiled = program if isinstance(program, CompiledProgram) else self.compile(program)
+        return TableView(rows_to_show(compiled, self.eval), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:
         """Returns the SQL of the queries in a program's last statement, and what Python evaluates.

@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.language.tree import AdapterClause, Literal, Query
 
-if TYPE_CHECKING:
-    from ssduck.interpreter.interpreter import Interpreter
 
-
-def rows_to_show(interpreter: Interpreter, program: str | CompiledProgram) -> Any:
+def rows_to_show(compiled: CompiledProgram, evaluate: Callable[[CompiledProgram], Any]) -> Any:
     """Returns the value of a program; the empty table of its columns if its query has no rows.
+
+    Args:
+        compiled: the program.
+        evaluate: `Interpreter.eval`.
 
     Raises:
         SelectScriptError: as `Interpreter.eval` does.
 
     >>> import ssduck
     >>> with ssduck.Interpreter() as ss:
-    ...     rows_to_show(ss, "SELECT n.this FROM n=[1, 2] WHERE n.this > 2;").columns
+    ...     program = ss.compile("SELECT n.this FROM n=[1, 2] WHERE n.this > 2;")
+    ...     rows_to_show(program, ss.eval).columns
     ['n']
     """
-    compiled = interpreter.compile(program) if isinstance(program, str) else program
-    value = interpreter.eval(compiled)
+    value = evaluate(compiled)
     if not (isinstance(value, list) and not value):
         return value
     query = compiled.tree.statements[-1]
@@ -33,4 +35,4 @@ def rows_to_show(interpreter: Interpreter, program: str | CompiledProgram) -> An
     form, none = AdapterClause(query.span, "table"), Literal(query.span, 0)
     only_columns = replace(query, adapter=form, limit=none, offset=None)
     tree = replace(compiled.tree, statements=(only_columns,))
-    return interpreter.eval(replace(compiled, tree=tree))
+    return evaluate(replace(compiled, tree=tree))
