@@ -73,7 +73,8 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
 
     Args:
         database: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each SQL statement before it runs.
+        tracer: a function that is called with each SQL statement before it runs, but for those that
+            make views.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
         row_by_row: whether every query runs row by row in Python, for comparison.
         strict: whether a probable mistake in a program (a name that no entity has, a variable
