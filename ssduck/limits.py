@@ -1,14 +1,16 @@
-"""The limits of a program: time, rows, memory, depth, files and `eval`."""
+"""The limits of a program: time, rows, memory, depth, files and `eval`; its progress."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from ssduck import validation
 from ssduck.errors import LimitError
+from ssduck.progress import ProgressReporter
 
 # The number of steps between two checks of the time.
 _STEPS_PER_CHECK = 8
@@ -26,6 +28,8 @@ class Limits:
         eval: whether programs may call `eval('text')`.
         files: whether SQL may read and write files, load extensions and change settings, and
             result forms may write files.
+        progress: whether programs that take longer than a second show their progress on a terminal
+            (on standard error) or in a notebook.
 
     Raises:
         ArgumentError: a limit has an invalid value.
@@ -40,6 +44,7 @@ class Limits:
     depth: int = 1000
     eval: bool = True
     files: bool = True
+    progress: bool = True
 
     def __post_init__(self) -> None:
         for name in ("seconds", "rows", "memory", "depth"):
@@ -52,7 +57,7 @@ class Limits:
             else:
                 value = validation.integer_above_0(value, f"{rule}, and a whole number")
             object.__setattr__(self, name, value)
-        for name in ("eval", "files"):
+        for name in ("eval", "files", "progress"):
             object.__setattr__(
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
@@ -87,6 +92,27 @@ class UsageMeter:
         self.limits = limits
         self._deadline = None if limits.seconds is None else time.monotonic() + limits.seconds
         self._steps = 0
+        self._progress = ProgressReporter(is_shown=limits.progress)
+
+    @contextmanager
+    def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
+        """Begins a task, whose progress is shown if the program takes long.
+
+        Args:
+            description: what is done, in a few words.
+            total: the number of its parts.
+
+        Yields:
+            A function to call with the number of parts that were done since the last call. It
+            raises a LimitError if the time is up.
+        """
+        with self._progress.task(description, total) as advance:
+
+            def advance_in_time(count: int) -> None:
+                self.check_time()
+                advance(count)
+
+            yield advance_in_time
 
     def step(self) -> None:
         """Counts a step in Python: a row, a call, a part of a path.
