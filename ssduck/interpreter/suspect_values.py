@@ -7,7 +7,7 @@ row of a group, a number as the age of `least` and `greatest`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from typing import Literal as OneOf
 
@@ -36,10 +36,16 @@ from ssduck.recording.replay.past import Past
 from ssduck.world.links import Links
 from ssduck.world.world import World
 
-Kind = OneOf["number", "text", "boolean"]
+Kind = OneOf["number", "text", "boolean", "entity", "list"]
 # The largest number of rows of a variable that are looked at.
 MAX_ROWS = 1000
-_WORDS: dict[Kind, str] = {"number": "a number", "text": "a text", "boolean": "True or False"}
+_WORDS: dict[Kind, str] = {
+    "number": "a number",
+    "text": "a text",
+    "boolean": "True or False",
+    "entity": "an entity",
+    "list": "a list",
+}
 _KIND_OF_TYPE: dict[type, Kind] = {int: "number", float: "number", str: "text", bool: "boolean"}
 # Two names of one relation.
 _SYNONYMS = {"name": "id", "kind": "type"}
@@ -56,6 +62,7 @@ class Comparison:
         column: its name.
         is_bare: whether a variable of that name comes first.
         literals: what it is compared with.
+        other: the column that it is compared with.
         holds_of_missing: whether the comparison holds of a missing value.
         span: the place of the comparison.
     """
@@ -66,18 +73,27 @@ class Comparison:
     literals: tuple[Literal, ...]
     holds_of_missing: bool
     span: SourceSpan
+    other: Comparison | None = None
 
 
 @dataclass(frozen=True)
 class Suspects:
-    """The parts of a statement to look at: comparisons, and calls with an age."""
+    """The parts of a statement to look at.
+
+    Attributes:
+        comparisons: the comparisons of columns.
+        ages: the calls of `least` and `greatest` with an age.
+        first_rows: the columns of the first row of a group, with their names if they are bare.
+        queries: the nested queries that SELECT has as lists of dicts.
+    """
 
     comparisons: tuple[Comparison, ...] = ()
     ages: tuple[Call, ...] = ()
     first_rows: tuple[tuple[str, SourceSpan], ...] = ()
+    queries: tuple[Query, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.comparisons or self.ages or self.first_rows)
+        return bool(self.comparisons or self.ages or self.first_rows or self.queries)
 
 
 def suspects_of(statement: Node) -> Suspects:
@@ -87,7 +103,17 @@ def suspects_of(statement: Node) -> Suspects:
         tuple(site for query in queries for site in _comparisons(query)),
         tuple(call for query in queries for item in query.items for call in _ages(item)),
         tuple(site for query in queries for site in _first_rows(query)),
+        tuple(table for query in queries for table in _tables(query)),
     )
+
+
+def _tables(query: Query) -> Iterator[Query]:
+    """Yields the nested queries of one column that SELECT has as lists of dicts."""
+    for node in map(_unnamed, query.items):
+        if not isinstance(node, Query) or node.adapter is not None or node.recursion is not None:
+            continue
+        if len(node.items) == 1:
+            yield node
 
 
 # -- comparisons --------------------------------------------------------------------------------
@@ -122,17 +148,18 @@ def _in_condition(
             yield from _in_condition(operand, query, present, negated=not negated)
             return
         case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
-            pairs = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
-            for side, other in pairs:
-                column, literals = _column(side), _literals(other, operator)
-                if column is None or not literals:
-                    continue
-                alias, name, is_bare = column
-                source = _source(query, alias)
-                holds = (negated or operator == "!=") and name not in present
-                holds = holds and not (negated and operator == "!=")
-                if source is not None:
-                    yield Comparison(source, name, is_bare, literals, holds, node.span)
+            holds = (negated != (operator == "!=")) and operator != "IN"
+            holds = holds or (operator == "IN" and negated)
+            sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
+            for side, other in sides:
+                site = _site(side, query, _literals(other, operator), node.span)
+                if site is not None and (site.literals or holds):
+                    is_missing = holds and site.column not in present
+                    yield replace(site, holds_of_missing=is_missing)
+            if operator != "IN":
+                first, second = (_site(side, query, (), node.span) for side in (left, right))
+                if first is not None and second is not None:
+                    yield replace(first, other=second)
             return
         case Binary(operator="AND" | "OR") | OperatorChain(operators=("AND" | "OR", *_)):
             pass
@@ -140,6 +167,20 @@ def _in_condition(
             negated = False
     for child in node.children():
         yield from _in_condition(child, query, present, negated=negated)
+
+
+def _site(
+    node: Node, query: Query, literals: tuple[Literal, ...], span: SourceSpan
+) -> Comparison | None:
+    """Returns the place of a column in a comparison; None for another value."""
+    column = _column(node)
+    if column is None:
+        return None
+    alias, name, is_bare = column
+    source = _source(query, alias)
+    if source is None:
+        return None
+    return Comparison(source, name, is_bare, literals, holds_of_missing=False, span=span)
 
 
 def _column(node: Node) -> tuple[str | None, str, bool] | None:
@@ -251,7 +292,11 @@ def mistakes_in(
             is no relation.
     """
     for site in suspects.comparisons:
-        if site.is_bare and variable(site.column) is not None:
+        if _is_hidden(site, variable):
+            continue
+        if site.other is not None:
+            if not _is_hidden(site.other, variable):
+                yield from _different_columns(site, site.other, variable, type_of_relation)
             continue
         yield from _mistakes_at(site, variable, type_of_relation)
     for call in suspects.ages:
@@ -262,10 +307,38 @@ def mistakes_in(
             f"{lesser}([a, b])",
             span=call.span,
         )
+    for query in suspects.queries:
+        yield ArgumentError(
+            "the nested query is a list of dicts here; write AS value for its value, or AS list",
+            span=query.span,
+        )
     for name, span in suspects.first_rows:
         if not name or variable(name) is None:
             message = "this is of the first row of each group; group by it, too, or aggregate it"
             yield ArgumentError(message, span=span)
+
+
+def _is_hidden(site: Comparison, variable: Callable[[str], Any]) -> bool:
+    return site.is_bare and variable(site.column) is not None
+
+
+def _different_columns(
+    site: Comparison,
+    other: Comparison,
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> Iterator[SelectScriptError]:
+    """Yields the mistake that two columns of entities can never be equal."""
+    first = _kind_of_relation(site, variable, type_of_relation)
+    second = _kind_of_relation(other, variable, type_of_relation)
+    if first is None or second is None or {first, second} == {"boolean", "number"}:
+        return
+    if first != second:
+        yield ArgumentError(
+            f"{site.column} is {_WORDS[first]} and {other.column} is {_WORDS[second]}; they are "
+            f"never equal, and a text is written in quotes: '{other.column}'",
+            span=site.span,
+        )
 
 
 def _mistakes_at(
@@ -275,7 +348,8 @@ def _mistakes_at(
 ) -> Iterator[SelectScriptError]:
     cells = _cells(site, variable)
     if cells is None:
-        kinds = _kinds_of_relation(site, variable, type_of_relation)
+        kind = _kind_of_relation(site, variable, type_of_relation)
+        kinds = set() if kind is None else {kind}
     else:
         types = set(map(type, cells))
         if site.holds_of_missing and type(None) in types:
@@ -307,19 +381,18 @@ def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None
     return [row[site.column] for row in dicts if site.column in row] if dicts else None
 
 
-def _kinds_of_relation(
+def _kind_of_relation(
     site: Comparison,
     variable: Callable[[str], Any],
     type_of_relation: Callable[[str], str | None],
-) -> set[Kind]:
-    """Returns what the values of a column of entities are; nothing if it is not known."""
+) -> Kind | None:
+    """Returns what the values of a column of entities are; None if it is not known."""
     value = site.source.value
     if not isinstance(value, Name | TimeIndex | Call):
-        return set()
+        return None
     if isinstance(value, Name) and not isinstance(variable(value.name), World | Past | Links):
-        return set()
-    kind = _KIND_OF_RESULT.get(type_of_relation(site.column) or "")
-    return set() if kind is None else {kind}
+        return None
+    return _KIND_OF_RESULT.get(type_of_relation(site.column) or "")
 
 
 _KIND_OF_RESULT: Mapping[str, Kind] = {
@@ -327,4 +400,6 @@ _KIND_OF_RESULT: Mapping[str, Kind] = {
     "integer": "number",
     "string": "text",
     "boolean": "boolean",
+    "entity": "entity",
+    "list": "list",
 }

@@ -17,10 +17,10 @@ from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
 from ssduck.errors import ParseError, SourceSpan
-from ssduck.language.comments import last_opening, without_dashes
+from ssduck.language.comments import divisions, last_opening, without_dashes
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
-from ssduck.language.sql_syntax import SqlForms, numbered_column
+from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.language.tree import (
     AdapterClause,
@@ -127,6 +127,8 @@ class _Parser(SqlForms):
             statements.append(self.statement())
             if self.token is not None:
                 self.expect(TokenType.SEMICOLON, "';'")
+        for span in divisions(self.text):
+            self.add_suspicion(span, "this begins a comment; an integer quotient is floor(x / y)")
         return Program(self.text, tuple(statements), explain, tuple(self.suspicions))
 
     def statement(self) -> Node:
@@ -399,9 +401,13 @@ class _Parser(SqlForms):
                 left = self.condition_operator(start, left)
                 continue
             row = OperandRow(start.start, left, self.end())
+            is_compared = False
             while self.operator_level() == level and self.condition_level() < 0:
                 word = self.tokens[self.index].text.upper()
                 operator = {"<>": "!=", "=": "=="}.get(word, word)
+                if word == "=" and is_compared:
+                    raise ParseError(CHAIN_OF_EQUALS, text=self.text, span=self.here())
+                is_compared = word == "="
                 self.index += 1
                 place = self.here()
                 right = self.members() if operator == "IN" else self.operation(level + 1)

@@ -14,9 +14,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
-from ssduck.errors import SourceSpan
+from ssduck.errors import ParseError, SourceSpan
 from ssduck.language.aggregates import over_rows
 from ssduck.language.builtins import AGGREGATES, BUILTINS, NUMBER_FUNCTIONS
+from ssduck.language.sql_syntax import CHAIN_OF_EQUALS
 from ssduck.language.token_cursor import LEVEL_OF
 from ssduck.language.tree import (
     AdapterClause,
@@ -44,6 +45,8 @@ from ssduck.language.tree import (
 _COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
 _ARITHMETIC = ("-", "*", "/", "%", "^")
 _SUM = ("+",)
+# Stands among the visible names for a source of entities, whose functions are columns.
+_ENTITIES = "."
 # The clauses of a query that its own sources are visible in.
 _OWN_CLAUSES = frozenset(("items", "where", "recursion", "group", "having", "order"))
 # Those in which a bare name may be a key of the only source's element.
@@ -64,6 +67,9 @@ class Names(Protocol):
 
     def is_scalar(self, name: str) -> bool:
         """Checks whether that is a relation whose value is a number, a text, True or False."""
+
+    def is_world(self, name: str) -> bool:
+        """Checks whether a variable is a world, its past or its links."""
 
     def is_world_without(self, name: str, entity: str) -> bool:
         """Checks whether a variable is a world that has no entity of a name."""
@@ -105,7 +111,7 @@ class SqlReader:
     def _facts_of(self, name: str, local: Collection[str]) -> tuple[bool, ...]:
         names = self._names
         is_variable = name in local or names.has_variable(name)
-        return is_variable, names.is_function(name), names.is_users(name)
+        return is_variable, names.is_function(name), names.is_users(name), names.is_world(name)
 
 
 @dataclass(frozen=True)
@@ -211,7 +217,8 @@ class _Reading:
                     return self._node(replace(part, operand=member), aliases)
             case Source(value=Query() as query) if _has_aggregated_groups(query):
                 return self._node(replace(part, value=_with_form(query, "dict")), aliases)
-            case Assignment() if self._compares(part):
+            case Assignment() if self._compares(part, aliases):
+                self._check_comparison(part)
                 self._resolved_spans.add(part.span)
                 return self._node(_comparison(part), aliases)
             case Call(name=name) if not self._names.is_function(name):
@@ -321,6 +328,9 @@ class _Reading:
             if source.alias is not None and not _is_variable_itself(source.alias, source.value)
         }
         visible = (aliases - {source.alias for source in query.sources}) | own
+        visible -= {_ENTITIES}
+        if any(map(self._has_columns, query.sources)):
+            visible |= {_ENTITIES}
         # `room.z` where the source is called by its variable.
         visible |= {f"{s.alias}." for s in query.sources if s.alias not in own}
         parts: dict[str, Any] = {}
@@ -352,11 +362,34 @@ class _Reading:
             return None
         return Call(node.span, key, (This(node.base.span, alias),), index.span)
 
-    def _compares(self, node: Assignment) -> bool:
+    def _check_comparison(self, node: Assignment) -> None:
+        """Checks that a value is compared with one other: `x = y = 0` is an error in SQL.
+
+        Raises:
+            ParseError: it is compared with a comparison.
+        """
+        value = node.value
+        is_equality = isinstance(value, Assignment) or (
+            isinstance(value, Binary) and value.operator == "=="
+        )
+        if is_equality and value.span.start == node.value_start:
+            raise ParseError(CHAIN_OF_EQUALS, text=self._program.text, span=node.span)
+
+    def _compares(self, node: Assignment, aliases: frozenset[str]) -> bool:
         """Checks whether `name = value` in a query is a comparison."""
         if node.value_start is None or self._has_variable(node.name):
             return False
-        return node.is_condition or self._names.is_function(node.name)
+        is_column = _ENTITIES in aliases and self._names.is_function(node.name)
+        return node.is_condition or is_column
+
+    def _has_columns(self, source: Source) -> bool:
+        """Checks whether functions of the elements of a source are its columns: of entities."""
+        match source.value:
+            case Name(name=name) | TimeIndex(name=name):
+                return self._names.is_world(name)
+            case Query() | Call():
+                return True
+        return False
 
     def _is_plain(self, node: Node) -> bool:
         """Checks whether a value is certainly no list of dicts, and no dict."""
@@ -368,12 +401,16 @@ class _Reading:
             case Binary(left=left, right=right):
                 return self._is_plain(left) and self._is_plain(right)
             case Name(name=name):
-                return not self._has_variable(name) and self._is_own_function(name)
+                return not self._has_variable(name) and self._is_own(name)
             case Call(name=name):
                 return self._is_own_function(_lower_builtin(name) or name)
             case QualifiedName(alias=alias, key=key):
-                return not self._has_variable(alias) and self._is_own_function(key)
+                return not self._has_variable(alias) and self._is_own(key)
         return False
+
+    def _is_own(self, name: str) -> bool:
+        """Checks whether a name is a function of the language, or can only be a key."""
+        return self._is_own_function(name) or not self._names.is_function(name)
 
     def _is_own_function(self, name: str) -> bool:
         is_known = self._names.is_function(name) and not self._names.is_users(name)

@@ -52,6 +52,7 @@ _BEHIND_SOURCE = (
     *("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "OFFSET", "AS"),
     *("JOIN", "INNER", "CROSS", "ON"),
 )
+CHAIN_OF_EQUALS = "this compares True or False; write x = y AND y = z"
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 
@@ -133,10 +134,12 @@ class SqlForms(Cursor):
             above, below = Binary(place, ">=", left, low), Binary(place, "<=", left, high)
             node = Binary(place, "AND", above, below)
         elif self.take_words("IN"):
-            node = Binary(self.since(start), "IN", left, self.members())
+            right = self.members()
+            node = Binary(self.since(start), "IN", left, right)
         else:
             self.expect_word("LIKE")
-            node = Binary(self.since(start), "LIKE", left, self.operation(LEVEL_OF["IN"] + 1))
+            right = self.operation(LEVEL_OF["IN"] + 1)
+            node = Binary(self.since(start), "LIKE", left, right)
         return Unary(self.since(start), "NOT", node) if is_not else node
 
     def members(self) -> Node:
@@ -355,10 +358,20 @@ class SqlForms(Cursor):
             ):
                 for side in node.children():
                     self.check_condition(side)
+                self._check_constants(list(node.children()))
+            case Assignment(value=Binary(operator="AND" | "OR") as value, value_start=int()):
+                self._check_constants(list(value.children())[1:])  # the first is compared
             case Unary(operator="NOT", operand=operand):
                 self.check_condition(operand)
             case Assignment(name=name, value=value) if _is_written_out(value):
                 self.add_suspicion(node.span, f"this sets the variable {name}; write == to compare")
+
+    def _check_constants(self, conditions: Sequence[Node]) -> None:
+        """Reports conditions that are texts or numbers: `id = 'can' OR 'cup'`."""
+        for node in conditions:
+            if isinstance(node, Literal) and not isinstance(node.value, bool):
+                message = "this condition is the same for all rows; write x IN (a, b)"
+                self.add_suspicion(node.span, message)
 
     def check_texts(self, node: Node | None) -> None:
         """Reports a condition on two texts, one in double quotes: it is the same for all rows."""

@@ -104,9 +104,7 @@ class _Resolver:
             where=None if query.where is None else query.where.replaced(self._in_where),
             group=tuple(map(self._key, query.group)),
             having=None if query.having is None else self._column_key(query.having),
-            order=tuple(
-                OrderKey(k.span, self._column_key(k.value), k.descending) for k in query.order
-            ),
+            order=tuple(OrderKey(k.span, self._order(k.value), k.descending) for k in query.order),
         )
         columns = tuple(self._columns())
         if self._aggregates_all_rows(columns):
@@ -203,6 +201,11 @@ class _Resolver:
 
     def _key_part(self, part: Node) -> Node | None:
         return self._column_named(part) or self._looked_up(part)
+
+    def _order(self, node: Node) -> Node:
+        """Returns a key of ORDER BY; within a computed one, functions of the row come first."""
+        is_column = isinstance(node, Name) or bool(self._query.group)
+        return self._column_key(node) if is_column else self._key(node)
 
     def _column_key(self, node: Node) -> Node:
         """Returns a part of HAVING or ORDER BY, where the columns that AS names come first."""
