@@ -280,7 +280,7 @@ class _Translator:
         live = (
             s
             for s in self.result.source_types
-            if s.has_values and s.sql_type is None and not s.past_kind and s.table == "entities"
+            if s.has_values and s.sql_type is None and not s.past_kind
         )
         worlds = {source_type.alias: source_type.schema for source_type in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
@@ -296,7 +296,8 @@ class _Translator:
         if result is None:
             return None
         self.pairs.append(result.table)
-        if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
+        is_adjacent = order.index(str(second.alias)) == order.index(str(first.alias)) + 1
+        if is_adjacent and result.position is not None:
             self.positions[str(first.alias)] = result.position
         return result.condition
 
