@@ -308,7 +308,9 @@ class Execution(Namespace):
     def worlds_pinned(self, *nodes: Node) -> Iterator[None]:
         """Pins all worlds at their tick, and reads the tables of relations."""
         tables = frozenset().union(*map(self.tables_read, nodes))
-        with self.database.pinned(tables, self.worlds_of(nodes) if tables else ()):
+        # Which worlds are read matters for their tables, and for stale ticks of users' clients.
+        is_relevant = tables or self.database.has_attached_world
+        with self.database.pinned(tables, self.worlds_of(nodes) if is_relevant else ()):
             yield
 
 
