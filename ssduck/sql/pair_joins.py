@@ -17,6 +17,7 @@ from ssduck.language.tree import Binary, Call, Node, This
 from ssduck.schema import EntityTable
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import pair_table
+from ssduck.sql.pair_lookup import JoinedPairs
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.geometry_query import PairKind
 from ssduck.sql.relations.registry import BOXES_WITHIN, RELATIONS
@@ -31,13 +32,16 @@ class PairJoin:
 
     Attributes:
         table: the table of candidate pairs.
-        condition: the condition on a row of the sources and of the table.
-        position: the key of the order of both sources; None if they have links.
+        pairs: the search for these pairs, and the condition on a row of the sources and of the
+            table.
+        position: the key of the order of the call's two arguments; None if they have links.
+        sides: the sources in that order.
     """
 
     table: exp.Expr
-    condition: exp.Expr
+    pairs: JoinedPairs
     position: exp.Ordered | None
+    sides: tuple[This, This]
 
 
 def sides_of(node: Node) -> tuple[This, This] | None:
@@ -65,13 +69,15 @@ def pair_join(
     Args:
         sql: the expressions of the query.
         node: a call of a relation of `sides_of`.
-        sides: its sources, in their order.
+        sides: its two arguments, in the order of the sources.
         schema: the world that both sources are.
     """
     relation, constants = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidate_pairs is not None
     search = relation.candidate_pairs.search
     kind = _kind_of({sql.value(side).sql_type.table for side in sides})
+    if not relation.is_symmetric:  # the search gives pairs in the order of its arguments
+        sides = (node.arguments[0], node.arguments[1])  # type: ignore[assignment]
     if not all(map(sql.is_constant, constants)) or (kind != "entities" and not search.finds_links):
         return None
     try:
@@ -87,9 +93,11 @@ def pair_join(
         for side, column in zip(sides, pairs.columns, strict=True)
     ]
     exact = () if search.is_exact else (holds,)
+    condition = exp.and_(*result, *exact)
+    joined = JoinedPairs(schema, search, distance, condition)
     # Links are in the order of their entities, not of their ids.
     position = pairs.position if kind == "entities" else None
-    return PairJoin(pairs.table, exp.and_(*result, *exact), position)
+    return PairJoin(pairs.table, joined, position, sides)
 
 
 def _kind_of(tables: Collection[EntityTable]) -> PairKind:
