@@ -24,6 +24,8 @@ from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
 MIN_PAIRS_AT_ONCE = 64
+# After this number of pairs of links of one body, all links are compared at once.
+MAX_SINGLE_OWN_PAIRS = 8
 # The number of sets of links for which queries are cached.
 MAX_LINK_QUERIES = 64
 # The rounding error of distances between boxes, m.
@@ -87,6 +89,7 @@ class ShapeQueries:
         self._overlapping_with_margins: dict[float, list[int]] = {}
         # The number of pairs that were compared one by one, by predicate.
         self._pair_counts: Counter[PairPredicate] = Counter()
+        self._own_pair_count = 0
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
 
@@ -291,6 +294,12 @@ class ShapeQueries:
             is_far = predicate.kind != "colliding" and not predicate.distance <= self._median_size
             if self._pair_counts[predicate] <= max_single_pairs or is_far:
                 return None
+            return self._numbers_of_matching(predicate)
+        return self._matching_by_predicate[predicate]
+
+    def _numbers_of_matching(self, predicate: PairPredicate) -> frozenset[int]:
+        """Returns all pairs for which a predicate holds, compared at once."""
+        if predicate not in self._matching_by_predicate:
             first, second = (side.tolist() for side in self._all_pairs(predicate))
             self._matching_by_predicate[predicate] = frozenset(map(pair_number, first, second))
         return self._matching_by_predicate[predicate]
@@ -329,7 +338,7 @@ class ShapeQueries:
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return math.inf
-        return self._narrow.clearance(i, j)
+        return 0.0 if self._are_overlapping_links(a, b) else self._narrow.clearance(i, j)
 
     def near(self, a: int, b: int, max_distance: float) -> bool | None:
         """Checks whether two entities are at most a distance apart, m; False without shapes."""
@@ -339,8 +348,24 @@ class ShapeQueries:
         pairs = self._matching_pairs(PairPredicate("within", max_distance))
         if pairs is not None:
             return self._contains_pair(pairs, i, j)
+        if max_distance >= 0.0 and self._are_overlapping_links(a, b):
+            return True
         clearance = self._narrow.clearance(i, j, max_distance)
         return None if clearance is None else clearance <= max_distance
+
+    def _are_overlapping_links(self, a: int, b: int) -> bool:
+        """Checks whether two links of one body surely overlap, as neighbours do.
+
+        The distance of shapes that overlap takes long. So, after a few pairs of such links in a
+        tick, all links are compared at once.
+        """
+        if entity_of(a) != entity_of(b) or min(a, b) < LINK_FACTOR:
+            return False
+        self._own_pair_count += 1
+        if self._own_pair_count <= MAX_SINGLE_OWN_PAIRS:
+            return False
+        number = pair_number(self._numbers[a], self._numbers[b])
+        return number in self._numbers_of_matching(PairPredicate("colliding", MIN_DEPTH))
 
     def touching(self, a: int, b: int, max_distance: float) -> bool | None:
         """Checks whether two of their shapes are at most a distance, m, plus both margins apart."""

@@ -8,6 +8,7 @@ from itertools import pairwise
 import pytest
 
 import ssduck
+from ssduck.geometry import queries
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.schema import LINK_FACTOR
 
@@ -98,6 +99,27 @@ def test_single_pairs_turn_into_one_search(cell):
     }
     owners = {(a, b % LINK_FACTOR) for a, b in found if (a - b) % LINK_FACTOR}
     assert mixed == owners
+
+
+@pytest.mark.parametrize("relation", ["clearance(a.this, b.this)", "near(a.this, b.this, 0.0)"])
+def test_links_that_overlap_are_found_at_once(cell, calls, monkeypatch, relation):
+    """Neighbours overlap; one by one, each of them takes long."""
+    program = (
+        f"SELECT {relation} FROM a = links(sim.panda), b = links(sim.panda) "
+        "WHERE a.this != b.this AS list;"
+    )
+    results = []
+    for single_pairs in (10_000, queries.MAX_SINGLE_OWN_PAIRS):
+        monkeypatch.setattr(queries, "MAX_SINGLE_OWN_PAIRS", single_pairs)
+        with ssduck.Interpreter(recording=None) as ss:
+            ss.add_variable("sim", cell.world.what_if({}))
+            calls.clear()
+            results.append((ss.eval(program), calls["clearance"], calls["all_pairs"]))
+    (one_by_one, single_calls, _), (at_once, fewer_calls, searches) = results
+    assert at_once == one_by_one
+    assert 0.0 in at_once or True in at_once
+    assert fewer_calls < single_calls
+    assert searches == 1
 
 
 def test_results_are_in_the_order_of_links(cell):
