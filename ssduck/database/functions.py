@@ -115,15 +115,15 @@ def _exact_value(value: Any, sql_type: SqlType) -> Any:
     return value
 
 
-def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
-    """Registers the functions of shapes, joints and recorded ticks with SQL.
+def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
+    """Has the functions of shapes, joints and recorded ticks registered when SQL names them.
 
     Args:
         connection: the connection to the database.
         worlds: the worlds of the database by name, up to date.
     """
     for udf in GEOMETRY_UDFS.values():
-        connection.add_function(
+        connection.offer_function(
             udf.name,
             (_geometry_function if udf.entities else _pair_search)(udf, worlds),
             udf.parameters,
@@ -131,8 +131,8 @@ def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWor
             null_handling=FunctionNullHandling.SPECIAL,  # its result may be NULL
             side_effects=udf.entities == 0,  # all pairs of a tick change with the tick
         )
-    connection.add_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
-    connection.add_function(
+    connection.offer_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
+    connection.offer_function(
         CHECKED_TICK_UDF,
         partial(_checked_tick, worlds),
         ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7),
@@ -141,7 +141,7 @@ def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWor
     )
     for (name, (function, parameters)), prefix in product(JOINT_UDFS.items(), ("", LENIENT_PREFIX)):
         call = partial(_joint_value, worlds, function)
-        connection.add_function(
+        connection.offer_function(
             prefix + name,
             partial(_lenient_joint_value, worlds, call) if prefix else call,
             ("VARCHAR", "BIGINT", "BIGINT", *parameters),
@@ -153,7 +153,7 @@ def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWor
         if search.predicate is None:
             continue
         # As Arrow columns: converting lists would take as long as comparing the pairs.
-        connection.add_function(
+        connection.offer_function(
             search.name_over_ticks,
             partial(_pairs_over_ticks, worlds, search.predicate),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
@@ -161,7 +161,7 @@ def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWor
             type=PythonUDFType.ARROW,
             side_effects=True,
         )
-    connection.add_function(
+    connection.offer_function(
         RECORDED_NUMBERS_UDF,
         partial(_recorded_numbers, worlds),
         ("VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"),
