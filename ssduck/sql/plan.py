@@ -136,6 +136,7 @@ class Plan:
         bare: the resolved names, and whether there was a variable of that name.
         deferred: the lists in variables that the query evaluates.
         cautious: whether nothing in the SQL can fail.
+        may_fail: whether something in the SQL may fail, so that Python decides.
     """
 
     query: Query
@@ -157,6 +158,7 @@ class Plan:
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False
+    may_fail: bool = False
 
     @cached_property
     def sql(self) -> str:
