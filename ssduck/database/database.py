@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.functions import add_geometry_functions, add_user_function, converter_of
 from ssduck.database.recorders import Recorders, check_is_live
@@ -179,6 +180,10 @@ class Database:
         """Returns the schema of a world's tables; makes one if the world has none here."""
         with self._lock:
             return self._worlds.schema_of(world)
+
+    def bound_world(self, schema: str) -> BoundWorld:
+        """Returns the world of a schema."""
+        return self._worlds.by_schema[schema]
 
     @property
     def worlds(self) -> dict[str, World]:

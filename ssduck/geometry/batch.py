@@ -12,31 +12,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
-from ssduck.geometry.gjk import (
-    ABOVE,
-    BELOW,
-    UNDECIDED,
-    ConvexCores,
-    PlacedCores,
-    Verdicts,
-    classify_gaps,
-    tolerances,
-)
+from ssduck.geometry.cores import ConvexCores, PlacedCores
+from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.solids import Solid
+from ssduck.geometry.witnesses import KeptWitnesses
 
 # The cross product of edges that are more parallel is no separating axis.
 _MIN_SINE = 1e-6
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8
 _MAX_ENTITIES = 1 << 32
+# The number of predicates whose witnesses are kept from tick to tick.
+_MAX_PREDICATES = 16
 # The other two axes of each axis.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -115,6 +110,7 @@ class ShapeTable:
         self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
             solid_indices
         ]
+        self.has_planes = bool(self.is_plane.any())
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
         self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
@@ -129,6 +125,15 @@ class ShapeTable:
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
+        self._witnesses: dict[PairPredicate, KeptWitnesses] = {}
+
+    def witnesses(self, predicate: PairPredicate) -> KeptWitnesses:
+        """Returns the witnesses of a predicate at the tick before."""
+        if predicate not in self._witnesses:
+            if len(self._witnesses) >= _MAX_PREDICATES:
+                self._witnesses.clear()
+            self._witnesses[predicate] = KeptWitnesses()
+        return self._witnesses[predicate]
 
     def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.
@@ -234,6 +239,7 @@ def matching_pairs(
     predicate: PairPredicate,
     satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
+    kept: KeptWitnesses | None = None,
 ) -> PairResult:
     """Returns the pairs of entities for which a predicate holds.
 
@@ -242,13 +248,14 @@ def matching_pairs(
         predicate: the condition on two shapes.
         satisfies: decides the pairs of shapes that no rule decides.
         among: the pairs of shapes to compare; None for all candidate pairs.
+        kept: the witnesses of the same predicate at the tick before.
     """
     among = predicate.candidates(tick) if among is None else _comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
-    rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
-    if predicate.kind == "colliding":
-        rules = _by_spheres, _by_planes, _by_axes, _by_cores
-    else:  # a distance is not negative
+    by_cores = partial(_by_cores, kept=kept)
+    rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_axes, by_cores
+    if predicate.kind != "colliding":  # a distance is not negative
+        rules = _by_spheres, _by_planes, _by_axes_if_sure, by_cores
         is_non_negative = bounds >= 0.0
         among, bounds = (
             (among[0][is_non_negative], among[1][is_non_negative]),
@@ -291,6 +298,8 @@ def _matching_entities(
     compared = owners if has_single_shapes else np.unique(owners)
     matching = np.zeros(0, np.intp)
     for rule in rules:
+        if not len(first):
+            break
         verdicts = rule(tick, first, second, bounds)
         matching = np.concatenate((matching, owners[verdicts == BELOW]))
         is_undecided = verdicts == UNDECIDED
@@ -324,7 +333,8 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
         first, second = np.triu_indices(len(known), 1)
     else:
         first, second = overlapping_pairs(boxes[:, known], max_distance)
-    first, second = known[first], known[second]
+    # In the same order at each tick, for the witnesses.
+    first, second = known[np.minimum(first, second)], known[np.maximum(first, second)]
     if table.has_single_shapes:
         return first, second
     different = table.entities[first] != table.entities[second]
@@ -356,6 +366,8 @@ def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array)
     """Decides half-spaces against any other shape, by the point that is deepest."""
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
+    if not table.has_planes:
+        return verdicts
     indices = np.flatnonzero(table.is_plane[first] != table.is_plane[second])
     if not len(indices):
         return verdicts
@@ -376,18 +388,39 @@ def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -
     """Decides boxes exactly, by separating axes."""
     verdicts = np.zeros(len(first), np.int8)
     indices = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
+    if not len(indices):
+        return verdicts
     is_deep = box_depths(tick, first[indices], second[indices]) > -bounds[indices]
     verdicts[indices] = np.where(is_deep, BELOW, ABOVE)
     return verdicts
 
 
-def _by_cores(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+    """Decides boxes that overlap, and those that an axis separates by more than the bound."""
+    verdicts = np.zeros(len(first), np.int8)
+    indices = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
+    if not len(indices):
+        return verdicts
+    first, second, bounds = first[indices], second[indices], bounds[indices]
+    depths, error = box_depths(tick, first, second), tolerances(tick.placed_cores, first, second)
+    verdicts[indices[depths > error]] = BELOW
+    verdicts[indices[-depths > bounds + error]] = ABOVE
+    return verdicts
+
+
+def _by_cores(
+    tick: TickShapes,
+    first: Indices,
+    second: Indices,
+    bounds: Array,
+    kept: KeptWitnesses | None = None,
+) -> Verdicts:
     """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
     core_verdicts = classify_gaps(
-        tick.placed_cores, first[indices], second[indices], bounds[indices]
+        tick.placed_cores, first[indices], second[indices], bounds[indices], kept
     )
     is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
     core_verdicts[is_concave & (core_verdicts == BELOW)] = UNDECIDED

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from threading import RLock
 
@@ -143,9 +143,9 @@ class NarrowPhase:
         with self._lock:
             if predicate not in self._results:
                 tick = self._tick_shapes(table)
-                result = matching_pairs(
-                    tick, predicate, lambda s, t: self.satisfies(s, t, predicate)
-                )
+                satisfies = partial(self.satisfies, predicate=predicate)
+                kept = table.witnesses(predicate)
+                result = matching_pairs(tick, predicate, satisfies, kept=kept)
                 self.count_compared(result.compared.tolist())
                 self._results[predicate] = result
             return self._results[predicate]

@@ -16,6 +16,7 @@ from ssduck.language import tree
 from ssduck.language.tree import Binary, Call, Node, This
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import pair_table
+from ssduck.sql.pair_lookup import JoinedPairs
 from ssduck.sql.relation_calls import expanded
 from ssduck.sql.relations.registry import BOXES_WITHIN, RELATIONS
 from ssduck.sql.sql_values import NotSqlError
@@ -29,13 +30,16 @@ class PairJoin:
 
     Attributes:
         table: the table of candidate pairs.
-        condition: the condition on a row of the sources and of the table.
-        position: the key of the order of both sources.
+        pairs: the search for these pairs, and the condition on a row of the sources and of the
+            table.
+        position: the key of the order of the call's two arguments.
+        sides: the sources in that order.
     """
 
     table: exp.Expr
-    condition: exp.Expr
+    pairs: JoinedPairs
     position: exp.Ordered
+    sides: tuple[This, This]
 
 
 def sides_of(node: Node) -> tuple[This, This] | None:
@@ -63,11 +67,13 @@ def pair_join(
     Args:
         sql: the expressions of the query.
         node: a call of a relation of `sides_of`.
-        sides: its sources, in their order.
+        sides: its two arguments, in the order of the sources.
         schema: the world that both sources are.
     """
     relation, constants = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidate_pairs is not None
+    if not relation.is_symmetric:  # the search gives pairs in the order of its arguments
+        sides = (node.arguments[0], node.arguments[1])  # type: ignore[assignment]
     if not all(map(sql.is_constant, constants)):
         return None
     try:
@@ -84,7 +90,9 @@ def pair_join(
         for side, column in zip(sides, pairs.columns, strict=True)
     ]
     exact = () if search.is_exact else (holds,)
-    return PairJoin(pairs.table, exp.and_(*result, *exact), pairs.position)
+    condition = exp.and_(*result, *exact)
+    joined = JoinedPairs(schema, search, distance, condition)
+    return PairJoin(pairs.table, joined, pairs.position, sides)
 
 
 def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:
