@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
-from ssduck.database.functions import add_geometry_functions, add_user_function, converter_of
+from ssduck.database.functions import add_user_function, converter_of, offer_geometry_functions
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import ReferencedTables, check_length, reads_recorded_masses
 from ssduck.database.schemas import Schemas
@@ -70,7 +70,7 @@ class Database:
         )
         if self.connection.is_file:
             self._schemas.drop_stale_views()
-        add_geometry_functions(self.connection, self._worlds.by_schema)
+        offer_geometry_functions(self.connection, self._worlds.by_schema)
         self.connection.apply_limits()
 
     def close(self) -> None:
@@ -87,7 +87,7 @@ class Database:
                 for bound in self._worlds.bound:
                     history = bound.history
                     self._recorders.stop(bound)
-                    for schema in bound.schemas:
+                    for schema in bound.schemas if self.connection.is_file else ():
                         self._schemas.detach(schema, history)
             finally:
                 self.connection.close()
@@ -109,6 +109,7 @@ class Database:
             check_length(sql)
         tables = self._references.tables(sql)
         with self.pinned(tables, self._references.worlds(sql, self._worlds.bound)):
+            self.connection.on_demand.make_all(self.connection)
             schemas = list(self._worlds.by_schema)
             only = schemas[0] if len(self.worlds) == 1 else None
             self._schemas.describe(schemas, only, self.records)

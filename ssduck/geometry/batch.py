@@ -98,7 +98,7 @@ class ShapeTable:
         entities: Indices,
         margins: Array | None = None,
     ) -> None:
-        self._solids, self._solid_indices = solids, solid_indices
+        self.solids, self.solid_indices = solids, solid_indices
         self.entities = entities
         self.margins = np.zeros(len(solid_indices)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
@@ -142,7 +142,7 @@ class ShapeTable:
             shapes: (m,), the numbers of the shapes.
             entities: (m,), the index of each shape's entity.
         """
-        return ShapeTable(self._solids, self._solid_indices[shapes], entities, self.margins[shapes])
+        return ShapeTable(self.solids, self.solid_indices[shapes], entities, self.margins[shapes])
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def matching_pairs(
         among: the pairs of shapes to compare; None for all candidate pairs.
         kept: the witnesses of the same predicate at the tick before.
     """
-    among = predicate.candidates(tick) if among is None else _comparable_pairs(tick, among)
+    among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     by_cores = partial(_by_cores, kept=kept)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_axes, by_cores
@@ -264,7 +264,8 @@ def matching_pairs(
     return _matching_entities(tick, among, rules, bounds, satisfies)
 
 
-def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
+def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
+    """Returns those of some pairs of shapes whose entities are known, and which have points."""
     first, second = shapes
     has_known_points = tick.is_known & tick.table.has_points
     both = has_known_points[first] & has_known_points[second]
@@ -272,6 +273,24 @@ def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
 
 
 Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+    """Classifies the signed distances of pairs of shapes, as far as rules prove it.
+
+    Args:
+        tick: the shapes.
+        first: (n,), known shapes that have points.
+        second: (n,), the same.
+        bounds: (n,), one for each pair, metres; not negative.
+    """
+    verdicts = np.zeros(len(first), np.int8)
+    pairs = np.arange(len(first))
+    for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
+        verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs])
+        pairs = pairs[verdicts[pairs] == UNDECIDED]
+    return verdicts
 
 
 # Shapes whose squared lengths overflow stay undecided.

@@ -36,7 +36,7 @@ from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import UnknownNameError
-from ssduck.formatting import first_names
+from ssduck.formatting import count_of, first_names
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
     Condition,
@@ -51,6 +51,7 @@ from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram, tree_of
 from ssduck.interpreter.recording import RecordingMethods
+from ssduck.interpreter.shown_rows import rows_to_show
 from ssduck.interpreter.signatures import type_hints_of
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.interpreter.triggers.tick_batch import TriggerBatches
@@ -63,16 +64,18 @@ from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.spec import Recording
+from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
 
 
-class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
+class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
         database: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each SQL statement before it runs.
+        tracer: a function that is called with each SQL statement before it runs, but for those that
+            make views.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
         row_by_row: whether every query runs row by row in Python, for comparison.
         strict: whether a probable mistake in a program (a name that no entity has, a variable
@@ -155,7 +158,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
 
     def __repr__(self) -> str:
         worlds = [
-            f"{name} ({len(world)} entities, t={world.time:g} s)"
+            f"{name} ({count_of(len(world), 'entity')}, t={world.time:g} s)"
             for name, world in self._database.worlds.items()
         ]
         parts = {
@@ -230,7 +233,8 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
             SelectScriptError: as `eval` does.
         """
         rows = validation.integer(rows, "show: rows", minimum=0)
-        return TableView(self.eval(program), rows)
+        compiled = program if isinstance(program, CompiledProgram) else self.compile(program)
+        return TableView(rows_to_show(compiled, self.eval), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:
         """Returns the SQL of the queries in a program's last statement, and what Python evaluates.

@@ -42,6 +42,11 @@ from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import unknown_function
 from ssduck.world.world import World
 
+# The least similarity of a function's name that is suggested for an unknown variable.
+_FUNCTION_LIKENESS = 0.8
+# Messages name at most this number of worlds.
+_MAX_WORLDS = 5
+
 
 class Variables(dict[str, Any]):
     """Variables by name.
@@ -105,11 +110,24 @@ class Namespace:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
-        instead = suggestion_for_name(name)
-        raise UnknownNameError(
-            f"there is no variable {short_repr(name)}" + (f"; {instead}" if instead else ""),
-            suggestions=() if instead else nearest(name, self.names()),
-        )
+        raise self._unknown_variable(name)
+
+    def _unknown_variable(self, name: str) -> UnknownNameError:
+        """Returns the error for an unknown variable; it says what the name may stand for."""
+        message = f"there is no variable {short_repr(name)}"
+        if instead := suggestion_for_name(name):
+            return UnknownNameError(f"{message}; {instead}")
+        worlds = {key: value for key, value in self.variables.items() if isinstance(value, World)}
+        owners = [key for key, world in worlds.items() if name in world]
+        if owners and name.isidentifier():
+            choices = " or ".join(f"{key}.{name}" for key in owners[:_MAX_WORLDS])
+            return UnknownNameError(f"{message}; for the entity, write {choices}")
+        functions = (known for known in self.names() if known not in self.variables)
+        near = nearest(name, self.variables) or nearest(name, functions, least=_FUNCTION_LIKENESS)
+        if worlds and not near:
+            names = ", ".join(map(repr, [*worlds][:_MAX_WORLDS]))
+            message += f"; the world is {names}" if len(worlds) == 1 else f"; worlds are {names}"
+        return UnknownNameError(message, suggestions=near)
 
     def has_variable(self, name: str) -> bool:
         """Checks whether a variable has that name."""
