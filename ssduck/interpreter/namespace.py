@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from inspect import unwrap
+from types import MappingProxyType
 from typing import Any
 
 from ssduck import validation
@@ -47,6 +48,22 @@ _FUNCTION_LIKENESS = 0.8
 _MAX_WORLDS = 5
 
 
+class Variables(dict[str, Any]):
+    """Variables by name.
+
+    Attributes:
+        version: an object that is replaced whenever a value is bound to a name.
+    """
+
+    def __init__(self, values: Mapping[str, Any] = MappingProxyType({})) -> None:
+        super().__init__(values)
+        self.version = object()
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        self.version = object()
+        super().__setitem__(name, value)
+
+
 class Namespace:
     """The variables and functions of an interpreter, and its worlds.
 
@@ -57,7 +74,7 @@ class Namespace:
     def __init__(self, database: Database) -> None:
         self.database = database
         self.lock = threading.RLock()
-        self.variables: dict[str, Any] = {}
+        self._variables = Variables()
         self.functions: dict[str, Function] = dict(BUILTINS)
         # The language's own functions that users' functions override, by name.
         self._overrides: dict[str, Function | None] = {}
@@ -69,6 +86,15 @@ class Namespace:
                 self.functions[name] = allen.function
 
     # -- variables (ssduck.language.evaluator.EvaluationScope) -------------------------------
+
+    @property
+    def variables(self) -> Variables:
+        """The values and histories of the variables, by name."""
+        return self._variables
+
+    @variables.setter
+    def variables(self, values: Mapping[str, Any]) -> None:
+        self._variables = values if isinstance(values, Variables) else Variables(values)
 
     def variable(self, name: str) -> Any:
         """Returns the value of a variable.
@@ -115,6 +141,10 @@ class Namespace:
         """Checks whether a variable is a world that has no entity of a name."""
         value = self.variables.get(name)
         return isinstance(value, World) and entity not in value
+
+    def bound_values(self, names: Iterable[str]) -> tuple[Any, ...]:
+        """Returns what is bound to names: values, histories of values, or None."""
+        return tuple(map(self._variables.get, names))
 
     def variable_or_none(self, name: str) -> Any:
         """Returns the value of a variable; None if there is none."""

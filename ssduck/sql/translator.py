@@ -452,6 +452,7 @@ class _Translator:
     def _finish(self, select: exp.Select) -> None:
         plan = self.result
         plan.select = select
+        plan.may_fail = self.context.possible_failures > 0
         # Parts that turned out not to be SQL may have left parameters.
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]
