@@ -93,10 +93,11 @@ def test_no_package_has_more_than_30_modules():
 
 def test_no_module_has_more_than_600_lines():
     lengths = {
-        path.name: len(path.read_text(encoding="utf-8").splitlines())
-        for path in PACKAGE.rglob("*.py")
+        path.as_posix(): len(path.read_text(encoding="utf-8").splitlines())
+        for folder in (PACKAGE, PACKAGE.parent / "benchmarks", PACKAGE.parent / "tools")
+        for path in folder.rglob("*.py")
     }
-    assert len(lengths) > 100
+    assert len(lengths) > 200
     assert [name for name, length in lengths.items() if length > 600] == []
 
 

@@ -16,22 +16,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 
-from tools.build_kitchen import (
-    Body,
-    Model,
-    Quat,
-    Sensor,
-    Shape,
-    Vec,
-    ball,
-    box,
-    cylinder,
-    files,
-    looking,
-    scene_text,
-    thing,
-    write,
-)
+from tools.scenes.bodies import Body, Sensor, looking
+from tools.scenes.models import Model, Shape, ball, box, cylinder, thing
+from tools.scenes.pieces import Quat, Vec
+from tools.scenes.writing import files, scene_text, write
 
 SEED = 1
 HALF = 2.0  # of the box's inner edge

@@ -16,23 +16,10 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from tools.build_kitchen import (
-    RIGHT,
-    Body,
-    Joint,
-    Link,
-    Model,
-    Sensor,
-    Vec,
-    ball,
-    box,
-    cylinder,
-    files,
-    looking,
-    scene_text,
-    thing,
-    write,
-)
+from tools.scenes.bodies import Body, Sensor, looking
+from tools.scenes.models import Joint, Link, Model, ball, box, cylinder, thing
+from tools.scenes.pieces import RIGHT, Vec
+from tools.scenes.writing import files, scene_text, write
 
 LENGTH, WIDTH = 12.0, 8.0
 START, GOAL = (1.0, 1.0), (11.0, 7.0)

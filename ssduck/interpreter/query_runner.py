@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from itertools import islice
 from math import prod
 from typing import Any
@@ -14,6 +15,7 @@ from sqlglot import exp
 from ssduck.database.database import Database, Statement
 from ssduck.database.values import to_sql
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
+from ssduck.interpreter.pair_rows import pair_rows
 from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
@@ -158,11 +160,11 @@ class PlannedQuery:
             raise SqlFailedError from error
         self._failures = 0
         if self._clauses is None:
-            return self._output_rows(fetched)
+            return self.output_rows(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
 
-    def _output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
-        """Returns the rows from SQL, if nothing is left to Python."""
+    def output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
+        """Returns the query's rows for the rows from SQL, if nothing is left to Python."""
         outputs = self.plan.outputs or []
         converters = [self._converters[output.sql_type] for output in outputs]
         indices = [output.index for output in outputs]
@@ -190,6 +192,12 @@ class PlannedQuery:
         """Executes the SQL and returns its rows."""
         plan, database = self.plan, self._database
         parameters = _parameter_values(plan, outer, sources)
+        if plan.lookup is not None and set(map(type, parameters.values())) <= {int, float}:
+            with suppress(ArgumentError):  # the SQL raises it, with its place
+                rows = pair_rows(plan.lookup, database.bound_world(plan.lookup.schema), parameters)
+                database.connection.meter.check_time()
+                database.connection.meter.check_rows(len(rows))
+                return rows
         if any(
             _is_long_past(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source
         ):

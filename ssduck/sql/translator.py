@@ -39,7 +39,8 @@ from ssduck.sql.from_clause import (
     world_table,
 )
 from ssduck.sql.name_resolution import resolve
-from ssduck.sql.pair_joins import implied_box_condition, pair_join, sides_of
+from ssduck.sql.pair_joins import PairJoin, implied_box_condition, pair_join, sides_of
+from ssduck.sql.pair_lookup import pair_lookup
 from ssduck.sql.plan import OutputColumn, ParameterBinding, Plan, SourceType, TypeEnvironment
 from ssduck.sql.recursive_cte import recursive_search
 from ssduck.sql.relations.registry import RELATIONS
@@ -110,7 +111,7 @@ class _Translator:
         subqueries.check_sources(query)
         self.elements = self._sources(query, source_types)
         self.columns: list[exp.Expr] = []
-        self.pairs: list[exp.Expr] = []
+        self.pairs: list[PairJoin] = []
         # The keys of the common order of a source and the next one, by the alias of the first.
         self.positions: dict[str, exp.Ordered] = {}
         self.texts: dict[str, int] = {}
@@ -145,6 +146,8 @@ class _Translator:
         result = [condition for condition in conditions if condition is not None]
         result.extend(self._tick_joins())
         order, keys = self._order(result)
+        positions = [None if p.position is None else p.position.this for p in self.pairs]
+        is_in_order_of_pairs = [key.this for key in order] == positions
         is_group = is_one_group(self.query)
         limit, offset = self._limits(left=bool(left or keys or is_group or self.query.distinct))
         in_sql = limit is not None or offset is not None
@@ -161,6 +164,9 @@ class _Translator:
             None if in_sql else self.query.offset,
         )
         select = self._select(result, order)
+        if len(self.pairs) == 1 == len(self.elements) - 1 and is_in_order_of_pairs and not in_sql:
+            tables = [source.table.alias for source in self.elements]
+            plan.lookup = pair_lookup(self.pairs[0].pairs, tables, result, self.columns)
         select = select if limit is None else select.limit(limit)
         self._finish(select if offset is None else select.offset(offset))
         return plan
@@ -280,7 +286,7 @@ class _Translator:
         live = (
             s
             for s in self.result.source_types
-            if s.has_values and s.sql_type is None and not s.past_kind and s.table == "entities"
+            if s.has_values and s.sql_type is None and not s.past_kind
         )
         worlds = {source_type.alias: source_type.schema for source_type in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
@@ -295,10 +301,11 @@ class _Translator:
         result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
         if result is None:
             return None
-        self.pairs.append(result.table)
-        if order.index(str(second.alias)) == order.index(str(first.alias)) + 1:
-            self.positions[str(first.alias)] = result.position
-        return result.condition
+        self.pairs.append(result)
+        places = [order.index(str(side.alias)) for side in result.sides]
+        if result.position is not None and places[1] == places[0] + 1:
+            self.positions[str(result.sides[0].alias)] = result.position
+        return result.pairs.condition
 
     def _note_single_entities(self) -> None:
         """Records the sources that `this == cup` or `id(this) == 'cup'` restricts to one entity."""
@@ -430,21 +437,22 @@ class _Translator:
         else:
             plan.outputs = [plan.known[column.node] for column in self.selected]
         select = product_of(self.elements)
-        for table in self.pairs:
-            select.append("joins", exp.Join(this=table, kind="CROSS"))
+        for join in self.pairs:
+            select.append("joins", exp.Join(this=join.table, kind="CROSS"))
         # The parts are copied once, instead of the whole tree by each call.
         select.set("expressions", [c.copy() for c in self.columns or [exp.Literal.number(1)]])
         if conditions:
             select.where(*(condition.copy() for condition in conditions), copy=False)
         if order:
             select.set("order", exp.Order(expressions=[key.copy() for key in order]))
-        for join in needed_joins(self.sql.ticks.joined_entities.values(), select):
-            select.append("joins", join)
+        for needed in needed_joins(self.sql.ticks.joined_entities.values(), select):
+            select.append("joins", needed)
         return select
 
     def _finish(self, select: exp.Select) -> None:
         plan = self.result
         plan.select = select
+        plan.may_fail = self.context.possible_failures > 0
         # Parts that turned out not to be SQL may have left parameters.
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]

@@ -114,6 +114,8 @@ class LiveTable:
                 )
         self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
         self.version = next(_versions)
+        # The values of columns without buffers, as far as they were asked for.
+        self._python_values: dict[str, list[Any]] = {}
 
     def booleans(self, name: str) -> npt.NDArray[np.uint8]:
         """Returns a column of booleans as 0 and 1, (rows,)."""
@@ -125,6 +127,25 @@ class LiveTable:
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
         """Returns the buffer of a column of numbers, (rows,)."""
         return self._numbers[name]
+
+    def values(self, name: str, rows: Indices | None = None) -> list[Any]:
+        """Returns the values of a column as Python's, None for unknown ones.
+
+        Args:
+            name: the name of the column.
+            rows: the rows; None for all.
+        """
+        if name not in self._numbers:
+            if name not in self._python_values:
+                self._python_values[name] = self._arrays[name].to_pylist()
+            values = self._python_values[name]
+            return values if rows is None else [values[row] for row in rows.tolist()]
+        column = self._numbers[name]
+        selected = column if rows is None else column.take(rows)
+        numbers: list[Any] = selected.tolist()
+        if not self.is_complete:
+            return [None if number != number else number for number in numbers]  # noqa: PLR0124
+        return numbers
 
     def doubles(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns of doubles, (columns, rows)."""

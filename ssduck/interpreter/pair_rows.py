@@ -1,0 +1,65 @@
+"""Looks up the rows of a query of all pairs that a search finds, without a statement."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ssduck.database.binding import BoundWorld
+from ssduck.geometry.arrays import Flags, Indices
+from ssduck.schema import ID_FACTOR
+from ssduck.sql.pair_lookup import PairColumn, PairLookup
+from ssduck.world.live_tables import LiveTable
+
+_COMPARE: Mapping[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "=": operator.eq,
+    "<>": operator.ne,
+}
+
+
+def pair_rows(
+    lookup: PairLookup, bound: BoundWorld, parameters: Mapping[str, Any]
+) -> list[tuple[Any, ...]]:
+    """Returns the rows that the SQL of a look-up's query has.
+
+    Args:
+        lookup: the look-up.
+        bound: its world; the caller pins it, with its shapes read.
+        parameters: the values of the query's parameters.
+
+    Raises:
+        ArgumentError: the search does not take the distance.
+    """
+    shapes, entities = bound.shapes(None, None), bound.world.snapshot.tables["entities"]
+    distance = lookup.distance
+    value = float(parameters[distance]) if isinstance(distance, str) else distance
+    search = lookup.search
+    numbers = search.function(shapes, value) if search.takes_distance else search.function(shapes)
+    pairs = np.array(numbers, np.int64)
+    rows = shapes.rows_of(pairs // ID_FACTOR), shapes.rows_of(pairs % ID_FACTOR)
+    for comparison in lookup.comparisons:
+        ranks = _ranks(entities)
+        left, right = (ranks[rows[side]] for side in comparison.sides)
+        holds: Flags = _COMPARE[comparison.sign](left, right)
+        rows = rows[0][holds], rows[1][holds]
+    values: dict[PairColumn, list[Any]] = {}
+    for column in lookup.columns:
+        if column not in values:
+            values[column] = entities.values(column.name, rows[column.side])
+    if not lookup.columns:  # the SQL selects a constant
+        return [(1,)] * len(rows[0])
+    return list(zip(*(values[column] for column in lookup.columns), strict=True))
+
+
+def _ranks(entities: LiveTable) -> Indices:
+    """Returns the place of each entity's name in their order; equal names have equal places."""
+    names = entities.values("name")
+    places = {name: place for place, name in enumerate(sorted(set(names)))}
+    return np.array([places[name] for name in names], np.intp)

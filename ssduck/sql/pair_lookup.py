@@ -1,0 +1,149 @@
+"""Queries of all pairs that a search finds: their rows are looked up without a statement.
+
+`SELECT id(a.this), id(b.this) FROM a = kitchen, b = kitchen WHERE collides(a.this, b.this)` asks
+for the pairs that the narrow phase finds at once, and for columns of their entities. The joins
+of DuckDB would take several times as long in a small scene. The SQL of such a plan remains the
+definition of its rows, and runs where the search refuses its distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from sqlglot import exp
+
+from ssduck.schema import TABLES
+from ssduck.sql.relations.geometry_query import PairSearch
+
+_COLUMNS = frozenset(column.name for column in TABLES["entities"].columns)
+_SIGNS: Mapping[type[exp.Expr], str] = {
+    exp.LT: "<",
+    exp.LTE: "<=",
+    exp.GT: ">",
+    exp.GTE: ">=",
+    exp.EQ: "=",
+    exp.NEQ: "<>",
+}
+
+
+@dataclass(frozen=True)
+class PairColumn:
+    """A column of one of the two entities of a pair.
+
+    Attributes:
+        side: 0 for the entity of the first source, 1 for that of the second.
+        name: the column of the table of entities.
+    """
+
+    side: int
+    name: str
+
+
+@dataclass(frozen=True)
+class NameComparison:
+    """A condition on the names of the two entities of a pair: `a.name < b.name`.
+
+    Attributes:
+        sign: `<`, `<=`, `>`, `>=`, `=` or `<>`.
+        sides: the sides of the two names.
+    """
+
+    sign: str
+    sides: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class PairLookup:
+    """The rows of a query of all pairs that a search finds, in ascending order of both ids.
+
+    Attributes:
+        schema: the world.
+        search: the search; its pairs are exact.
+        distance: the distance of the search, m, or the name of the parameter that has it.
+        comparisons: the conditions on names.
+        columns: the columns of a row.
+    """
+
+    schema: str
+    search: PairSearch
+    distance: float | str
+    comparisons: tuple[NameComparison, ...]
+    columns: tuple[PairColumn, ...]
+
+
+@dataclass(frozen=True)
+class JoinedPairs:
+    """A search whose pairs are joined with two sources.
+
+    Attributes:
+        schema: the world.
+        search: the search.
+        distance: the distance of the search, m, in SQL.
+        condition: the condition on a row of the sources and of the pairs.
+    """
+
+    schema: str
+    search: PairSearch
+    distance: exp.Expr
+    condition: exp.Expr
+
+
+def pair_lookup(
+    pairs: JoinedPairs,
+    tables: Sequence[str],
+    conditions: Sequence[exp.Expr],
+    columns: Sequence[exp.Expr],
+) -> PairLookup | None:
+    """Returns the look-up that replaces a SELECT; None if it does more than look up.
+
+    Args:
+        pairs: the search, whose pairs order the rows.
+        tables: the names of the two tables of entities.
+        conditions: the conditions of the SELECT.
+        columns: its columns.
+    """
+    distance = _constant(pairs.distance)
+    comparisons = [_comparison(c, tables) for c in conditions if c is not pairs.condition]
+    selected = [_column(column, tables) for column in columns]
+    if not pairs.search.is_exact or distance is None or None in comparisons or None in selected:
+        return None
+    return PairLookup(
+        pairs.schema,
+        pairs.search,
+        distance,
+        tuple(filter(None, comparisons)),
+        tuple(filter(None, selected)),
+    )
+
+
+def _constant(distance: exp.Expr) -> float | str | None:
+    """Returns a distance in SQL as a number, or the name of its parameter."""
+    while isinstance(distance, exp.Cast | exp.Paren):
+        if isinstance(distance, exp.Cast) and not distance.is_type("double"):
+            return None
+        distance = distance.this
+    match distance:
+        case exp.Parameter():
+            return distance.name
+        case exp.Literal(is_string=False):
+            return float(distance.this)
+    return None
+
+
+def _comparison(condition: exp.Expr, tables: Sequence[str]) -> NameComparison | None:
+    """Returns a condition in SQL as a comparison of the two names."""
+    sign = _SIGNS.get(type(condition))
+    if sign is None:
+        return None
+    left, right = (_column(side, tables) for side in (condition.this, condition.expression))
+    if left is None or right is None or (left.name, right.name) != ("name", "name"):
+        return None
+    return NameComparison(sign, (left.side, right.side))
+
+
+def _column(column: exp.Expr, tables: Sequence[str]) -> PairColumn | None:
+    """Returns a column in SQL as that of one of the two entities."""
+    if isinstance(column, exp.Column) and column.table in tables and column.name in _COLUMNS:
+        return PairColumn(list(tables).index(column.table), column.name)
+    return None
