@@ -1,16 +1,14 @@
-"""The limits of a program: time, rows, memory, depth, files and `eval`; its progress."""
+"""The limits of a program: time, rows, memory, depth, files, `eval` and progress."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from ssduck import validation
 from ssduck.errors import LimitError
-from ssduck.progress import ProgressReporter
 
 # The number of steps between two checks of the time.
 _STEPS_PER_CHECK = 8
@@ -86,33 +84,16 @@ class UsageMeter:
 
     Args:
         limits: the limits of the program.
+
+    Attributes:
+        start: when the program started, by the monotonic clock, s.
     """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._deadline = None if limits.seconds is None else time.monotonic() + limits.seconds
+        self.start = time.monotonic()
+        self._deadline = None if limits.seconds is None else self.start + limits.seconds
         self._steps = 0
-        self._progress = ProgressReporter(is_shown=limits.progress)
-
-    @contextmanager
-    def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Begins a task, whose progress is shown if the program takes long.
-
-        Args:
-            description: what is done, in a few words.
-            total: the number of its parts.
-
-        Yields:
-            A function to call with the number of parts that were done since the last call. It
-            raises a LimitError if the time is up.
-        """
-        with self._progress.task(description, total) as advance:
-
-            def advance_in_time(count: int) -> None:
-                self.check_time()
-                advance(count)
-
-            yield advance_in_time
 
     def step(self) -> None:
         """Counts a step in Python: a row, a call, a part of a path.

@@ -16,10 +16,9 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck import progress
 from ssduck.errors import LimitError
 from ssduck.limits import Limits
-from ssduck.recording.replay import batch_queries
+from ssduck.recording.replay import batch_queries, progress
 from ssduck.recording.replay.batch_queries import EntityShapes
 
 TICKS = 30

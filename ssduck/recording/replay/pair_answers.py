@@ -15,6 +15,7 @@ from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.limits import UsageMeter
 from ssduck.recording.replay.answer_cache import Ticks
 from ssduck.recording.replay.batch_queries import Ids, LinkPosesOverTicks, PairSide
+from ssduck.recording.replay.progress import task
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import POSE
@@ -101,7 +102,7 @@ class PairQueries:
             )
             for side in "ab"
         )
-        with self._meter.task("comparing shapes at recorded ticks", len(ticks)) as advance:
+        with task(self._meter, "comparing shapes at recorded ticks", len(ticks)) as advance:
             answers = self._record.entity_shapes.answers(
                 first, second, question, self._record.calls, advance
             )

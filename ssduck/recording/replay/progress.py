@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from ssduck.limits import UsageMeter
+
 # A program shows its progress if it takes longer, s.
 DELAY = 1.0
 # The time between two updates of what is shown, s.
@@ -96,47 +98,39 @@ def _is_notebook() -> bool:
     return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
 
 
-class ProgressReporter:
-    """Reports the progress of a program, after a second.
+@contextmanager
+def task(meter: UsageMeter, description: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Begins a task of a program, whose progress is shown if the program takes long.
 
     Only the main thread shows anything, so that displays do not mix.
 
     Args:
-        is_shown: whether progress is shown at all.
+        meter: checks the time limit; its limits say whether progress is shown.
+        description: what is done, in a few words.
+        total: the number of its parts.
+
+    Yields:
+        A function to call with the number of parts that were done since the last call. It raises
+        a LimitError if the time is up.
     """
-
-    def __init__(self, *, is_shown: bool) -> None:
-        self._is_shown = is_shown
-        self._start = time.monotonic()
-
-    @contextmanager
-    def task(self, description: str, total: int) -> Iterator[Callable[[int], None]]:
-        """Begins a task.
-
-        Args:
-            description: what is done, in a few words.
-            total: the number of its parts.
-
-        Yields:
-            A function to call with the number of parts that were done since the last call.
-        """
-        task = _Task(description, total, self._start + DELAY, is_shown=self._is_shown)
-        try:
-            yield task.advance
-        finally:
-            task.close()
+    current = _Task(meter, description, total)
+    try:
+        yield current.advance
+    finally:
+        current.close()
 
 
 class _Task:
-    """A task, whose progress is shown from a time on."""
-
-    def __init__(self, description: str, total: int, start: float, *, is_shown: bool) -> None:
+    def __init__(self, meter: UsageMeter, description: str, total: int) -> None:
+        self._meter = meter
         self._description, self._total, self._done = description, total, 0
-        self._next_update = start
-        self._is_shown = is_shown and threading.current_thread() is threading.main_thread()
+        self._next_update = meter.start + DELAY
+        is_main = threading.current_thread() is threading.main_thread()
+        self._is_shown = meter.limits.progress and is_main
         self._display: Display | None = None
 
     def advance(self, count: int) -> None:
+        self._meter.check_time()
         self._done += count
         now = time.monotonic()
         if not self._is_shown or now < self._next_update:
