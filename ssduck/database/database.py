@@ -18,7 +18,7 @@ import pyarrow as pa
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
-from ssduck.database.functions import add_geometry_functions, add_user_function, converter_of
+from ssduck.database.functions import add_user_function, converter_of, offer_geometry_functions
 from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import (
@@ -79,7 +79,7 @@ class Database:
         self._raw_sql = RawSql(self.connection, self.plans, self._references, self._worlds)
         if self.connection.is_file:
             self._schemas.drop_stale_views()
-        add_geometry_functions(self.connection, self._worlds.by_schema)
+        offer_geometry_functions(self.connection, self._worlds.by_schema)
         self.connection.apply_limits()
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ class Database:
                 for bound in self._worlds.bound:
                     history = bound.history
                     self._recorders.stop(bound)
-                    for schema in bound.schemas:
+                    for schema in bound.schemas if self.connection.is_file else ():
                         self._schemas.detach(schema, history)
             finally:
                 self.connection.close()
@@ -124,7 +124,8 @@ class Database:
                 return self._raw_sql.rows(sql, parameters, words)
 
     def _describe(self, words: StatementWords) -> None:
-        """Creates the macros and comments that a user's statement may need."""
+        """Creates the views, macros and comments that a user's statement may need."""
+        self.connection.on_demand.make_all(self.connection)
         schemas = list(self._worlds.by_schema)
         if not self._schemas.are_described(schemas):
             only = schemas[0] if len(self.worlds) == 1 else None
@@ -157,7 +158,7 @@ class Database:
             ]
             for world, _ in sorted(present, key=lambda item: item[0].serial):
                 reads = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.pinned(tables if reads else ()))
+                stack.enter_context(world.pinned(tables if reads else (), is_read=reads))
             for _, bound in present:
                 if bound.history is not None and bound.history.recorder is not None:
                     stack.enter_context(bound.history.recorder.read_lock)
@@ -210,6 +211,12 @@ class Database:
             for bound in self._worlds.bound
             if bound.schemas and (world := bound.reference()) is not None
         }
+
+    @property
+    def has_attached_world(self) -> bool:
+        """Whether the simulation of one of the worlds is a client of the user's."""
+        present = (bound.reference() for bound in self._worlds.bound)
+        return any(world is not None and world.is_attached for world in present)
 
     @property
     def records(self) -> dict[str, Record]:

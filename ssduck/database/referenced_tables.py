@@ -33,6 +33,10 @@ _TABLES_OF = {
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
+# The same and the views of histories and models, where no schema stands before it.
+_UNQUALIFIED_TABLE = re.compile(
+    rf'(?<!\.)(?<!\.")\b({"|".join(_TABLES_OF)})(_history|_model)?\b', re.IGNORECASE | re.ASCII
+)
 # Relations that read no table become macros of a world's schema when a statement calls them so.
 _FORMULAS = {
     relation.name.lower(): relation.name for relation in RELATIONS.values() if not relation.tables
@@ -69,6 +73,7 @@ class StatementWords:
         changes_search_path: whether it may change the schemas that may be omitted.
         formulas: the relations without tables that it may call with a schema before them.
         reads_recorded_masses: whether it reads recorded masses: the column, or all columns.
+        omits_schema: whether a table has no schema before it.
         folded: its text in small letters.
     """
 
@@ -77,6 +82,7 @@ class StatementWords:
     changes_search_path: bool
     formulas: frozenset[str]
     reads_recorded_masses: bool
+    omits_schema: bool
     folded: str
 
 
@@ -91,6 +97,7 @@ def words_of(sql: str) -> StatementWords:
         formulas=frozenset(qualified_formulas(sql)),
         reads_recorded_masses=_MASS_HISTORIES.search(sql) is not None
         and _MASS_OR_ALL.search(sql) is not None,
+        omits_schema=_UNQUALIFIED_TABLE.search(sql) is not None,
         folded=sql.casefold(),
     )
 
@@ -119,7 +126,7 @@ class ReferencedTables:
     def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[World] | None:
         """Returns the worlds that a statement may read; None for all, if it may use others.
 
-        The schema of the first world may be omitted.
+        The schema of the first world may be omitted: it is read if a table has no schema.
         """
         self.search_path_changes |= words.changes_search_path
         if self.persistent or self.search_path_changes or words.stores_a_query:
@@ -128,7 +135,10 @@ class ReferencedTables:
             world
             for number, entry in enumerate(bound)
             if (world := entry.reference()) is not None
-            and (number == 0 or any(schema.casefold() in words.folded for schema in entry.schemas))
+            and (
+                (number == 0 and words.omits_schema)
+                or any(schema.casefold() in words.folded for schema in entry.schemas)
+            )
         ]
 
 

@@ -243,7 +243,7 @@ class _Call:
         a, b = (f"({id})::BIGINT" for id in ids)
         unknown = exp.Anonymous(
             this=exp.to_identifier(UNKNOWN_UDF, quoted=True),
-            expressions=[exp.Literal.string(self.schema)],
+            expressions=[exp.Literal.string(self.schema), exp.Literal.string("entities")],
         )
         is_unknown = " OR ".join(
             f"{id} IS NULL OR {id} IN (SELECT unnest({unknown.sql('duckdb')}))" for id in ids

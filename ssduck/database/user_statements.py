@@ -17,10 +17,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import pyarrow as pa
-from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
-from ssduck.database.connection import Connection, Parameters
+from ssduck.database.connection import Connection, Parameters, execution_of
 from ssduck.database.fetched_rows import FetchedRows, Header, are_plain, has_plain_types
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.relation_rewriting import (
@@ -76,7 +75,7 @@ class UserStatement:
     @cached_property
     def execute(self) -> str:
         """The statement that executes it once it is prepared."""
-        return f"EXECUTE {exp.to_identifier(self.name, quoted=True).sql('duckdb')}"
+        return execution_of(self.name)
 
 
 class UserStatements:
@@ -236,8 +235,7 @@ class UserStatements:
                 statement.unread = unread_columns(tree, statement.text)
         if not statement.may_be_kept:
             return False
-        name = statement.execute.removeprefix("EXECUTE ")
-        self._connection.run(f"PREPARE {name} AS {sql}", timed=True)
+        self._connection.prepare(statement.name, sql)
         self._plans.add(statement.name, statement.tables)
         statement.is_planned_next, statement.last_header = False, None
         return True

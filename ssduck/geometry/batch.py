@@ -12,31 +12,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
-from ssduck.geometry.gjk import (
-    ABOVE,
-    BELOW,
-    UNDECIDED,
-    ConvexCores,
-    PlacedCores,
-    Verdicts,
-    classify_gaps,
-    tolerances,
-)
+from ssduck.geometry.cores import ConvexCores, PlacedCores
+from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.solids import Solid
+from ssduck.geometry.witnesses import KeptWitnesses
 
 # The cross product of edges that are more parallel is no separating axis.
 _MIN_SINE = 1e-6
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8
 _MAX_ENTITIES = 1 << 32
+# The number of predicates whose witnesses are kept from tick to tick.
+_MAX_PREDICATES = 16
+# The number of regrouped tables that are kept from tick to tick.
+_MAX_REGROUPED = 16
 # The other two axes of each axis.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -103,7 +100,7 @@ class ShapeTable:
         entities: Indices,
         margins: Array | None = None,
     ) -> None:
-        self._solids, self._solid_indices = solids, solid_indices
+        self.solids, self.solid_indices = solids, solid_indices
         self.entities = entities
         self.margins = np.zeros(len(solid_indices)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
@@ -115,6 +112,7 @@ class ShapeTable:
         self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
             solid_indices
         ]
+        self.has_planes = bool(self.is_plane.any())
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
         self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
@@ -129,15 +127,34 @@ class ShapeTable:
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
+        self._witnesses: dict[PairPredicate, KeptWitnesses] = {}
+        self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
+
+    def witnesses(self, predicate: PairPredicate) -> KeptWitnesses:
+        """Returns the witnesses of a predicate at the tick before."""
+        if predicate not in self._witnesses:
+            if len(self._witnesses) >= _MAX_PREDICATES:
+                self._witnesses.clear()
+            self._witnesses[predicate] = KeptWitnesses()
+        return self._witnesses[predicate]
 
     def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.
+
+        The table is the same at each tick, so that it keeps its witnesses.
 
         Args:
             shapes: (m,), the numbers of the shapes.
             entities: (m,), the index of each shape's entity.
         """
-        return ShapeTable(self._solids, self._solid_indices[shapes], entities, self.margins[shapes])
+        key = shapes.tobytes(), entities.tobytes()
+        table = self._regrouped.get(key)
+        if table is None:
+            if len(self._regrouped) >= _MAX_REGROUPED:
+                self._regrouped.clear()
+            indices, margins = self.solid_indices[shapes], self.margins[shapes]
+            table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
+        return table
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,6 +251,7 @@ def matching_pairs(
     predicate: PairPredicate,
     satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
+    kept: KeptWitnesses | None = None,
 ) -> PairResult:
     """Returns the pairs of entities for which a predicate holds.
 
@@ -242,13 +260,14 @@ def matching_pairs(
         predicate: the condition on two shapes.
         satisfies: decides the pairs of shapes that no rule decides.
         among: the pairs of shapes to compare; None for all candidate pairs.
+        kept: the witnesses of the same predicate at the tick before.
     """
-    among = predicate.candidates(tick) if among is None else _comparable_pairs(tick, among)
+    among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
-    rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_cores
-    if predicate.kind == "colliding":
-        rules = _by_spheres, _by_planes, _by_axes, _by_cores
-    else:  # a distance is not negative
+    by_cores = partial(_by_cores, kept=kept)
+    rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_axes, by_cores
+    if predicate.kind != "colliding":  # a distance is not negative
+        rules = _by_spheres, _by_planes, _by_axes_if_sure, by_cores
         is_non_negative = bounds >= 0.0
         among, bounds = (
             (among[0][is_non_negative], among[1][is_non_negative]),
@@ -257,7 +276,8 @@ def matching_pairs(
     return _matching_entities(tick, among, rules, bounds, satisfies)
 
 
-def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
+def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
+    """Returns those of some pairs of shapes whose entities are known, and which have points."""
     first, second = shapes
     has_known_points = tick.is_known & tick.table.has_points
     both = has_known_points[first] & has_known_points[second]
@@ -265,6 +285,24 @@ def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
 
 
 Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+    """Classifies the signed distances of pairs of shapes, as far as rules prove it.
+
+    Args:
+        tick: the shapes.
+        first: (n,), known shapes that have points.
+        second: (n,), the same.
+        bounds: (n,), one for each pair, metres; not negative.
+    """
+    verdicts = np.zeros(len(first), np.int8)
+    pairs = np.arange(len(first))
+    for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
+        verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs])
+        pairs = pairs[verdicts[pairs] == UNDECIDED]
+    return verdicts
 
 
 # Shapes whose squared lengths overflow stay undecided.
@@ -291,6 +329,8 @@ def _matching_entities(
     compared = owners if has_single_shapes else np.unique(owners)
     matching = np.zeros(0, np.intp)
     for rule in rules:
+        if not len(first):
+            break
         verdicts = rule(tick, first, second, bounds)
         matching = np.concatenate((matching, owners[verdicts == BELOW]))
         is_undecided = verdicts == UNDECIDED
@@ -324,7 +364,8 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
         first, second = np.triu_indices(len(known), 1)
     else:
         first, second = overlapping_pairs(boxes[:, known], max_distance)
-    first, second = known[first], known[second]
+    # In the same order at each tick, for the witnesses.
+    first, second = known[np.minimum(first, second)], known[np.maximum(first, second)]
     if table.has_single_shapes:
         return first, second
     different = table.entities[first] != table.entities[second]
@@ -356,6 +397,8 @@ def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array)
     """Decides half-spaces against any other shape, by the point that is deepest."""
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
+    if not table.has_planes:
+        return verdicts
     indices = np.flatnonzero(table.is_plane[first] != table.is_plane[second])
     if not len(indices):
         return verdicts
@@ -376,18 +419,39 @@ def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -
     """Decides boxes exactly, by separating axes."""
     verdicts = np.zeros(len(first), np.int8)
     indices = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
+    if not len(indices):
+        return verdicts
     is_deep = box_depths(tick, first[indices], second[indices]) > -bounds[indices]
     verdicts[indices] = np.where(is_deep, BELOW, ABOVE)
     return verdicts
 
 
-def _by_cores(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+    """Decides boxes that overlap, and those that an axis separates by more than the bound."""
+    verdicts = np.zeros(len(first), np.int8)
+    indices = np.flatnonzero(tick.table.is_box[first] & tick.table.is_box[second])
+    if not len(indices):
+        return verdicts
+    first, second, bounds = first[indices], second[indices], bounds[indices]
+    depths, error = box_depths(tick, first, second), tolerances(tick.placed_cores, first, second)
+    verdicts[indices[depths > error]] = BELOW
+    verdicts[indices[-depths > bounds + error]] = ABOVE
+    return verdicts
+
+
+def _by_cores(
+    tick: TickShapes,
+    first: Indices,
+    second: Indices,
+    bounds: Array,
+    kept: KeptWitnesses | None = None,
+) -> Verdicts:
     """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
     table = tick.table
     verdicts = np.zeros(len(first), np.int8)
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
     core_verdicts = classify_gaps(
-        tick.placed_cores, first[indices], second[indices], bounds[indices]
+        tick.placed_cores, first[indices], second[indices], bounds[indices], kept
     )
     is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
     core_verdicts[is_concave & (core_verdicts == BELOW)] = UNDECIDED

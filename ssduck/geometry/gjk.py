@@ -29,8 +29,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.cores import PlacedCores
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
-from ssduck.geometry.solids import Solid
+from ssduck.geometry.witnesses import KeptWitnesses, Witnesses, WitnessLog, pair_keys
 
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 
@@ -43,8 +44,6 @@ MAX_MOVES = 12
 PAIRS_AT_ONCE = 4096
 # Cubes of larger lengths and distances, metres, overflow: nothing is decided.
 LARGE = 1e100
-# The number of points that are compared at a time.
-MAX_POINTS = 1 << 20
 _NEXT = np.array([1, 2, 0])
 # Four directions that are parallel to no axis. The offsets of directions from normals, in turn.
 _OBLIQUE_DIRECTIONS = np.array(
@@ -53,134 +52,6 @@ _OBLIQUE_DIRECTIONS = np.array(
 _DEVIATIONS = np.array([[0, 0, 0], [0.27, 0.11, 0.4], [0, 0, 0], [-0.4, -0.27, -0.11]])
 # The faces of a tetrahedron of points 0..3; face i is opposite to point i.
 _FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
-
-
-class ConvexCores:
-    """The convex hulls of solids' cores, relative to the centres of the solids.
-
-    A core is the sum of a box with half extents (a point for a sphere, a segment for a capsule or a
-    cylinder) and a disc across z, or it is the hull of points. A half-space is represented by a
-    point without a meaning.
-
-    Args:
-        solids: the distinct solids.
-        solid_indices: (n,), the index of each shape's solid.
-    """
-
-    def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
-        self.half_extents = (
-            np.array([_half_extents(solid) for solid in solids]).reshape(-1, 3).T[:, solid_indices]
-        )
-        self.disc_radius = np.array([solid.disc_radius for solid in solids])[solid_indices]
-        self.radius = np.array([solid.radius for solid in solids])[solid_indices]
-        radii = [
-            solid.bounding_radius if np.isfinite(solid.bounding_radius) else 0.0 for solid in solids
-        ]
-        self.bounding_radius = np.array(radii)[solid_indices]
-        self.is_thick = np.array([solid.inscribed_radius > 0.0 for solid in solids], dtype=bool)[
-            solid_indices
-        ]
-        # The radius of the ball in the core: a part of a round solid's ball is around its core.
-        self.core_ball_radius = np.array(
-            [solid.inscribed_radius - solid.radius for solid in solids]
-        )[solid_indices]
-        hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _has_corners(solid)}
-        sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
-        kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
-        self.points: list[Array] = []
-        for kind, size in enumerate(sorted(set(sizes.values()))):
-            numbers = [n for n in hulls if sizes[n] == size]
-            kinds[numbers], rows[numbers] = kind, np.arange(len(numbers))
-            self.points.append(np.array([_pad(hulls[n], size) for n in numbers]))
-        self.kind, self.row = kinds[solid_indices], rows[solid_indices]
-
-
-def _half_extents(solid: Solid) -> Array:
-    if solid.type in ("box", "capsule", "cylinder") and len(solid.core):
-        extents: Array = solid.core.max(axis=0)
-        return extents
-    return np.zeros(3)
-
-
-def _has_corners(solid: Solid) -> bool:
-    return solid.type in ("hull", "mesh") and len(solid.core) > 0
-
-
-def _corners(solid: Solid) -> Array:
-    points = solid.hull_corners if solid.type == "mesh" else solid.core
-    relative: Array = points - np.array(solid.centre)
-    return relative
-
-
-def _pad(points: Array, count: int) -> Array:
-    """Returns points as (3, count), with the last point repeated."""
-    return np.ascontiguousarray(points[np.minimum(np.arange(count), len(points) - 1)].T)
-
-
-@dataclass(frozen=True, eq=False)
-class PlacedCores:
-    """Cores at poses.
-
-    Attributes:
-        cores: the cores in their own frames.
-        rotations: (9, n), their rotation matrices, row by row.
-        centres: (3, n), the centres of the solids in the world, metres.
-        inscribed_centres: (3, n), the centres of the balls in them, metres.
-    """
-
-    cores: ConvexCores
-    rotations: Array
-    centres: Array
-    inscribed_centres: Array
-
-    def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
-        """Returns balls in differences of cores: if one is known, its centre (3, m), radius."""
-        cores, inscribed_centres = self.cores, self.inscribed_centres
-        is_known = cores.is_thick.take(first) & cores.is_thick.take(second)
-        centre = inscribed_centres.take(first, axis=1) - inscribed_centres.take(second, axis=1)
-        radius = cores.core_ball_radius.take(first) + cores.core_ball_radius.take(second)
-        return is_known, centre, radius
-
-    def support_points(self, shapes: Indices, directions: Array) -> Array:
-        """Returns the support points (3, m) of cores, relative to their centres, in world axes.
-
-        Args:
-            shapes: (m,), the indices of the shapes.
-            directions: (3, m), directions that are not 0; their lengths do not matter.
-        """
-        cores, rotations = self.cores, self.rotations.take(shapes, axis=1)
-        x, y, z = directions
-        local = rotations[0:3] * x
-        local += rotations[3:6] * y
-        local += rotations[6:9] * z
-        points = np.copysign(cores.half_extents.take(shapes, axis=1), local)
-        disc = cores.disc_radius.take(shapes)
-        if disc.any():
-            length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
-            points[:2] += local[:2] * (disc / length)
-        kinds = cores.kind.take(shapes)
-        for kind, hulls in enumerate(cores.points):
-            selected = np.flatnonzero(kinds == kind)
-            if len(selected):
-                points[:, selected] = _hull_support_points(
-                    hulls, cores.row[shapes[selected]], local[:, selected]
-                )
-        in_world: Array = rotations[0::3] * points[0]
-        in_world += rotations[1::3] * points[1]
-        in_world += rotations[2::3] * points[2]
-        return in_world
-
-
-def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Array:
-    """Returns support points (3, m) of the hulls `rows` of (h, 3, k), in directions (3, m)."""
-    support_points = np.zeros((3, len(rows)))
-    step = max(1, MAX_POINTS // hulls.shape[2])
-    for start in range(0, len(rows), step):
-        batch = slice(start, start + step)
-        points = hulls.take(rows[batch], axis=0)
-        heights = np.matmul(directions[:, batch].T[:, None], points)[:, 0]
-        support_points[:, batch] = points[np.arange(len(points)), :, heights.argmax(axis=1)].T
-    return support_points
 
 
 # -- the pairs that are not decided yet --------------------------------------------------------
@@ -197,6 +68,7 @@ class _Pairs:
         low, high: (n,): distances of the cores above `high` are above the bound, those below `low`
             below it.
         simplex: (3, 3, n): three points (point, axis, pair) of the difference.
+        on_first: (3, 3, n), the points on the first shape, from its centre, that they are made of.
         nearest: (3, n), a point of their hull.
         upper_bound: (n,), its distance from the origin.
     """
@@ -208,6 +80,7 @@ class _Pairs:
     low: Array
     high: Array
     simplex: Array
+    on_first: Array
     nearest: Array
     upper_bound: Array
 
@@ -215,14 +88,17 @@ class _Pairs:
         """Returns the selected pairs."""
         return _Pairs(*(getattr(self, name).take(indices, axis=-1) for name in _FIELDS))
 
-    def difference_points(self, bodies: PlacedCores, directions: Array) -> Array:
-        """Returns the support points of the differences in directions (3, n)."""
+    def difference_points(self, bodies: PlacedCores, directions: Array) -> tuple[Array, Array]:
+        """Returns the support points of the differences in directions, and those of the first.
+
+        All of them are (3, n), those of the first shape from its centre.
+        """
         count = len(self.first)
         both = np.concatenate((self.first, self.second))
         points = bodies.support_points(both, np.concatenate((directions, -directions), axis=1))
         points_of_difference: Array = points[:, :count] - points[:, count:]
         points_of_difference += self.between
-        return points_of_difference
+        return points_of_difference, points[:, :count]
 
 
 _FIELDS = tuple(_Pairs.__dataclass_fields__)
@@ -234,7 +110,11 @@ def _concatenate(parts: Sequence[_Pairs]) -> _Pairs:
 
 
 def classify_gaps(
-    bodies: PlacedCores, first: Indices, second: Indices, bound: float | Array
+    bodies: PlacedCores,
+    first: Indices,
+    second: Indices,
+    bound: float | Array,
+    kept: KeptWitnesses | None = None,
 ) -> Verdicts:
     """Classifies the signed distances of convex shapes as BELOW a bound, ABOVE it, or UNDECIDED.
 
@@ -247,21 +127,28 @@ def classify_gaps(
         second: (n,), indices of shapes. For the hull of a shape that is not convex, only ABOVE
             holds for the shape.
         bound: metres, for all pairs or (n,) for each.
+        kept: the witnesses of the tick before, which are replaced by those of this one.
     """
     verdicts = np.zeros(len(first), np.int8)
     bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
+    log = WitnessLog()
     for start in range(0, len(first), PAIRS_AT_ONCE):
         batch = slice(start, start + PAIRS_AT_ONCE)
         pairs = _initial_pairs(bodies, first[batch], second[batch], bounds[batch])
-        _decide(pairs, bodies, verdicts[batch])
+        if kept is None:
+            pairs = _first_step(pairs, pairs.between.copy(), bodies, verdicts[batch])
+        else:
+            pairs = _first_step_by_witnesses(pairs, bodies, verdicts[batch], kept, log)
+        _decide(pairs, bodies, verdicts[batch], log if kept is not None else None)
+    if kept is not None:
+        kept.keep(log)
     return verdicts
 
 
 def tolerances(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
     """Returns the distances from the bound, metres, within which pairs stay undecided."""
-    cores, centres = bodies.cores, bodies.centres
-    is_round = (cores.disc_radius[first] > 0.0) | (cores.disc_radius[second] > 0.0)
-    largest = np.abs(centres).max(axis=0, initial=0.0)
+    cores, largest = bodies.cores, bodies.largest_coordinates
+    is_round = cores.is_round[first] | cores.is_round[second]
     largest_of_pair = np.maximum(largest[first], largest[second])
     size = cores.bounding_radius[first] + cores.bounding_radius[second]
     error: Array = (
@@ -287,6 +174,7 @@ def _initial_pairs(bodies: PlacedCores, first: Indices, second: Indices, bounds:
         core_bound - error,
         core_bound + error,
         np.zeros((3, 3, count)),
+        np.zeros((3, 3, count)),
         between,
         np.full(count, np.inf),
     )
@@ -295,38 +183,88 @@ def _initial_pairs(bodies: PlacedCores, first: Indices, second: Indices, bounds:
 # -- steps -------------------------------------------------------------------------------------
 
 
-def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> None:
-    """Writes the verdicts of pairs, by their indices."""
-    pairs = _first_step(pairs, bodies, verdicts)
+def _first_step_by_witnesses(
+    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, kept: KeptWitnesses, log: WitnessLog
+) -> _Pairs:
+    """Takes the first step, and decides pairs whose witnesses still hold; returns the others."""
+    directions = pairs.between.copy()
+    found = kept.find(pair_keys(pairs.first, pairs.second))
+    if found is None:
+        return _first_step(pairs, directions, bodies, verdicts)
+    places, witnesses = found
+    directions[:, places] = np.where(
+        witnesses.are_apart, witnesses.directions, directions[:, places]
+    )
+    pairs = _first_step(pairs, directions, bodies, verdicts)
+    is_open = ~witnesses.are_apart & (verdicts[places] == UNDECIDED)
+    holds = witnesses.are_apart & (verdicts[places] == ABOVE)
+    if is_open.any():
+        overlapping = np.flatnonzero(is_open)
+        some = pairs.select(np.searchsorted(pairs.number, places[overlapping]))
+        holds[overlapping] = _overlap_by_points(some, bodies, witnesses.select(overlapping))
+        verdicts[places[overlapping]] = np.where(holds[overlapping], BELOW, UNDECIDED)
+        pairs = pairs.select(np.flatnonzero(verdicts[pairs.number] == UNDECIDED))
+    log.add(witnesses.select(np.flatnonzero(holds)))
+    return pairs
+
+
+def _overlap_by_points(pairs: _Pairs, bodies: PlacedCores, witnesses: Witnesses) -> Flags:
+    """Checks whether the four points of each witness still show that a pair is below its bound."""
+    on_first = bodies.to_world(pairs.first, witnesses.points_first)
+    on_second = bodies.to_world(pairs.second, witnesses.points_second)
+    corners = on_first - on_second + pairs.between
+    depth = _depths(corners)[0].min(axis=0)
+    distance = _length(_closest(corners[:3], corners[3])[1])
+    is_below: Flags = np.where(depth > 0.0, -depth, distance) < pairs.low
+    return is_below
+
+
+def _log_points(
+    log: WitnessLog, pairs: _Pairs, bodies: PlacedCores, corners: Array, on_first: Array
+) -> None:
+    """Adds pairs that points (4, 3, n) of their difference decide, with those on the first."""
+    if not len(pairs.number):
+        return
+    points_first = bodies.to_local(pairs.first, on_first)
+    points_second = bodies.to_local(pairs.second, on_first + pairs.between - corners)
+    log.add_points(pairs.first, pairs.second, points_first, points_second)
+
+
+def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, log: WitnessLog | None) -> None:
+    """Writes the verdicts of pairs after their first step, by their indices."""
     on_origin = []
     for step in range(MAX_STEPS):
         if not len(pairs.number):
             break
-        pairs, shallow = _step(pairs, bodies, verdicts, step)
+        pairs, shallow = _step(pairs, bodies, verdicts, step, log)
         on_origin += [shallow] if shallow else []
     if on_origin:
         surrounding = _concatenate([pairs for pairs, _ in on_origin])
         corners = np.concatenate([corners for _, corners in on_origin], axis=-1)
-        _move_tetrahedra(surrounding, corners, bodies, verdicts)
+        _move_tetrahedra(surrounding, corners, bodies, verdicts, log)
         undecided = surrounding.select(np.flatnonzero(verdicts[surrounding.number] == UNDECIDED))
         if len(undecided.number):
-            _move_tetrahedra(undecided, _tetrahedron(undecided, bodies), bodies, verdicts)
+            _move_tetrahedra(undecided, _tetrahedron(undecided, bodies), bodies, verdicts, log)
 
 
-def _first_step(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> _Pairs:
-    """Steps from the difference of the centres, which separates most pairs that are apart.
+def _first_step(
+    pairs: _Pairs, directions: Array, bodies: PlacedCores, verdicts: Verdicts
+) -> _Pairs:
+    """Steps against directions; that of the centres separates most pairs that are apart.
 
     For many overlapping pairs, the origin is in a ball between the known ball in the difference and
     the support point. The others continue from there.
     """
-    directions = pairs.between.copy()
     length = _length(directions)
     directions[0, length == 0.0] = 1.0
-    new = pairs.difference_points(bodies, -directions)
+    new, on_first = pairs.difference_points(bodies, -directions)
     is_apart = _dots(directions, new) > pairs.high * np.where(length == 0.0, 1.0, length)
     verdicts[pairs.number[is_apart]] = ABOVE
     has_ball, centre, radius = bodies.balls(pairs.first, pairs.second)
     centre = np.where(has_ball, centre, new)
+    centre_on_first = bodies.inscribed_centres.take(pairs.first, axis=1)
+    centre_on_first -= bodies.centres.take(pairs.first, axis=1)
+    centre_on_first = np.where(has_ball, centre_on_first, on_first)
     edges = new - centre
     fraction = np.clip(-_dots(centre, edges) / np.maximum(_dots(edges, edges), 1e-300), 0.0, 1.0)
     nearest = centre + fraction * edges
@@ -334,7 +272,11 @@ def _first_step(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts) -> _Pair
     is_below = upper_bound - np.where(has_ball, (1.0 - fraction) * radius, 0.0) < pairs.low
     verdicts[pairs.number[is_below]] = BELOW
     pairs = replace(
-        pairs, simplex=np.array((new, centre, centre)), nearest=nearest, upper_bound=upper_bound
+        pairs,
+        simplex=np.array((new, centre, centre)),
+        on_first=np.array((on_first, centre_on_first, centre_on_first)),
+        nearest=nearest,
+        upper_bound=upper_bound,
     )
     return pairs.select(np.flatnonzero(~(is_apart | is_below)))
 
@@ -343,33 +285,50 @@ _SurroundingPairs: TypeAlias = tuple[_Pairs, Array]
 
 
 def _step(
-    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, step: int
+    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, step: int, log: WitnessLog | None
 ) -> tuple[_Pairs, _SurroundingPairs | None]:
     """Takes a step with each pair.
 
     Returns:
-        The pairs that are undecided and can go on, and those whose tetrahedron (4, 3, n) contains
-        the origin without deciding them.
+        The pairs that are undecided and can go on, and those whose tetrahedron contains the origin
+        without deciding them, with its corners and these on the first shape, (2, 4, 3, n).
     """
-    new = pairs.difference_points(bodies, -pairs.nearest)
+    new, new_on_first = pairs.difference_points(bodies, -pairs.nearest)
     height = _dots(pairs.nearest, new)
     is_apart = height > pairs.high * pairs.upper_bound
     verdicts[pairs.number[is_apart]] = ABOVE
+    if log is not None:
+        log.add_directions(
+            pairs.first[is_apart], pairs.second[is_apart], pairs.nearest[:, is_apart]
+        )
     # A point that is as far away as its plane is the nearest one.
     remaining = np.flatnonzero(~is_apart & (height < pairs.upper_bound * pairs.upper_bound))
     pairs, new = pairs.select(remaining), new[:, remaining]
     corners = np.concatenate((pairs.simplex, new[None]))
-    simplex, nearest = _closest(pairs.simplex, new)
+    on_first = np.concatenate((pairs.on_first, new_on_first[None, :, remaining]))
+    chosen, nearest = _closest(pairs.simplex, new)
+    rows = np.arange(len(remaining))
     upper_bound = _length(nearest)
     # The first step has no four points.
     depth = _depths(corners)[0].min(axis=0) if step else np.full(len(remaining), -1.0)
     is_below = np.where(depth > 0.0, -depth, upper_bound) < pairs.low
     verdicts[pairs.number[is_below]] = BELOW
+    if log is not None:
+        below = np.flatnonzero(is_below)
+        _log_points(log, pairs.select(below), bodies, corners[..., below], on_first[..., below])
     is_on_origin = (depth > 0.0) | (upper_bound <= 1e-13 * np.abs(corners).max(axis=(0, 1)))
     shallow = np.flatnonzero(is_on_origin & ~is_below)
-    on_origin = (pairs.select(shallow), corners[:, :, shallow]) if len(shallow) else None
+    on_origin = None
+    if len(shallow):
+        on_origin = pairs.select(shallow), np.array((corners, on_first))[..., shallow]
     undecided = np.flatnonzero(~(is_below | is_on_origin) & (upper_bound < pairs.upper_bound))
-    pairs = replace(pairs, simplex=simplex, nearest=nearest, upper_bound=upper_bound)
+    pairs = replace(
+        pairs,
+        simplex=corners[chosen, :, rows].transpose(0, 2, 1),
+        on_first=on_first[chosen, :, rows].transpose(0, 2, 1),
+        nearest=nearest,
+        upper_bound=upper_bound,
+    )
     return pairs.select(undecided), on_origin
 
 
@@ -383,7 +342,8 @@ def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
         new: (3, n), the newest corner.
 
     Returns:
-        The corners of the point's face, (3, 3, n), the newest first; the point, (3, n).
+        The corners of the point's face, as places among all four with the newest last, (3, n) and
+        the newest first; the point, (3, n).
     """
     edges = simplex - new
     after = edges[_NEXT]
@@ -405,8 +365,7 @@ def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
     squared_distances[3:][~has_area] = np.inf
     best, rows = squared_distances.argmin(axis=0), np.arange(new.shape[1])
     face = best % 3
-    corners = np.array((new, simplex[face, :, rows].T, simplex[_NEXT[face], :, rows].T))
-    return corners, points[best, :, rows].T
+    return np.array((np.full(len(rows), 3), face, _NEXT[face])), points[best, :, rows].T
 
 
 def _depths(corners: Array) -> tuple[Array, Array]:
@@ -432,36 +391,59 @@ def _depths(corners: Array) -> tuple[Array, Array]:
 
 
 def _move_tetrahedra(
-    pairs: _Pairs, corners: Array, bodies: PlacedCores, verdicts: Verdicts
+    pairs: _Pairs,
+    corners: Array,
+    bodies: PlacedCores,
+    verdicts: Verdicts,
+    log: WitnessLog | None,
 ) -> None:
     """Decides pairs whose tetrahedra contain the origin, by the face nearest to it.
 
     Either the difference ends at the face, or its support point beyond the face replaces the corner
     that leaves the origin deepest in the tetrahedron. Every other time the direction deviates from
     the face's normal, because symmetric shapes would cycle otherwise.
+
+    Args:
+        pairs: the pairs.
+        corners: (2, 4, 3, n), the corners of the tetrahedra, and these on the first shape.
+        bodies: the cores.
+        verdicts: those of all pairs.
+        log: the witnesses of decided pairs.
     """
     for move in range(MAX_MOVES):
-        depths, normals = _depths(corners)
+        depths, normals = _depths(corners[0])
         rows = np.arange(len(pairs.number))
         directions = _unit(normals[_nearest_face(depths, normals), :, rows].T)
         directions += _DEVIATIONS[move % len(_DEVIATIONS)][:, None]
-        new = pairs.difference_points(bodies, directions)
-        is_above = -_dots(directions, new) > pairs.high * _length(directions)
+        new = np.array(pairs.difference_points(bodies, directions))
+        is_above = -_dots(directions, new[0]) > pairs.high * _length(directions)
         verdicts[pairs.number[is_above]] = ABOVE
-        moved, depth = _replace_corner(corners, new)
+        replaced, depth = _replaced_corner(corners[0], new[0])
+        moved = corners.copy()
+        moved[:, replaced, :, rows] = new.transpose(2, 0, 1)
         is_below = ~is_above & (-depth < pairs.low)
         verdicts[pairs.number[is_below]] = BELOW
+        if log is not None:
+            below = np.flatnonzero(is_below)
+            _log_points(log, pairs.select(below), bodies, *moved[..., below])
+            log.add_directions(
+                pairs.first[is_above], pairs.second[is_above], -directions[:, is_above]
+            )
         undecided = np.flatnonzero(~(is_above | is_below))
         if not len(undecided):
             return
-        pairs, corners = pairs.select(undecided), moved[:, :, undecided]
+        pairs, corners = pairs.select(undecided), moved[..., undecided]
 
 
 def _tetrahedron(pairs: _Pairs, bodies: PlacedCores) -> Array:
-    """Returns points of the differences in four directions of the first's frame, (4, 3, n)."""
+    """Returns points of the differences in four directions of the first's frame, (2, 4, 3, n).
+
+    The first four are those of the differences, the others those on the first shape.
+    """
     rotations = bodies.rotations.take(pairs.first, axis=1).reshape(3, 3, -1)
     directions = np.einsum("ijn,dj->din", rotations, _OBLIQUE_DIRECTIONS)
-    return np.array([pairs.difference_points(bodies, direction) for direction in directions])
+    points = [pairs.difference_points(bodies, direction) for direction in directions]
+    return np.array(points).transpose(1, 0, 2, 3)
 
 
 def _nearest_face(depths: Array, normals: Array) -> Indices:
@@ -472,15 +454,15 @@ def _nearest_face(depths: Array, normals: Array) -> Indices:
     return faces
 
 
-def _replace_corner(corners: Array, new: Array) -> tuple[Array, Array]:
-    """Returns the tetrahedra in which a new corner leaves the origin deepest, and its depth."""
+def _replaced_corner(corners: Array, new: Array) -> tuple[Indices, Array]:
+    """Returns the corner (n,) whose replacement leaves the origin deepest, and that depth."""
     rows = np.arange(new.shape[1])
     choices = np.repeat(corners[None], 4, axis=0)
     choices[np.arange(4), np.arange(4)] = new
     all_choices = choices.transpose(1, 2, 0, 3).reshape(4, 3, -1)
     depths = _depths(all_choices)[0].min(axis=0).reshape(4, -1)
     best = depths.argmax(axis=0)
-    return choices[best, :, :, rows].transpose(1, 2, 0), depths[best, rows]
+    return best, depths[best, rows]
 
 
 def _length(vectors: Array) -> Array:
@@ -503,8 +485,3 @@ def _cross(first: Array, second: Array) -> Array:
     a, b, c = first[:, 0], first[:, 1], first[:, 2]
     x, y, z = second[:, 0], second[:, 1], second[:, 2]
     return np.stack((b * z - c * y, c * x - a * z, a * y - b * x), axis=1)
-
-
-def _padded_size(count: int) -> int:
-    """Returns the padded number of points: a power of two from 8 up, so that few sizes occur."""
-    return 1 << max(3, (count - 1).bit_length())

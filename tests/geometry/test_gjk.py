@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssduck.geometry import gjk
+from ssduck.geometry import cores, gjk
 from ssduck.geometry.batch import PairPredicate, box_depths
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.narrow_phase import MIN_DEPTH
@@ -143,7 +143,7 @@ def test_parts_of_all_pairs_are_as_all(monkeypatch):
     two = [pairs.pair(kinds, int(random.integers(1000))) for kinds in COMBINATIONS * 3]
     together = pairs.verdicts(two, 0.01)
     monkeypatch.setattr(gjk, "PAIRS_AT_ONCE", 7)
-    monkeypatch.setattr(gjk, "MAX_POINTS", 20)
+    monkeypatch.setattr(cores, "MAX_POINTS", 20)
     for found, expected in zip(pairs.verdicts(two, 0.01), together, strict=True):
         assert found.tolist() == expected.tolist()
 

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
+from ssduck.geometry.cores import ConvexCores, PlacedCores
 from ssduck.geometry.distance import CallCounter, SignedDistance, signed_distance
-from ssduck.geometry.gjk import ABOVE, BELOW, ConvexCores, PlacedCores, classify_gaps
+from ssduck.geometry.gjk import ABOVE, BELOW, classify_gaps
 from ssduck.geometry.mesh_distance import mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.shapes import Geometry

@@ -14,7 +14,8 @@ import numpy as np
 from ssduck.demos.motion.kinematics import KinematicChain, poses
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs
-from ssduck.geometry.gjk import ABOVE, ConvexCores, PlacedCores, classify_gaps
+from ssduck.geometry.cores import ConvexCores, PlacedCores
+from ssduck.geometry.gjk import ABOVE, classify_gaps
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.entities import Entity

@@ -1,0 +1,167 @@
+"""The convex cores of solids, and their support points at poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.solids import Solid
+
+# The number of points that are compared at a time.
+MAX_POINTS = 1 << 20
+
+
+class ConvexCores:
+    """The convex hulls of solids' cores, relative to the centres of the solids.
+
+    A core is the sum of a box with half extents (a point for a sphere, a segment for a capsule or a
+    cylinder) and a disc across z, or it is the hull of points. A half-space is represented by a
+    point without a meaning.
+
+    Args:
+        solids: the distinct solids.
+        solid_indices: (n,), the index of each shape's solid.
+    """
+
+    def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
+        self.half_extents = (
+            np.array([_half_extents(solid) for solid in solids]).reshape(-1, 3).T[:, solid_indices]
+        )
+        self.disc_radius = np.array([solid.disc_radius for solid in solids])[solid_indices]
+        self.is_round = self.disc_radius > 0.0
+        self.radius = np.array([solid.radius for solid in solids])[solid_indices]
+        radii = [
+            solid.bounding_radius if np.isfinite(solid.bounding_radius) else 0.0 for solid in solids
+        ]
+        self.bounding_radius = np.array(radii)[solid_indices]
+        self.is_thick = np.array([solid.inscribed_radius > 0.0 for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        # The radius of the ball in the core: a part of a round solid's ball is around its core.
+        self.core_ball_radius = np.array(
+            [solid.inscribed_radius - solid.radius for solid in solids]
+        )[solid_indices]
+        hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _has_corners(solid)}
+        sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
+        kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
+        self.points: list[Array] = []
+        for kind, size in enumerate(sorted(set(sizes.values()))):
+            numbers = [n for n in hulls if sizes[n] == size]
+            kinds[numbers], rows[numbers] = kind, np.arange(len(numbers))
+            self.points.append(np.array([_pad(hulls[n], size) for n in numbers]))
+        self.kind, self.row = kinds[solid_indices], rows[solid_indices]
+
+
+def _half_extents(solid: Solid) -> Array:
+    if solid.type in ("box", "capsule", "cylinder") and len(solid.core):
+        extents: Array = solid.core.max(axis=0)
+        return extents
+    return np.zeros(3)
+
+
+def _has_corners(solid: Solid) -> bool:
+    return solid.type in ("hull", "mesh") and len(solid.core) > 0
+
+
+def _corners(solid: Solid) -> Array:
+    points = solid.hull_corners if solid.type == "mesh" else solid.core
+    relative: Array = points - np.array(solid.centre)
+    return relative
+
+
+def _pad(points: Array, count: int) -> Array:
+    """Returns points as (3, count), with the last point repeated."""
+    return np.ascontiguousarray(points[np.minimum(np.arange(count), len(points) - 1)].T)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCores:
+    """Cores at poses.
+
+    Attributes:
+        cores: the cores in their own frames.
+        rotations: (9, n), their rotation matrices, row by row.
+        centres: (3, n), the centres of the solids in the world, metres.
+        inscribed_centres: (3, n), the centres of the balls in them, metres.
+    """
+
+    cores: ConvexCores
+    rotations: Array
+    centres: Array
+    inscribed_centres: Array
+
+    @cached_property
+    def largest_coordinates(self) -> Array:
+        """The largest coordinate of each centre, (n,), without its sign."""
+        largest: Array = np.abs(self.centres).max(axis=0, initial=0.0)
+        return largest
+
+    def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
+        """Returns balls in differences of cores: if one is known, its centre (3, m), radius."""
+        cores, inscribed_centres = self.cores, self.inscribed_centres
+        is_known = cores.is_thick.take(first) & cores.is_thick.take(second)
+        centre = inscribed_centres.take(first, axis=1) - inscribed_centres.take(second, axis=1)
+        radius = cores.core_ball_radius.take(first) + cores.core_ball_radius.take(second)
+        return is_known, centre, radius
+
+    def to_world(self, shapes: Indices, vectors: Array) -> Array:
+        """Returns vectors (k, 3, m) of the frames of shapes (m,) in world axes."""
+        rotations = self.rotations.take(shapes, axis=1).reshape(3, 3, -1)
+        turned: Array = np.einsum("ijm,kjm->kim", rotations, vectors)
+        return turned
+
+    def to_local(self, shapes: Indices, vectors: Array) -> Array:
+        """Returns vectors (k, 3, m) of the world in the axes of shapes (m,)."""
+        rotations = self.rotations.take(shapes, axis=1).reshape(3, 3, -1)
+        turned: Array = np.einsum("jim,kjm->kim", rotations, vectors)
+        return turned
+
+    def support_points(self, shapes: Indices, directions: Array) -> Array:
+        """Returns the support points (3, m) of cores, relative to their centres, in world axes.
+
+        Args:
+            shapes: (m,), the indices of the shapes.
+            directions: (3, m), directions that are not 0; their lengths do not matter.
+        """
+        cores, rotations = self.cores, self.rotations.take(shapes, axis=1)
+        x, y, z = directions
+        local = rotations[0:3] * x
+        local += rotations[3:6] * y
+        local += rotations[6:9] * z
+        points = np.copysign(cores.half_extents.take(shapes, axis=1), local)
+        disc = cores.disc_radius.take(shapes)
+        if disc.any():
+            length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
+            points[:2] += local[:2] * (disc / length)
+        kinds = cores.kind.take(shapes)
+        for kind, hulls in enumerate(cores.points):
+            selected = np.flatnonzero(kinds == kind)
+            if len(selected):
+                points[:, selected] = _hull_support_points(
+                    hulls, cores.row[shapes[selected]], local[:, selected]
+                )
+        in_world: Array = rotations[0::3] * points[0]
+        in_world += rotations[1::3] * points[1]
+        in_world += rotations[2::3] * points[2]
+        return in_world
+
+
+def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Array:
+    """Returns support points (3, m) of the hulls `rows` of (h, 3, k), in directions (3, m)."""
+    support_points = np.zeros((3, len(rows)))
+    step = max(1, MAX_POINTS // hulls.shape[2])
+    for start in range(0, len(rows), step):
+        batch = slice(start, start + step)
+        points = hulls.take(rows[batch], axis=0)
+        heights = np.matmul(directions[:, batch].T[:, None], points)[:, 0]
+        support_points[:, batch] = points[np.arange(len(points)), :, heights.argmax(axis=1)].T
+    return support_points
+
+
+def _padded_size(count: int) -> int:
+    """Returns the padded number of points: a power of two from 8 up, so that few sizes occur."""
+    return 1 << max(3, (count - 1).bit_length())
