@@ -364,7 +364,7 @@ def test_results_of_many_rows_types_and_parameters(traced):
             assert found.fetchone() == (found.part(0, 1) or [None])[0]
             assert found.fetchall() == found.part(1, 10**6)
             assert found.fetchall() == []
-    assert repr(ss.sql("SELECT 1 AS one")) == "<Result: 1 rows of one>"
+    assert repr(ss.sql("SELECT 1 AS one")) == "<Result: 1 row of one>"
 
 
 def test_a_limit_of_rows_holds_for_kept_plans(client):
