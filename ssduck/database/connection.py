@@ -18,7 +18,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
-from ssduck.database.instances import MEMORY, POOL
+from ssduck.database.instances import MEMORY, POOL, create_file
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -79,6 +79,8 @@ class Connection:
     ) -> None:
         self._path = path if path == MEMORY else _absolute_path(path, is_written=True)
         try:
+            if self.is_file:
+                create_file(self._path)
             self._instance = duckdb.connect(self._path) if self.is_file else POOL.take()
             self._connection = self._instance.cursor()
         except duckdb.Error as error:
