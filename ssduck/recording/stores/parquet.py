@@ -299,8 +299,8 @@ def _check_name_length(path: Path, world: str) -> None:
 def _claim_episode(
     path: Path, world: str, tables: Collection[str], recording: Recording
 ) -> FolderRun:
-    """Creates the file of an episode under the first number that is free."""
-    for number in count():
+    """Creates the file of an episode under a number that is free, after those that are not."""
+    for number in count(_free_number(path, world)):
         run = FolderRun(path, world, number)
         try:
             with run.about_file.open("x", encoding="utf-8"):
@@ -317,6 +317,25 @@ def _claim_episode(
     }
     write_atomically(run.about_file, lambda file: _write_json(about, file))
     return run
+
+
+def _free_number(path: Path, world: str) -> int:
+    """Returns the number of an episode that is not there, after one that is.
+
+    It looks at few of them, so that beginning an episode does not take longer with each.
+    """
+    step = 1
+    while FolderRun(path, world, step - 1).about_file.exists():
+        step *= 2
+    # The number step // 2 - 1 is taken, if it is no less than 0, and step - 1 is free.
+    taken, free = step // 2 - 1, step - 1
+    while free - taken > 1:
+        middle = (taken + free) // 2
+        if FolderRun(path, world, middle).about_file.exists():
+            taken = middle
+        else:
+            free = middle
+    return free
 
 
 def _write_json(content: Mapping[str, Any], file: Path) -> None:

@@ -171,6 +171,11 @@ class FolderRun:
         return numbers
 
     @property
+    def has_begun(self) -> bool:
+        """Whether it is said what is recorded: the file is empty at the very beginning."""
+        return self.about_file.stat().st_size > 0
+
+    @property
     def has_ticks(self) -> bool:
         """Whether anything was stored."""
         return bool(_part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
@@ -300,18 +305,17 @@ def _read(file: Path) -> pa.Table:
 
 
 def runs_in(path: Path) -> list[FolderRun]:
-    """Returns the runs that are recorded in a folder, sorted by world and number.
+    """Returns the runs in a folder, sorted by world and number; looks at none of their files.
 
     Raises:
         RecordError: the folder is no record, a damaged one, or one of a newer version.
     """
     check_about(path)
-    runs = []
-    for file in (path / "episodes").glob("*.json"):
-        match = _EPISODE.fullmatch(file.name)
-        if match and file.stat().st_size:  # an empty file is of an episode that did not begin
-            runs.append(FolderRun(path, match.group(1), int(match.group(2))))
-    return sorted(runs, key=lambda run: (run.world, run.number))
+    place = path / "episodes"
+    names = [file.name for file in place.iterdir()] if place.is_dir() else []
+    matches = map(_EPISODE.fullmatch, names)
+    keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
+    return [FolderRun(path, world, number) for world, number in keys]
 
 
 def check_about(folder: Path) -> None:
