@@ -107,6 +107,8 @@ class Connection:
         self.run("SET merge_join_threshold = 1000000000")
         # DuckDB would draw it on standard output.
         self.run("SET enable_progress_bar = false")
+        # The footers of a record of many parts are read once.
+        self.run("SET parquet_metadata_cache = true")
         # The name of an unknown table is an error, not a Python variable of the caller.
         self.run("SET python_enable_replacements = false")
         if self.is_file:

@@ -41,6 +41,7 @@ from ssduck.recording.stores.parquet_layout import (
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
+from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.schema import MODELS, recorded_tables
 from ssduck.world.layout import EntityInfo
 
@@ -78,6 +79,7 @@ class ParquetStore(TickStore):
         self._part_count = self._model_count = 0
         assert self.run.key is not None
         self._log = PartLog(self.run.place(LOG), self.run.key)
+        self._index = TickIndex(self.run.place(INDEX), self.run.key)
         self.last_tick: int | None = None
 
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
@@ -115,6 +117,7 @@ class ParquetStore(TickStore):
             self._set_last_tick(rows)
         with _writing(self._log.place):
             self._log.clear()
+            self._index.add(rows["ticks"])
 
     def complete(self) -> None:
         """Stores the rows of the log as a part."""
@@ -136,6 +139,7 @@ class ParquetStore(TickStore):
         """
         parts = {"ticks": self._part_count, "models": self._model_count}
         try:
+            self._index.write()
             about = json.loads(self.run.about_file.read_text("utf-8")) | {"parts": parts}
             write_atomically(self.run.about_file, lambda file: _write_json(about, file))
         except OSError as error:
@@ -144,7 +148,7 @@ class ParquetStore(TickStore):
     def discard(self) -> None:
         """Removes the files of the episode."""
         self.run.about_file.unlink(missing_ok=True)
-        for table in (*self.tables, LOG, *(f"models/{table}" for table in MODELS)):
+        for table in (*self.tables, LOG, INDEX, *(f"models/{table}" for table in MODELS)):
             shutil.rmtree(self.run.place(table), ignore_errors=True)
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:
