@@ -105,7 +105,7 @@ class Connection:
         # In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
         # invalidates the database at its second run. A nested loop is correct.
         self.run("SET merge_join_threshold = 1000000000")
-# DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
+        # DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
         # setting it is an error.
         if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
             self.run("SET enable_progress_bar = false")
