@@ -5,6 +5,7 @@ They refer to worlds by the names of their schemas: a reference to the database 
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import accumulate, product
@@ -29,7 +30,12 @@ from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
-from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf, name_over_ticks
+from ssduck.sql.relations.geometry_query import (
+    MARGINS_UDF,
+    GeometryUdf,
+    PairKind,
+    name_over_ticks,
+)
 from ssduck.sql.relations.joints import JOINT_UDFS
 from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
@@ -122,7 +128,7 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
     for udf in GEOMETRY_UDFS.values():
         connection.offer_function(
             udf.name,
-            _geometry_function(udf, worlds),
+            (_geometry_function if udf.entities else _pair_search)(udf, worlds),
             udf.parameters,
             udf.result,
             null_handling=FunctionNullHandling.SPECIAL,  # its result may be NULL
@@ -149,7 +155,7 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
         # As Arrow columns: converting lists would take as long as comparing the pairs.
         connection.offer_function(
             name_over_ticks(kind),
-            partial(_pairs_over_ticks, worlds, kind),
+            partial(_pairs_over_ticks, worlds, weakref.ref(connection), kind),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
             "STRUCT(tick BIGINT, a BIGINT, b BIGINT, value DOUBLE)[]",
             type=PythonUDFType.ARROW,
@@ -183,8 +189,8 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
                 f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
             )
         ids = arguments[1:id_count:2]
-        tick = ticks.pop() if ticks else None
-        has_links = max(ids, default=0) >= LINK_FACTOR
+        tick = ticks.pop()
+        has_links = max(ids) >= LINK_FACTOR
         entities = [entity_of(id) for id in ids] if has_links else ids
         shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else entities)
         if has_links:
@@ -192,6 +198,30 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(tick)
         return udf.function(shapes, *ids, *arguments[id_count:])
+
+    return call
+
+
+def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
+    """Returns a function for SQL that finds all pairs of a world's current tick.
+
+    Its arguments are the world's name, the kind of the pairs, and further values.
+    """
+
+    def call(world: str, kind: PairKind, *values: Any) -> list[int] | None:
+        if None in values:
+            return None
+        if world not in worlds:
+            raise UnknownNameError(f"there is no world {world!r} here any more")
+        shapes = worlds[world].shapes(None, None)
+        if udf.uses_margins:
+            worlds[world].warn_of_changed_margins(None)
+        if kind == "links":
+            shapes = shapes.links
+        elif kind == "links and entities":
+            shapes = shapes.links_and_entities
+        pairs: list[int] = udf.function(shapes, *values)
+        return pairs
 
     return call
 
@@ -260,7 +290,10 @@ def _lenient_joint_value(
 
 
 def _pairs_over_ticks(
-    worlds: Mapping[str, BoundWorld], kind: QuestionKind, *arguments: pa.ChunkedArray
+    worlds: Mapping[str, BoundWorld],
+    connection: weakref.ref[Connection],
+    kind: QuestionKind,
+    *arguments: pa.ChunkedArray,
 ) -> pa.ListArray:
     """Returns the answers to a question over ranges of ticks, given as columns.
 
@@ -276,7 +309,10 @@ def _pairs_over_ticks(
         question = PairQuestion(kind, depth(distance) if kind == "colliding" else distance)
         if question.uses_margins:
             worlds[world].warn_of_changed_margins(first)
-        answers = PairQueries(history.record).answers(PairRequest(first, last, a, b, 0.0), question)
+        own = connection()
+        assert own is not None, "a statement of the connection is running"
+        queries = PairQueries(history.record, own.meter)
+        answers = queries.answers(PairRequest(first, last, a, b, 0.0), question)
         rows = slice(None) if question.is_number else np.flatnonzero(answers.values != 0.0)
         columns = answers.ticks[rows], answers.first[rows], answers.second[rows]
         values = pa.array(answers.values[rows], mask=np.isnan(answers.values[rows]))

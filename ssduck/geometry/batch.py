@@ -32,6 +32,8 @@ _BOUND_MARGIN = 1e-8
 _MAX_ENTITIES = 1 << 32
 # The number of predicates whose witnesses are kept from tick to tick.
 _MAX_PREDICATES = 16
+# The number of regrouped tables that are kept from tick to tick.
+_MAX_REGROUPED = 16
 # The other two axes of each axis.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
@@ -126,6 +128,7 @@ class ShapeTable:
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
         self._witnesses: dict[PairPredicate, KeptWitnesses] = {}
+        self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
 
     def witnesses(self, predicate: PairPredicate) -> KeptWitnesses:
         """Returns the witnesses of a predicate at the tick before."""
@@ -138,11 +141,20 @@ class ShapeTable:
     def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.
 
+        The table is the same at each tick, so that it keeps its witnesses.
+
         Args:
             shapes: (m,), the numbers of the shapes.
             entities: (m,), the index of each shape's entity.
         """
-        return ShapeTable(self.solids, self.solid_indices[shapes], entities, self.margins[shapes])
+        key = shapes.tobytes(), entities.tobytes()
+        table = self._regrouped.get(key)
+        if table is None:
+            if len(self._regrouped) >= _MAX_REGROUPED:
+                self._regrouped.clear()
+            indices, margins = self.solid_indices[shapes], self.margins[shapes]
+            table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
+        return table
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,7 +72,11 @@ class Execution(Namespace):
         self.strict = strict
         self._value_of_query = value_of_query
         self.linter = Linter(
-            self.variable_or_none, self.is_function, lambda: self.worlds, self._recorded_names
+            self.variable_or_none,
+            self.is_function,
+            lambda: self.worlds,
+            self._recorded_names,
+            self.type_of_relation,
         )
         self._limits = limits
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
@@ -330,7 +334,9 @@ class Execution(Namespace):
     def worlds_pinned(self, *nodes: Node) -> Iterator[None]:
         """Pins all worlds at their tick, and reads the tables of relations."""
         tables = frozenset().union(*map(self.tables_read, nodes))
-        with self.database.pinned(tables, self.worlds_of(nodes) if tables else ()):
+        # Which worlds are read matters for their tables, and for stale ticks of users' clients.
+        is_relevant = tables or self.database.has_attached_world
+        with self.database.pinned(tables, self.worlds_of(nodes) if is_relevant else ()):
             yield
 
 

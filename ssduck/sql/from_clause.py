@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from sqlglot import exp
 
 from ssduck.schema import ID_FACTOR, TABLES, EntityTable
-from ssduck.sql.relations.geometry_query import PairSearch, name_over_ticks
+from ssduck.sql.relations.geometry_query import PairKind, PairSearch, name_over_ticks
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue
 from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, IDS, SqlType
@@ -252,7 +252,7 @@ class PairTable:
     Attributes:
         table: its table in FROM.
         columns: the columns of the two ids.
-        position: the key of the order of both sources.
+        position: the key of the order of both sources, if they are entities.
     """
 
     table: exp.Expr
@@ -260,10 +260,12 @@ class PairTable:
     position: exp.Ordered
 
 
-def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
-    """Returns the pairs of entities of a world that a search finds."""
+def pair_table(
+    search: PairSearch, distance: exp.Expr, schema: str, name: str, kind: PairKind = "entities"
+) -> PairTable:
+    """Returns the pairs of entities of a world, of their links, or of both, that a search finds."""
     function = exp.to_identifier(search.name, quoted=True)
-    arguments: list[exp.Expr] = [exp.Literal.string(schema)]
+    arguments: list[exp.Expr] = [exp.Literal.string(schema), exp.Literal.string(kind)]
     if search.takes_distance:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
     numbers = exp.func("unnest", exp.Anonymous(this=function, expressions=arguments))

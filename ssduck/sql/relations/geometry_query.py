@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 from ssduck.geometry.pair_batch import QuestionKind
 from ssduck.geometry.queries import ShapeQueries
@@ -22,6 +22,9 @@ from ssduck.geometry.queries import ShapeQueries
 MARGINS_UDF = "narrow margins"
 MARGINS = f'"{MARGINS_UDF}"($world)'
 ZERO = "0.0::DOUBLE"
+
+# What the two sides of a pair are, in either order.
+PairKind: TypeAlias = Literal["entities", "links", "links and entities"]
 
 # The pairs that the narrow phase compares, as the manual and EXPLAIN state them.
 MEETING_BOXES = "on pairs whose boxes meet"
@@ -153,6 +156,14 @@ class PairSearch:
         """The name of the function in SQL."""
         return udf_name(self.function)
 
+    @property
+    def finds_links(self) -> bool:
+        """Whether it also finds pairs of links, and of links and entities.
+
+        What rests on a link depends on which links stand beside the rest of their entities.
+        """
+        return self.takes_distance
+
 
 COLLIDING = PairSearch(ShapeQueries.all_colliding)
 WITHIN = PairSearch(ShapeQueries.all_within)
@@ -183,10 +194,13 @@ class CandidatePairs:
 class GeometryUdf:
     """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first.
 
+    A function that finds all pairs then takes the kind of the pairs.
+
     Attributes:
         name: its name in SQL.
         function: a method of `ShapeQueries`.
-        entities: how many entities it takes; each is given as its tick and its id.
+        entities: how many entities it takes; each is given as its tick and its id. 0 for a
+            function that finds all pairs.
         numbers: how many numbers it takes after them.
         result: DuckDB's type of the result.
         needs_whole_tick: whether the answer depends on all entities of the tick.
@@ -204,7 +218,9 @@ class GeometryUdf:
     @property
     def parameters(self) -> tuple[str, ...]:
         """DuckDB's types of the parameters."""
-        return ("VARCHAR", *["BIGINT"] * (2 * self.entities), *["DOUBLE"] * self.numbers)
+        kind = () if self.entities else ("VARCHAR",)
+        ids = ["BIGINT"] * (2 * self.entities)
+        return ("VARCHAR", *kind, *ids, *["DOUBLE"] * self.numbers)
 
 
 def name_over_ticks(kind: QuestionKind) -> str:
