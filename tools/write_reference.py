@@ -63,8 +63,8 @@ If two sources are the same world, or its links, `collides`, `near`, `touching`,
 once, and so does `restsOn` of entities; `collides` needs milliseconds for a thousand bodies. The
 same is true of raw SQL where `a` and `b` are rows of the current tick: of `entities`, or of a
 subquery or common table expression that selects whole rows of it (`SELECT * FROM entities WHERE
-…`). It is so in `WHERE`, in the `ON` of a join, under `NOT`, in `OR` and among the selected columns;
-further arguments must be numbers. Where `a` or `b` is selected by name or id, only its own pairs are
+…`). It is so in `WHERE`, in the `ON` of a join, under `NOT`, in `OR` and among the columns; further
+arguments must be numbers. Where `a` or `b` is selected by name or id, only its own pairs are
 compared. Elsewhere, DuckDB compares the boxes of every row with those of every other row, which
 takes longer than the shapes do from about 3,000 bodies on. Raw SQL also has tables of pairs:
 
