@@ -108,8 +108,6 @@ class Snapshot:
         self._warned: set[int] = set()
         # The ticks at which masses and margins were last read.
         self._masses_tick = self._margins_tick = 0
-        # The version of the table of shapes, and its largest margins, m.
-        self._largest_margins = 0, 0.0
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -412,16 +410,11 @@ class Snapshot:
         if not np.array_equal(current, column):
             column[:] = current
             self._shapes = self._solids = None
-            self._largest_margins = 0, 0.0
 
     @property
     def margins(self) -> float:
         """The largest distance of two shapes whose margins touch, m."""
-        shapes = self.tables["shapes"]
-        if self._largest_margins[0] != shapes.version:
-            margins = 2.0 * float(shapes["margin"].max(initial=0.0))
-            self._largest_margins = shapes.version, margins
-        return self._largest_margins[1]
+        return 2.0 * float(self.tables["shapes"]["margin"].max(initial=0.0))
 
     @property
     def names_with_changed_margins(self) -> list[str]:
