@@ -72,7 +72,11 @@ class Execution(Namespace):
         self.strict = strict
         self._value_of_query = value_of_query
         self.linter = Linter(
-            self.variable_or_none, self.is_function, lambda: self.worlds, self._recorded_names
+            self.variable_or_none,
+            self.is_function,
+            lambda: self.worlds,
+            self._recorded_names,
+            self.type_of_relation,
         )
         self._limits = limits
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)

@@ -35,11 +35,13 @@ from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
-from ssduck.recording.replay.past import past_of
+from ssduck.recording.replay.past import Past, past_of
+from ssduck.sql.name_resolution import SCALARS
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import unknown_function
+from ssduck.world.links import Links
 from ssduck.world.world import World
 
 # The least similarity of a function's name that is suggested for an unknown variable.
@@ -136,6 +138,19 @@ class Namespace:
     def is_function(self, name: str) -> bool:
         """Checks whether a function or a relation has that name."""
         return name in RELATIONS or name in self.functions
+
+    def is_scalar(self, name: str) -> bool:
+        """Checks whether that is a relation whose value is a number, a text, True or False."""
+        return self.type_of_relation(name) in SCALARS
+
+    def type_of_relation(self, name: str) -> str | None:
+        """Returns the type of a relation's result; None if a name is no relation."""
+        is_relation = name in RELATIONS and not self.is_users(name)
+        return RELATIONS[name].result if is_relation else None
+
+    def is_world(self, name: str) -> bool:
+        """Checks whether a variable is a world, its past or its links."""
+        return isinstance(self.variables.get(name), World | Past | Links)
 
     def is_world_without(self, name: str, entity: str) -> bool:
         """Checks whether a variable is a world that has no entity of a name."""
