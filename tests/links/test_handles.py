@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pybullet
 import pybullet_data
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, RemovedEntityError, UnknownNameError, UnsupportedError
+from ssduck.errors import (
+    ArgumentError,
+    ParseError,
+    RemovedEntityError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, link_id
 
 HAND = "sim.panda.panda_hand"
@@ -52,6 +59,18 @@ def test_unknown_names_are_errors_with_the_nearest(cell, program, near):
         assert near in caught.value.suggestions
     with pytest.raises(UnknownNameError, match="panda_hand"):
         cell.world["panda"].link("panda_hnd")
+
+
+@pytest.mark.parametrize("word", ["select", "where", "FROM"])
+def test_words_of_the_language_are_names_in_brackets(cell, word):
+    for ss in cell.interpreters:
+        with pytest.raises(ParseError, match=re.escape(f"(write ['{word}'] for a word")):
+            ss.eval(f"sim.panda.{word};")
+        with pytest.raises(ssduck.SelectScriptError, match=f"'{word}'") as caught:
+            ss.eval(f"sim.panda['{word}'];")
+        assert not isinstance(caught.value, ParseError)
+    with pytest.raises(ParseError, match="expected a key, found ';'"):
+        cell.ss.eval("sim.panda.;")
 
 
 def test_functions_of_links(cell):
