@@ -142,7 +142,7 @@ class Database:
             ]
             for world, _ in sorted(present, key=lambda item: item[0].serial):
                 reads = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.pinned(tables if reads else ()))
+                stack.enter_context(world.pinned(tables if reads else (), is_read=reads))
             for _, bound in present:
                 if bound.history is not None and bound.history.recorder is not None:
                     stack.enter_context(bound.history.recorder.read_lock)
@@ -194,6 +194,12 @@ class Database:
             for bound in self._worlds.bound
             if bound.schemas and (world := bound.reference()) is not None
         }
+
+    @property
+    def has_attached_world(self) -> bool:
+        """Whether the simulation of one of the worlds is a client of the user's."""
+        present = (bound.reference() for bound in self._worlds.bound)
+        return any(world is not None and world.is_attached for world in present)
 
     @property
     def records(self) -> dict[str, Record]:

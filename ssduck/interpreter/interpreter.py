@@ -54,6 +54,7 @@ from ssduck.interpreter.recording import RecordingMethods
 from ssduck.interpreter.shown_rows import rows_to_show
 from ssduck.interpreter.signatures import type_hints_of
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
+from ssduck.interpreter.triggers.tick_batch import TriggerBatches
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
@@ -121,7 +122,9 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         self._planner = self._execution.planner
         self._owned_worlds: list[World] = []
         self._adapter_queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
-        self._triggers = TriggerRegistry(self, self._execution)
+        batches = TriggerBatches(self._execution, self._query_of)
+        has_own_forms = type(self).evalAs is not Interpreter.evalAs
+        self._triggers = TriggerRegistry(self, self._execution, None if has_own_forms else batches)
 
     def close(self) -> None:
         """Removes the triggers, and closes the database and the world that `load` made.

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from abc import ABCMeta
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 
-class PublicNames:
+class _PublicNamesType(ABCMeta):
+    """The type of these classes: their own `dir` is that of their objects."""
+
+    INTERNAL_NAMES: frozenset[str]
+
+    def __dir__(cls) -> Iterable[str]:
+        return [name for name in super().__dir__() if name not in cls.INTERNAL_NAMES]
+
+
+class PublicNames(metaclass=_PublicNamesType):
     """A base class whose `dir` leaves out the names that only other packages of ssduck use.
 
     If the object contains an item of the name of an unknown attribute, the error shows how to
@@ -35,9 +45,18 @@ class PublicNames:
 WORLD_INTERNALS = frozenset(
     (
         *("INTERNAL_NAMES", "add_recorder", "advance", "drive", "enable", "handle", "hold"),
-        *("is_final", "is_observed", "is_watched", "lock", "notify_observers", "origin"),
+        *(
+            "is_attached",
+            "is_final",
+            "is_observed",
+            "is_watched",
+            "lock",
+            "notify_observers",
+            "origin",
+        ),
         *("owning", "pinned", "place", "reading", "release", "remove_recorder"),
         *("request_tables", "serial", "slack", "steps_to_due", "steps_to_tick", "switch"),
+        "warn_of_unrecorded_start",
     )
 )
 HANDLE_INTERNALS = frozenset(

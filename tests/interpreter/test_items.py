@@ -145,6 +145,13 @@ def test_dir_lists_what_is_public(ss):
     assert {"position", "aabb", "links", "move", "full_name"} <= set(dir(room["can"]))
 
 
+@pytest.mark.parametrize("of", [ssduck.World, ssduck.Entity, ssduck.Link])
+def test_classes_list_what_their_objects_do(of):
+    names = {name for name in dir(of) if not name.startswith("_")}
+    assert names
+    assert names.isdisjoint(of.INTERNAL_NAMES)
+
+
 def test_strict_is_a_flag(ss):
     assert not ss.strict
     ss.strict = True
