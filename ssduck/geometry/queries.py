@@ -17,8 +17,10 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
+from ssduck.geometry.gjk import UNDECIDED
 from ssduck.geometry.narrow_phase import MIN_DEPTH, TOUCHING_DISTANCE, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
+from ssduck.geometry.on_pairs import NOT_ON, ON, entity_boxes, on_verdicts
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
@@ -89,6 +91,7 @@ class ShapeQueries:
         self._pair_counts: Counter[PairPredicate] = Counter()
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
+        self._on: list[int] | None = None
 
     def of(self, ids: Iterable[int], *, needs_whole_tick: bool = False) -> ShapeQueries:
         """Returns the queries in which ids of links stand for the shapes of these links.
@@ -186,6 +189,22 @@ class ShapeQueries:
                 self._ids[first], self._ids[second]
             )
         return self._overlapping_with_margins[max_distance]
+
+    def all_on(self) -> list[int]:
+        """Returns the pairs of which the second is on the first."""
+        if self._on is None:
+            touching = PairPredicate("touching", TOUCHING_DISTANCE)
+            first, second = self._narrow.all_pairs(touching, self._table).sides
+            a, b = np.concatenate((first, second)), np.concatenate((second, first))
+            tick, starts = self._narrow.tick_shapes(self._table), self._narrow.starts
+            boxes = entity_boxes(tick.boxes.T, starts)
+            verdicts = on_verdicts(tick, boxes, starts, a, b)
+            for place in np.flatnonzero(verdicts == UNDECIDED).tolist():
+                verdicts[place] = ON if self._narrow.on(int(a[place]), int(b[place])) else NOT_ON
+            ids, are_on = np.array(list(self._numbers), np.int64), verdicts == ON
+            numbers = ids[a[are_on]] * ID_FACTOR + ids[b[are_on]]
+            self._on = np.sort(numbers).tolist()
+        return self._on
 
     def all_resting(self) -> list[int]:
         """Returns the pairs of which the second rests on the first, directly or through others."""

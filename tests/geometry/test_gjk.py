@@ -11,10 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ssduck.geometry import cores, gjk
-from ssduck.geometry.batch import PairPredicate, box_depths
+from ssduck.geometry.batch import PairPredicate
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
+from ssduck.geometry.separating_axes import box_depths
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR

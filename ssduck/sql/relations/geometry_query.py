@@ -152,10 +152,19 @@ COLLIDING = PairSearch(ShapeQueries.all_colliding, predicate="colliding")
 WITHIN = PairSearch(ShapeQueries.all_within, predicate="within")
 TOUCHING = PairSearch(ShapeQueries.all_touching, predicate="touching", uses_margins=True)
 RESTING = PairSearch(ShapeQueries.all_resting, takes_distance=False, uses_margins=True)
+STACKED = PairSearch(ShapeQueries.all_on, takes_distance=False, uses_margins=True)
 BOXES_MEETING = PairSearch(ShapeQueries.all_meeting, is_exact=False)
 # The boxes are grown by the collision margins of their shapes.
 BOXES_REACHING = PairSearch(ShapeQueries.all_reaching, is_exact=False, uses_margins=True)
-PAIR_SEARCHES = (COLLIDING, WITHIN, TOUCHING, RESTING, BOXES_MEETING, BOXES_REACHING)
+PAIR_SEARCHES = (
+    COLLIDING,
+    WITHIN,
+    TOUCHING,
+    RESTING,
+    STACKED,
+    BOXES_MEETING,
+    BOXES_REACHING,
+)
 
 
 @dataclass(frozen=True)
