@@ -10,11 +10,11 @@ from __future__ import annotations
 import platform
 import sys
 
-from benchmarks import adapters, language, pairs, queries, recorded, ticks
+from benchmarks import adapters, language, pair_relations, pairs, queries, recorded, ticks
 from benchmarks.timing import print_table
 
 TABLES = {"ticks": ticks, "queries": queries, "language": language, "adapters": adapters}
-LONG = {"pairs": pairs.main, "time": recorded.main}
+LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 
 def main() -> None:
