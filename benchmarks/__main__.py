@@ -1,8 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
-`python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, language and
-adapters. All of them take one or two minutes. `python -m benchmarks pairs [OPTION ...]` and `python
--m benchmarks time [OPTION ...]` take many minutes; `--help` lists their options.
+`python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
+language and adapters. All of them take some minutes. `python -m benchmarks pairs [OPTION ...]` and
+`python -m benchmarks time [OPTION ...]` take many minutes; `--help` lists their options.
 """
 
 from __future__ import annotations
@@ -10,10 +10,25 @@ from __future__ import annotations
 import platform
 import sys
 
-from benchmarks import adapters, language, pair_relations, pairs, queries, recorded, ticks
+from benchmarks import (
+    adapters,
+    language,
+    pair_relations,
+    pairs,
+    queries,
+    recorded,
+    ticks,
+    triggers,
+)
 from benchmarks.timing import print_table
 
-TABLES = {"ticks": ticks, "queries": queries, "language": language, "adapters": adapters}
+TABLES = {
+    "ticks": ticks,
+    "queries": queries,
+    "triggers": triggers,
+    "language": language,
+    "adapters": adapters,
+}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 

@@ -1,10 +1,10 @@
 """Measures relations over all pairs of small scenes, against FCL's tree, in processor time.
 
 `python -m benchmarks relations [OPTION ...]` takes some minutes; `--help` lists the options. The
-bodies move as in `benchmarks.pairs`: all by the same vector at each tick. FCL's tree calls a Python function for each pair whose boxes are near enough. For `on`, this function also
-reads a contact normal of pairs that meet, and compares the centre of one box with the other box:
-what a user would write, though not the definition of `on`. The pairs are compared for the other
-relations.
+bodies move as in `benchmarks.pairs`: all by the same vector at each tick. FCL's tree calls a Python
+function for each pair whose boxes are near enough. For `on`, this function also reads a contact
+normal of pairs that meet, and compares the centre of one box with the other box: what a user would
+write, though not the definition of `on`. The pairs are compared for the other relations.
 """
 
 from __future__ import annotations

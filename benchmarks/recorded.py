@@ -27,6 +27,7 @@ import pyarrow as pa
 import pybullet
 
 import ssduck
+from benchmarks import opening
 from benchmarks.ticks import kitchen
 from benchmarks.timing import Way, minima, print_table, text_in_microseconds, text_of
 from ssduck import Recording
@@ -465,7 +466,7 @@ def _read(sql: str) -> list[Any]:
 # -- the run ------------------------------------------------------------------------------------
 
 
-PARTS = ("cost", "step", "bytes", "over", "near", "opened")
+PARTS = ("cost", "step", "bytes", "over", "near", "opened", "opening")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -502,4 +503,6 @@ def main(arguments: Sequence[str]) -> int:
         print_table(NEAR, near(options.near, options.rounds))
     if "opened" in options.only:
         print_table(OPENED, opened(1e3 * options.gigabytes, options.rounds))
+    if "opening" in options.only:
+        print_table(opening.HEADER, opening.rows())
     return 0

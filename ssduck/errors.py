@@ -38,8 +38,16 @@ class SourceSpan:
     end: int
 
 
-def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ...]:
+def nearest(
+    name: object, known: Iterable[str], limit: int = 3, *, least: float = 0.6
+) -> tuple[str, ...]:
     """Returns the known names most similar to a name, best first; case does not matter.
+
+    Args:
+        name: the name.
+        known: the known names.
+        limit: the maximal number of names.
+        least: the smallest similarity, from 0 to 1.
 
     >>> nearest("fridg", ["Fridge", "table"])
     ('Fridge',)
@@ -48,7 +56,7 @@ def nearest(name: object, known: Iterable[str], limit: int = 3) -> tuple[str, ..
         return ()
     by_folded = {candidate.casefold(): candidate for candidate in sorted(known)}
     folded = name[:_MAX_NAME_LENGTH].casefold()
-    matches = difflib.get_close_matches(folded, list(by_folded), n=limit, cutoff=0.6)
+    matches = difflib.get_close_matches(folded, list(by_folded), n=limit, cutoff=least)
     return tuple(by_folded[match] for match in matches)
 
 

@@ -122,20 +122,30 @@ def first_names(names: Sequence[str], count: int = 6) -> str:
     return ", ".join(names[:count]) + more
 
 
+_PLURALS = {"entity": "entities", "kinbody": "kinbodies"}
+
+
+def count_of(number: int, noun: str) -> str:
+    """Returns a number and a noun, in the plural unless the number is 1.
+
+    >>> count_of(1, "entity"), count_of(2, "entity"), count_of(0, "row")
+    ('1 entity', '2 entities', '0 rows')
+    """
+    return f"{number} {noun if number == 1 else _PLURALS.get(noun, noun + 's')}"
+
+
 def contents_of(entities: Sequence[tuple[str, str]]) -> str:
-    """Returns the number of each kind of entities and the first names, for a `repr`.
+    """Returns the numbers of entities, of all and of each kind, and the first names, for a `repr`.
 
     >>> contents_of([("fridge", "robot"), ("can", "kinbody"), ("cup", "kinbody")])
-    ' (1 robot, 2 kinbodies: fridge, can, cup)'
+    '3 entities (1 robot, 2 kinbodies: fridge, can, cup)'
 
     Args:
         entities: names and kinds.
     """
+    total = count_of(len(entities), "entity")
     if not entities:
-        return ""
-    plurals = {"kinbody": "kinbodies"}
+        return total
     counts = Counter(kind for _, kind in entities)
-    kinds = ", ".join(
-        f"{n} {kind if n == 1 else plurals.get(kind, kind + 's')}" for kind, n in counts.items()
-    )
-    return f" ({kinds}: {first_names([name for name, _ in entities])})"
+    kinds = ", ".join(count_of(number, kind) for kind, number in counts.items())
+    return f"{total} ({kinds}: {first_names([name for name, _ in entities])})"

@@ -58,11 +58,11 @@ in `WHERE` and `SELECT`, under `NOT` and in `OR`. A pair is compared at most onc
 `clearance` compares every pair of which a row needs it; if a bound is enough, `near(a, b, d)` is
 cheaper.
 
-If two sources are the same world, `collides`, `near`, `touching`, `on`, `supports`, `restsOn`,
+If two sources are the same world, or its links, `collides`, `near`, `touching`, `on`, `supports`,
 `contains` and `enclosed` in the `WHERE` of a SelectScript query find all pairs of the tick at
-once; `collides` needs milliseconds for a thousand bodies. In raw SQL, DuckDB compares the boxes
-of every row with those of every other row. From about 3,000 bodies on, this takes longer than the
-shapes do. Raw SQL therefore has tables of pairs:
+once, and so does `restsOn` of entities; `collides` needs milliseconds for a thousand bodies. In
+raw SQL, DuckDB compares the boxes of every row with those of every other row. From about 3,000
+bodies on, this takes longer than the shapes do. Raw SQL therefore has tables of pairs:
 
 ```python
 import ssduck
@@ -74,6 +74,7 @@ ss.sql("""
 """)
 ss.sql("SELECT a, b FROM kitchen.pairs_within(0.02) WHERE a < b")  # of clearances, in metres
 ss.sql("SELECT a, b FROM colliding_pairs(0.001)")  # deeper than a millimetre in each other
+ss.sql("SELECT a, b FROM link_pairs_within(0.02)")  # ids of links; also colliding_link_pairs()
 ```
 
 An entity consists of the shapes of all its links: a relation of two entities holds for their

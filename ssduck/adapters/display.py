@@ -125,6 +125,23 @@ def display_table(value: Any, max_rows: int | None = None) -> DisplayTable:
     return table if max_rows is None else table.shortened(max_rows)
 
 
+# The columns of DuckDB's EXPLAIN.
+_EXPLANATION = ["explain_key", "explain_value"]
+
+
+def readable_table(value: Any, max_rows: int | None = None) -> DisplayTable:
+    """Returns what people read of a value: DuckDB's plans as they are, other values as rows.
+
+    Args:
+        value: the value.
+        max_rows: the maximal number of rows, the first and the last ones; None for all.
+    """
+    if isinstance(value, RowsOfColumns) and value.columns == _EXPLANATION:
+        plans = [[plan.rstrip("\n")] for _, plan in value]
+        return DisplayTable(["value"], plans, named=False)
+    return display_table(value, max_rows)
+
+
 def _table_of_result(result: RowsOfColumns, max_rows: int) -> DisplayTable:
     """Returns at most `max_rows` rows; only these become values of Python."""
     last = max_rows // 2 if len(result) > max_rows else 0

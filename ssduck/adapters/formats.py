@@ -23,6 +23,7 @@ from ssduck.adapters.display import (
     numbered_duplicates,
     on_one_line,
     print_table,
+    readable_table,
     table_lines,
 )
 from ssduck.adapters.files import replace_file
@@ -35,7 +36,7 @@ _MARKDOWN = re.compile(r"[\\`*|~]|\[(?=[^]]*\]\()|(?<!\w)_|_(?!\w)")
 def _table(value: Any, stream: TextIO) -> None:
     if value is None:
         return
-    stream.writelines(f"{line}\n" for line in table_lines(display_table(value)))
+    stream.writelines(f"{line}\n" for line in table_lines(readable_table(value)))
 
 
 def _json(value: Any, stream: TextIO) -> None:
@@ -108,6 +109,15 @@ def _parquet(value: Any, stream: BinaryIO) -> None:
     pq.write_table(table, stream)
 
 
+def _png(value: Any, stream: BinaryIO) -> None:
+    picture = value._repr_png_() if hasattr(type(value), "_repr_png_") else None
+    if picture is None:
+        raise ArgumentError(
+            "this is no picture; AS image, mesh, points, graph and the grids are pictures"
+        )
+    stream.write(picture)
+
+
 @dataclass(frozen=True)
 class Format:
     """A format of files.
@@ -133,6 +143,7 @@ FORMATS = {
         Format("json", _json, (".json",)),
         Format("parquet", _parquet, (".parquet",), is_binary=True),
         Format("markdown", _markdown, (".md", ".markdown")),
+        Format("png", _png, (".png",), is_binary=True),
     )
 }
 
@@ -197,4 +208,4 @@ def print_value(value: Any, format: Format, max_rows: int | None = None) -> None
     if format.name != "table":
         format.write(value, sys.stdout)
     elif value is not None:
-        print_table(display_table(value, max_rows))
+        print_table(readable_table(value, max_rows))

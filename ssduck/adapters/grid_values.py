@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.adapters import ros_map
+from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -210,15 +211,13 @@ class Grid:
             The axes.
 
         Raises:
-            ArgumentError: matplotlib is not installed.
+            UnsupportedError: matplotlib is not installed; the message says how to install it.
         """
-        try:
+        if ax is None:
+            library("matplotlib", "plot")
             from matplotlib.figure import Figure
-        except ImportError as error:
-            raise ArgumentError(
-                "plot needs matplotlib: pip install 'ssduck[plot]'; image() does without"
-            ) from error
-        ax = Figure().subplots() if ax is None else ax
+
+            ax = Figure().subplots()
         (left, bottom), (right, top) = (corner[:2] for corner in self.bounds)
         values = self._flat().T
         is_boolean = values.dtype == np.bool_

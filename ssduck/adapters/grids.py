@@ -185,6 +185,10 @@ def _entity_values(selection: Selection) -> list[tuple[Handle, float]]:
             for name, value in zip(names, row, strict=True)
             if not isinstance(value, Handle)
         ]
+        if not values:
+            raise ArgumentError(
+                "no column has a number to sum in each cell; select one, the mass for example"
+            )
         entity_values.append((entities[0], math.fsum(values)))
     return entity_values
 

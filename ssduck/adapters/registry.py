@@ -122,9 +122,11 @@ def _exact_spelling(name: str, known: Collection[str]) -> str:
         listed = " or ".join(spellings)
         raise ArgumentError(f"AS {name} is ambiguous; write AS {listed}")
     if not spellings:
-        raise UnknownNameError(
-            f"there is no result form {short_repr(name)}", suggestions=nearest(name, known)
-        )
+        message = f"there is no result form {short_repr(name)}"
+        near = nearest(name, known)
+        if not near:
+            message += f"; there are {', '.join(sorted(form.names[0] for form in all_adapters()))}"
+        raise UnknownNameError(message, suggestions=near)
     return spellings[0]
 
 

@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from ssduck import validation
 from ssduck.adapters.display import RowsOfColumns
+from ssduck.formatting import count_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -175,7 +176,7 @@ class Result(RowsOfColumns):
             half = _MAX_NAMED // 2
             names = [*names[:half], "…", *names[-half:]]
         prefix = f"{count} columns: " if count > _MAX_NAMED else ""
-        return f"<Result: {rows} rows of {prefix}{', '.join(names)}>"
+        return f"<Result: {count_of(rows, 'row')} of {prefix}{', '.join(names)}>"
 
     def __str__(self) -> str:
         """Returns the first and the last rows as a text table, as `show` prints it."""

@@ -8,9 +8,9 @@ from typing import Any
 from ssduck import validation
 from ssduck.adapters.display import (
     ROW_MARK,
-    display_table,
     fitted_table,
     readable,
+    readable_table,
     table_lines,
     terminal_width,
 )
@@ -46,7 +46,7 @@ class TableView:
 
     def __init__(self, value: Any, rows: int = MAX_ROWS) -> None:
         rows = validation.integer(rows, "show: rows", minimum=0)
-        self._table = display_table(value, rows)
+        self._table = readable_table(value, rows)
 
     def text(self, width: int | None = None) -> str:
         """Returns the table as a text.
@@ -98,4 +98,5 @@ def _html_row(tag: str, cells: Any) -> str:
 
 
 def _escaped(value: Any) -> str:
-    return html.escape(readable(value))
+    text = html.escape(readable(value))
+    return f"<pre>{text}</pre>" if "\n" in text else text

@@ -43,13 +43,13 @@ _TERMINAL_ROWS = 40
 
 
 class _Commands(TyperGroup):
-    """The commands; their `SelectScriptError`s become messages and exit codes."""
+    """The commands; errors of ssduck, and warnings, become messages and exit codes."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
-            with _one_line_warnings():
+            with _written_warnings():
                 result = super().invoke(ctx)
-        except SelectScriptError as error:
+        except (SelectScriptError, Warning) as error:  # `python -W error` raises warnings
             _write_error(str(error))
             raise typer.Exit(1) from error
         sys.stdout.flush()  # here typer still handles a closed pipe quietly
@@ -110,12 +110,12 @@ def _write_error(message: str) -> None:
 
 
 @contextlib.contextmanager
-def _one_line_warnings() -> Iterator[None]:
-    """Writes each warning once, on one line."""
+def _written_warnings() -> Iterator[None]:
+    """Writes the message of each warning once, without the place in the code."""
     written: set[str] = set()
 
     def write(message: Warning | str, *_: Any, **__: Any) -> None:
-        text = " ".join(str(message).split())
+        text = str(message)
         if text not in written:
             written.add(text)
             sys.stderr.write(f"warning: {text}\n")
@@ -355,6 +355,7 @@ def query(
     write = _writer_of_result(format, output, rows)
     text = _program_text(program, file)
 
+    from ssduck.interpreter.shown_rows import rows_to_show
     from ssduck.simulators.scenes import find_scene
 
     if steps is not None or seconds is not None:
@@ -367,7 +368,7 @@ def query(
         ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)
-        value = ss.sql(text) if sql else ss.eval(text)
+        value = ss.sql(text) if sql else rows_to_show(ss.compile(text), ss.eval)
     write(value)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -80,6 +80,14 @@ def record(
     tables: _Tables = None,
     entities: _Entities = None,
     every: Annotated[int, typer.Option(min=1, metavar="N", help="Record only each N-th step.")] = 1,
+    flush_every: Annotated[
+        float,
+        typer.Option(
+            min=0.001,
+            metavar="T",
+            help="The real time, s, after which a step is on the disk.",
+        ),
+    ] = 1.0,
 ) -> None:
     """Simulate a scene and record it; each step of the simulator is a tick."""
     from ssduck.interpreter.opening import load
@@ -93,21 +101,24 @@ def record(
         tables=tuple(tables or RECORDABLE),
         entities=None if entities is None else tuple(entities),
         every=every,
+        flush_every=flush_every,
     )
     to_file = output.suffix == _DUCKDB_SUFFIX
-    opened = load(scene, output, recording=recording) if to_file else load(scene, recording=None)
-    with opened as ss, _deferred_ctrl_c() as pressed:
-        writer = None if to_file else ss.record_to(output, recording=recording)
-        with writer or nullcontext():
-            _run(ss.call_variable(description.name), steps, pressed)
+    with _deferred_signals() as received:
+        database = output if to_file else ":memory:"
+        with load(scene, database, recording=recording if to_file else None) as ss:
+            writer = None if to_file else ss.record_to(output, recording=recording)
+            with writer or nullcontext():
+                _run(ss.call_variable(description.name), steps, received)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
     print_line(
         f"{episode.ticks} ticks of {episode.world!r}, from {episode.start:g} s to "
         f"{episode.end:g} s: episode {episode.number} in {output}"
     )
-    if pressed.is_set():
-        sys.stderr.write("interrupted: the record is complete up to then\n")
-        raise typer.Exit(130)
+    if received:
+        word = "interrupted" if received[0] == signal.SIGINT else "terminated"
+        sys.stderr.write(f"{word}: the record is complete up to then\n")
+        raise typer.Exit(128 + received[0])
 
 
 def whole_steps(seconds: float, timestep: float) -> int:
@@ -124,37 +135,42 @@ def whole_steps(seconds: float, timestep: float) -> int:
     return round(count)
 
 
-def _run(world: World, steps: int, pressed: threading.Event) -> None:
-    """Steps a world until Ctrl-C is pressed; terminals show a progress bar."""
+def _run(world: World, steps: int, received: Collection[int]) -> None:
+    """Steps a world until there is a signal; terminals show a progress bar."""
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
     with Progress(console=console, disable=not console.is_terminal, transient=True) as progress:
         for _ in progress.track(range(steps), description=f"Recording {world.name}"):
-            if pressed.is_set():
+            if received:
                 return
             world.step()
 
 
 @contextmanager
-def _deferred_ctrl_c() -> Iterator[threading.Event]:
-    """Yields an event that the first Ctrl-C sets; the second one acts as usual."""
-    pressed = threading.Event()
+def _deferred_signals() -> Iterator[list[int]]:
+    """Yields a list to which the first signal to end is added; the second one acts as usual."""
+    received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
-        yield pressed
+        yield received
         return
-    handler = signal.getsignal(signal.SIGINT)
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    handlers = {number: signal.getsignal(number) for number in numbers}
 
-    def on_first_ctrl_c(*_: Any) -> None:
-        pressed.set()
-        signal.signal(signal.SIGINT, handler)
+    def on_first_signal(number: int, _: object) -> None:
+        received.append(number)
+        signal.signal(number, handlers[number])
 
-    signal.signal(signal.SIGINT, on_first_ctrl_c)
+    for number, handler in handlers.items():
+        if number == signal.SIGINT or handler != signal.SIG_IGN:  # nohup lets SIGHUP be ignored
+            signal.signal(number, on_first_signal)
     try:
-        yield pressed
+        yield received
     finally:
-        signal.signal(signal.SIGINT, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def export(

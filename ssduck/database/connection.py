@@ -9,7 +9,7 @@ import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias, TypeVar
 
@@ -18,6 +18,8 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
+from ssduck.database.instances import MEMORY, POOL
+from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     EvaluationError,
@@ -32,6 +34,7 @@ from ssduck.formatting import short_repr
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorder import Recorder
+from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 T = TypeVar("T")
@@ -45,10 +48,10 @@ INTERRUPT_INTERVAL = 0.02
 _BY_ROW = 100
 # The types whose columns NumPy represents exactly.
 _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
-# The path of a database in memory.
-MEMORY = ":memory:"
+_EXECUTE = "EXECUTE "
 # The name of an attached file with a record; no world can have it.
 _ATTACHED = "ssduck record file"
+_ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
 
 
 class Connection:
@@ -56,12 +59,15 @@ class Connection:
 
     Args:
         path: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each statement before it runs.
+        tracer: a function that is called with each statement before it runs, but for those that
+            make views.
         limits: the limits of SQL.
         recorders: the recorders whose waiting ticks are stored before it is closed.
 
     Attributes:
         meter: the use of the running program's limits.
+        on_demand: the views and functions that are made when a statement names them.
+        has_records: whether recorded ticks may be in the database, or in an attached file.
     """
 
     def __init__(
@@ -73,13 +79,21 @@ class Connection:
     ) -> None:
         self._path = path if path == MEMORY else _absolute_path(path, is_written=True)
         try:
-            self._connection = duckdb.connect(self._path)
+            self._instance = duckdb.connect(self._path) if self.is_file else POOL.take()
+            self._connection = self._instance.cursor()
         except duckdb.Error as error:
             raise SqlError(_open_error_text(path, error)) from error
         # A connection that is open when Python ends prints errors.
-        self._finalizer = weakref.finalize(self, _finish, self._connection, recorders, os.getpid())
+        open_ones = self._connection, self._instance
+        self._finalizer = weakref.finalize(self, _finish, open_ones, recorders, os.getpid())
+        self._recorders = recorders
         self._tracer = tracer
         self.meter = UsageMeter(limits)
+        self.on_demand: OnDemand[Connection] = OnDemand()
+        self.has_records = self.is_file
+        # Whether something may be in the database that `_empty` does not remove.
+        self._is_altered = False
+        self._attached = False
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
         # The exception of a function that SQL called: DuckDB keeps its text only.
@@ -89,8 +103,10 @@ class Connection:
         # In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
         # invalidates the database at its second run. A nested loop is correct.
         self.run("SET merge_join_threshold = 1000000000")
-        # DuckDB would draw it on standard output.
-        self.run("SET enable_progress_bar = false")
+        # DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
+        # setting it is an error.
+        if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
+            self.run("SET enable_progress_bar = false")
         # The name of an unknown table is an error, not a Python variable of the caller.
         self.run("SET python_enable_replacements = false")
         if self.is_file:
@@ -99,6 +115,7 @@ class Connection:
     def apply_limits(self) -> None:
         """Applies the limits of memory and files to all later statements."""
         limits = self.meter.limits
+        self._is_altered |= limits.memory is not None or not limits.files
         if limits.memory is not None:
             memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
             self.run(f"SET memory_limit = {memory}")
@@ -107,6 +124,12 @@ class Connection:
         if not limits.files:
             self.run("SET enable_external_access = false")
             self.run("SET lock_configuration = true")
+
+    @cached_property
+    def name(self) -> str:
+        """The name of the database in SQL."""
+        ((name,),) = self.internal_rows("SELECT current_database()")
+        return str(name)
 
     @property
     def is_file(self) -> bool:
@@ -125,10 +148,36 @@ class Connection:
             SqlError: the ticks cannot be stored, for example on a full disk; the connection is
                 closed.
         """
+        self.on_demand.clear()
+        if self.is_open and not (self.is_file or self._is_altered or self._recorders):
+            with suppress(duckdb.Error):
+                self._give_back()
         self._finalizer()
 
+    def _give_back(self) -> None:
+        """Empties the database, and gives it to the next interpreter."""
+        for name in self._functions:
+            self._connection.remove_function(name)
+        if self._attached:
+            self._connection.execute(f"DETACH {_ATTACHED_NAME}")
+        schemas = self._connection.execute(
+            "SELECT schema_name FROM duckdb_schemas() "
+            "WHERE NOT internal AND database_name = current_database() AND schema_name <> 'main'"
+        ).fetchall()
+        for (schema,) in schemas:
+            name = exp.to_identifier(schema, quoted=True).sql("duckdb")
+            self._connection.execute(f"DROP SCHEMA {name} CASCADE")
+        self._connection.close()
+        self._finalizer.detach()
+        POOL.give_back(self._instance)
+
     def writer(self) -> WriterConnection:
-        """Returns a second connection to the same database, for recorded ticks."""
+        """Returns a second connection to the same database, to store recorded ticks."""
+        self._is_altered = self.has_records = True
+        return self.reader()
+
+    def reader(self) -> WriterConnection:
+        """Returns a second connection to the same database, to read recorded ticks."""
         return WriterConnection(self._connection, Path(self._path) if self.is_file else None)
 
     def attach(self, path: Path) -> str:
@@ -141,11 +190,11 @@ class Connection:
             file = exp.Literal.string(_absolute_path(str(path))).sql("duckdb")
         except SqlError as error:
             raise RecordError(error.message) from error
-        name = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
         try:
-            self.run(f"ATTACH {file} AS {name} (READ_ONLY)")
+            self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY)")
         except SqlError as error:
             raise RecordError(_open_error_text(str(path), error)) from error
+        self._attached = self.has_records = True
         return _ATTACHED
 
     def register(self, name: str, table: pa.Table) -> None:
@@ -155,6 +204,18 @@ class Connection:
     def unregister(self, name: str) -> None:
         """Removes a registered table."""
         self._connection.unregister(name)
+
+    def offer_function(self, name: str, *function: Any, **options: Any) -> None:
+        """Has a Python function registered with SQL when a statement names it.
+
+        Args:
+            name: the name of the function.
+            function: the function and its types, as `add_function` takes them.
+            options: the options, likewise.
+        """
+        self.on_demand.offer(
+            (None, name), lambda own: own.register_function(name, *function, **options)
+        )
 
     def add_function(
         self,
@@ -178,6 +239,22 @@ class Connection:
             at_start: a function that is called before each statement.
             options: other options of DuckDB.
         """
+        self.on_demand.withdraw((None, name))
+        self.register_function(
+            name, function, parameter_types, result_type, at_start=at_start, **options
+        )
+
+    def register_function(
+        self,
+        name: str,
+        function: Callable[..., Any],
+        parameter_types: Sequence[str],
+        result_type: str,
+        *,
+        at_start: Callable[[], None] | None = None,
+        **options: Any,
+    ) -> None:
+        """Registers a function of ssduck's own with SQL, as `add_function` does a user's."""
         if name in self._functions:
             self._connection.remove_function(name)
         raised = self._raised
@@ -201,6 +278,8 @@ class Connection:
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """Returns all rows of a statement from the translator; the caller pins the worlds."""
+        if not sql.startswith(_EXECUTE):  # what it names is there
+            self.on_demand.provide(sql, self)
         max_rows = self.meter.limits.rows
 
         def fetch() -> list[tuple[Any, ...]]:
@@ -213,6 +292,7 @@ class Connection:
 
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
         """Returns all rows of a user's statement; the caller pins the worlds."""
+        self._is_altered = True
         max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:
@@ -225,9 +305,28 @@ class Connection:
         self.meter.check_rows(table.num_rows)
         return table
 
-    def run(self, sql: str, *, timed: bool = False) -> None:
-        """Runs a statement of ssduck's own, which no limit cuts off unless `timed` is set."""
-        self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=timed)
+    def run(self, sql: str) -> None:
+        """Runs a statement of ssduck's own, which no limit cuts off."""
+        self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=False)
+
+    def define(self, sql: str) -> None:
+        """Runs a statement that makes a view; it is not traced, as any statement may need it."""
+        tracer, self._tracer = self._tracer, None
+        try:
+            self.run(sql)
+        finally:
+            self._tracer = tracer
+
+    def prepare(self, name: str, select: str) -> None:
+        """Prepares a statement from the translator; the caller pins the worlds.
+
+        Args:
+            name: its name; `rows` takes `execution_of(name)`.
+            select: the statement.
+        """
+        self.on_demand.provide(select, self)
+        sql = f"PREPARE {quoted(name)} AS {select}"
+        self._execute(sql, lambda: self._connection.execute(sql).fetchall())
 
     def internal_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """Returns all rows of a statement of ssduck's own, which no time limit ends."""
@@ -313,6 +412,11 @@ class Connection:
         raise SqlError(str(error).strip() + _hint(error), is_refused=refused) from error
 
 
+def execution_of(name: str) -> str:
+    """Returns the statement that executes a prepared one."""
+    return f"{_EXECUTE}{quoted(name)}"
+
+
 _MISSING_FIELD = re.compile('Could not find key "(\\w+)" in struct')
 
 
@@ -393,14 +497,16 @@ def _open_error_text(path: str, error: Exception) -> str:
     return f"{path} cannot be opened: {str(error).strip()}"
 
 
-def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], process: int) -> None:
+def _finish(
+    connections: Sequence[duckdb.DuckDBPyConnection], recorders: list[Recorder], process: int
+) -> None:
     """Stores the waiting ticks and closes; in a forked process, leaves that to the parent."""
     if os.getpid() != process:
         return
     if any(
         recorder.is_writer_thread for recorder in recorders
     ):  # in its own thread, by garbage collection
-        threading.Thread(target=_finish, args=(connection, recorders, process)).start()
+        threading.Thread(target=_finish, args=(connections, recorders, process)).start()
         return
     failed = None
     try:
@@ -410,7 +516,8 @@ def _finish(connection: duckdb.DuckDBPyConnection, recorders: list[Recorder], pr
             except SelectScriptError as error:
                 failed = failed or error
     finally:  # its functions may refer to it, and would keep it open until Python ends
-        connection.close()
+        for connection in connections:
+            connection.close()
     if failed is not None:
         raise failed
 

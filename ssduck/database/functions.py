@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import accumulate, product
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
+import numpy as np
 import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 
@@ -17,17 +18,23 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
-from ssduck.geometry.batch import PairPredicate, PredicateKind
+from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
 from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
 from ssduck.language.memo import Memo
-from ssduck.recording.replay.record import PREDICATE_COLUMNS, Record
+from ssduck.recording.replay.pair_answers import PairQueries
+from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR, entity_of
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
-from ssduck.sql.relations.geometry_query import MARGINS_UDF, PAIR_SEARCHES, GeometryUdf
+from ssduck.sql.relations.geometry_query import (
+    MARGINS_UDF,
+    GeometryUdf,
+    PairKind,
+    name_over_ticks,
+)
 from ssduck.sql.relations.joints import JOINT_UDFS
 from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
@@ -110,24 +117,24 @@ def _exact_value(value: Any, sql_type: SqlType) -> Any:
     return value
 
 
-def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
-    """Registers the functions of shapes, joints and recorded ticks with SQL.
+def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
+    """Has the functions of shapes, joints and recorded ticks registered when SQL names them.
 
     Args:
         connection: the connection to the database.
         worlds: the worlds of the database by name, up to date.
     """
     for udf in GEOMETRY_UDFS.values():
-        connection.add_function(
+        connection.offer_function(
             udf.name,
-            _geometry_function(udf, worlds),
+            (_geometry_function if udf.entities else _pair_search)(udf, worlds),
             udf.parameters,
             udf.result,
             null_handling=FunctionNullHandling.SPECIAL,  # its result may be NULL
             side_effects=udf.entities == 0,  # all pairs of a tick change with the tick
         )
-    connection.add_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
-    connection.add_function(
+    connection.offer_function(MARGINS_UDF, partial(_margins, worlds), ("VARCHAR",), "DOUBLE")
+    connection.offer_function(
         CHECKED_TICK_UDF,
         partial(_checked_tick, worlds),
         ("VARCHAR", *["BIGINT"] * 3, *["DOUBLE"] * 7),
@@ -136,27 +143,24 @@ def add_geometry_functions(connection: Connection, worlds: Mapping[str, BoundWor
     )
     for (name, (function, parameters)), prefix in product(JOINT_UDFS.items(), ("", LENIENT_PREFIX)):
         call = partial(_joint_value, worlds, function)
-        connection.add_function(
+        connection.offer_function(
             prefix + name,
             partial(_lenient_joint_value, worlds, call) if prefix else call,
             ("VARCHAR", "BIGINT", "BIGINT", *parameters),
             "DOUBLE",
             null_handling=FunctionNullHandling.SPECIAL,
         )
-    pairs = f"STRUCT({', '.join(f'{column} BIGINT' for column in PREDICATE_COLUMNS)})[]"
-    for search in PAIR_SEARCHES:
-        if search.predicate is None:
-            continue
+    for kind in get_args(QuestionKind):
         # As Arrow columns: converting lists would take as long as comparing the pairs.
-        connection.add_function(
-            search.name_over_ticks,
-            partial(_pairs_over_ticks, worlds, search.predicate),
+        connection.offer_function(
+            name_over_ticks(kind),
+            partial(_pairs_over_ticks, worlds, kind),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
-            pairs,
+            "STRUCT(tick BIGINT, a BIGINT, b BIGINT, value DOUBLE)[]",
             type=PythonUDFType.ARROW,
             side_effects=True,
         )
-    connection.add_function(
+    connection.offer_function(
         RECORDED_NUMBERS_UDF,
         partial(_recorded_numbers, worlds),
         ("VARCHAR", "VARCHAR", "BIGINT", "BIGINT", "BIGINT"),
@@ -184,8 +188,8 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
                 f"{' and '.join(map(str, sorted(ticks)))} of {world!r}"
             )
         ids = arguments[1:id_count:2]
-        tick = ticks.pop() if ticks else None
-        has_links = max(ids, default=0) >= LINK_FACTOR
+        tick = ticks.pop()
+        has_links = max(ids) >= LINK_FACTOR
         entities = [entity_of(id) for id in ids] if has_links else ids
         shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else entities)
         if has_links:
@@ -193,6 +197,30 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(tick)
         return udf.function(shapes, *ids, *arguments[id_count:])
+
+    return call
+
+
+def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
+    """Returns a function for SQL that finds all pairs of a world's current tick.
+
+    Its arguments are the world's name, the kind of the pairs, and further values.
+    """
+
+    def call(world: str, kind: PairKind, *values: Any) -> list[int] | None:
+        if None in values:
+            return None
+        if world not in worlds:
+            raise UnknownNameError(f"there is no world {world!r} here any more")
+        shapes = worlds[world].shapes(None, None)
+        if udf.uses_margins:
+            worlds[world].warn_of_changed_margins(None)
+        if kind == "links":
+            shapes = shapes.links
+        elif kind == "links and entities":
+            shapes = shapes.links_and_entities
+        pairs: list[int] = udf.function(shapes, *values)
+        return pairs
 
     return call
 
@@ -261,9 +289,12 @@ def _lenient_joint_value(
 
 
 def _pairs_over_ticks(
-    worlds: Mapping[str, BoundWorld], kind: PredicateKind, *arguments: pa.ChunkedArray
+    worlds: Mapping[str, BoundWorld], kind: QuestionKind, *arguments: pa.ChunkedArray
 ) -> pa.ListArray:
-    """Returns the pairs that the narrow phase finds over ranges of ticks, given as columns."""
+    """Returns the answers to a question over ranges of ticks, given as columns.
+
+    Pairs for which a condition is False are left out.
+    """
 
     def pairs_of(
         world: str, first: int, last: int, a: int, b: int, distance: float
@@ -271,12 +302,15 @@ def _pairs_over_ticks(
         history = worlds[world].history
         if history is None:
             raise EvaluationError(no_ticks_message(world))
-        predicate = PairPredicate(kind, depth(distance) if kind == "colliding" else distance)
-        max_gap = 0.0 if kind == "colliding" else distance
-        if kind == "touching":
+        question = PairQuestion(kind, depth(distance) if kind == "colliding" else distance)
+        if question.uses_margins:
             worlds[world].warn_of_changed_margins(first)
-        pairs = history.record.matching_pairs(PairRequest(first, last, a, b, max_gap), predicate)
-        return pa.StructArray.from_arrays(list(map(pa.array, pairs)), names=PREDICATE_COLUMNS)
+        answers = PairQueries(history.record).answers(PairRequest(first, last, a, b, 0.0), question)
+        rows = slice(None) if question.is_number else np.flatnonzero(answers.values != 0.0)
+        columns = answers.ticks[rows], answers.first[rows], answers.second[rows]
+        values = pa.array(answers.values[rows], mask=np.isnan(answers.values[rows]))
+        names = ("tick", "a", "b", "value")
+        return pa.StructArray.from_arrays([*map(pa.array, columns), values], names=names)
 
     rows = zip(*(values.to_pylist() for values in arguments), strict=True)
     results = [pairs_of(*row) for row in rows]

@@ -15,14 +15,14 @@ from sqlglot import exp
 from ssduck.language.intervals import ABOUT_INTERVALS, INTERVALS, RELATIONS_OF_INTERVALS
 from ssduck.schema import MODELS, TABLES
 from ssduck.sql.from_clause import pair_table
-from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairSearch
+from ssduck.sql.relations.geometry_query import COLLIDING, WITHIN, PairKind, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 
 
 @dataclass(frozen=True)
 class PairTableMacro:
-    """A table of pairs of entities, faster than a join of rows for thousands of bodies.
+    """A table of pairs of entities or links, faster than a join of rows for thousands of them.
 
     Attributes:
         name: its name in a world's schema; the schema of the only world may be omitted.
@@ -30,6 +30,7 @@ class PairTableMacro:
         search: the search for pairs.
         distance: the parameter that is the distance or the depth, m.
         about: the meaning of a row.
+        kind: what the two sides of a pair are.
     """
 
     name: str
@@ -37,10 +38,12 @@ class PairTableMacro:
     search: PairSearch
     distance: str
     about: str
+    kind: PairKind = "entities"
 
     def macro(self, path: Sequence[str], schema: str) -> str:
         """Returns the statement that creates it."""
-        pairs = pair_table(self.search, exp.column(self.distance), schema, "pairs").table
+        distance = exp.column(self.distance)
+        pairs = pair_table(self.search, distance, schema, "pairs", self.kind).table
         rows = exp.select("pairs.a", "pairs.b").from_(pairs).sql("duckdb")
         temporary = "TEMP " if path[0] == "temp" else ""
         name = _dotted(path[1:] if temporary else path, self.name)
@@ -70,6 +73,24 @@ TABLE_MACROS = (
         "d",
         "A row is the ids a, b of two entities whose clearance is at most d metres; each pair "
         "in both orders.",
+    ),
+    PairTableMacro(
+        "colliding_link_pairs",
+        ("depth := 1e-6",),
+        COLLIDING,
+        "depth",
+        "A row is the ids a, b of two links, of one entity or two, that penetrate each other by "
+        "more than depth, in metres, 1e-6 by default; each pair in both orders.",
+        "links",
+    ),
+    PairTableMacro(
+        "link_pairs_within",
+        ("d",),
+        WITHIN,
+        "d",
+        "A row is the ids a, b of two links, of one entity or two, whose clearance is at most d "
+        "metres; each pair in both orders.",
+        "links",
     ),
 )
 

@@ -45,7 +45,9 @@ class Recorders:
             if is_file:
                 store.create_views()
         # In a file, few ticks may wait: a killed process loses them.
-        recorder = Recorder(recording, store, MEMORY_TICKS if in_memory else BUFFERED_TICKS)
+        ticks = MEMORY_TICKS if in_memory else BUFFERED_TICKS
+        flush_every = recording.flush_every if is_file else None
+        recorder = Recorder(recording, store, ticks, flush_every)
         tables = tuple(recorder.buffers)
         record = Record(
             world,
@@ -97,6 +99,7 @@ class Recorders:
 
     def _forget(self, bound: BoundWorld, recorder: Recorder) -> None:
         """Removes a recorder without storing its waiting ticks."""
+        recorder.stop_flushing()
         world = bound.reference()
         if world is not None:
             world.remove_recorder(recorder)
@@ -108,11 +111,13 @@ class Recorders:
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
         folder = ParquetStore(path, name, recording)
-        recorder = Recorder(recording, folder, max_ticks=PART_TICKS)
+        recorder = Recorder(recording, folder, PART_TICKS, recording.flush_every)
         self.running.append(recorder)
         try:
             world.add_recorder(recorder)
         except BaseException:
+            recorder.stop_flushing()
+            recorder.wait()
             world.remove_recorder(recorder)
             self.running.remove(recorder)
             folder.discard()

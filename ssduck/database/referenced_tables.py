@@ -30,6 +30,10 @@ _TABLES_OF = {
     **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
 }
 _TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
+# The same and the views of histories and models, where no schema stands before it.
+_UNQUALIFIED_TABLE = re.compile(
+    rf'(?<!\.)(?<!\.")\b({"|".join(_TABLES_OF)})(_history|_model)?\b', re.IGNORECASE | re.ASCII
+)
 # Relations that read no table become macros of a world's schema when a statement calls them so.
 _FORMULAS = {
     relation.name.lower(): relation.name for relation in RELATIONS.values() if not relation.tables
@@ -81,17 +85,20 @@ class ReferencedTables:
     def worlds(self, sql: str, bound: Sequence[BoundWorld]) -> list[World] | None:
         """Returns the worlds that a statement may read; None for all, if it may use others.
 
-        The schema of the first world may be omitted.
+        The schema of the first world may be omitted: it is read if a table has no schema.
         """
         self._search_path_changes |= _CHANGES_SEARCH_PATH.search(sql) is not None
         if self.persistent or self._search_path_changes or _STORES_A_QUERY.search(sql):
             return None
-        text = sql.casefold()
+        text, omits_schema = sql.casefold(), _UNQUALIFIED_TABLE.search(sql) is not None
         return [
             world
             for number, entry in enumerate(bound)
             if (world := entry.reference()) is not None
-            and (number == 0 or any(schema.casefold() in text for schema in entry.schemas))
+            and (
+                (number == 0 and omits_schema)
+                or any(schema.casefold() in text for schema in entry.schemas)
+            )
         ]
 
 

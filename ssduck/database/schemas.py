@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cache, partial
 
 from sqlglot import exp
 
@@ -45,34 +46,32 @@ class Schemas:
 
     def make(self, name: str, bound: BoundWorld) -> None:
         """Creates the schema of a world, or recreates its views."""
-        schema = exp.table_(name, quoted=True)
-        self._connection.run(exp.Create(this=schema, kind="SCHEMA", exists=True).sql("duckdb"))
+        self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {quoted(name)}")
+        on_demand = self._connection.on_demand
         for table in TABLES.values():
             reason = bound.world.snapshot.unavailable.get(table.name)
-            rows = _live_rows(bound, table, reason)
-            self._make_view(name, table.name, _with_view_columns(table, rows, name))
+            maker = partial(_make_live_view, name, bound, table, reason)
+            on_demand.offer((name, table.name), maker)
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: BoundWorld) -> None:
-        """Creates or replaces the views of a world's history."""
+        """Creates or replaces the views of a world's history.
+
+        In memory, a view is made when a statement names it. In a file, statements of other programs
+        read the views, too.
+        """
         if self._described is not None:
             self._described.discard(name)
-        history = bound.history
+        on_demand = self._connection.on_demand
         for table in HISTORIES.values():
-            rows = None
-            if history is not None:
-                waiting = bound.buffer_views if history.recorder is not None else None
-                rows = history.store.select(table.name, waiting)
-            if rows is None:
-                rows = _live_rows(bound, table, _not_recorded(table, name, history))
-            columns = _with_view_columns(table, rows, name, "entities_history")
-            self._make_view(name, table.history_view, columns)
-        for view, rows in history.store.models().items() if history is not None else ():
-            self._make_view(name, view, rows)
-
-    def _make_view(self, schema: str, name: str, rows: str) -> None:
-        view = f"{quoted(schema)}.{quoted(name)}"
-        self._connection.run(f"CREATE OR REPLACE VIEW {view} AS {rows}")
+            maker = partial(_make_history_view, name, bound, table)
+            on_demand.offer((name, table.history_view), maker)
+        if bound.history is not None:
+            models = cache(bound.history.store.models)
+            for view in _MODEL_VIEWS:
+                on_demand.offer((name, view), partial(_make_model_view, name, view, models))
+        if self._connection.is_file:
+            on_demand.make_schema(name, self._connection)
 
     def describe(self, names: Sequence[str], only: str | None, recorded: Collection[str]) -> None:
         """Creates the macros of relations, and the comments on tables.
@@ -116,6 +115,7 @@ class Schemas:
         else:
             place = exp.to_identifier(schema, quoted=True).sql("duckdb")
             self._connection.run(f"DROP SCHEMA IF EXISTS {place} CASCADE")
+        self._connection.on_demand.withdraw_schema(schema)
         if self._described is not None:
             self._described.discard(schema)
 
@@ -139,7 +139,7 @@ class Schemas:
                     if table is None
                     else _with_view_columns(table, rows, schema, "entities_history")
                 )
-                self._make_view(schema, name, view)
+                _make_view(self._connection, schema, name, view)
             else:
                 view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
                 self._connection.run(f"DROP VIEW IF EXISTS {view}")
@@ -153,6 +153,58 @@ class Schemas:
         for schema, name in stale:
             view = exp.table_(name, db=schema, quoted=True).sql("duckdb")
             self._connection.run(f"DROP VIEW {view}")
+
+
+def _make_view(connection: Connection, schema: str, name: str, rows: str) -> None:
+    view = f"{quoted(schema)}.{quoted(name)}"
+    connection.define(f"CREATE OR REPLACE VIEW {view} AS {rows}")
+
+
+def _make_live_view(
+    schema: str, bound: BoundWorld, table: Table, reason: str | None, connection: Connection
+) -> None:
+    """Creates the view of a table at the current tick."""
+    if table.view_columns:
+        connection.on_demand.make((schema, "entities"), connection)
+    _register(connection, bound, [bound.live_view(table.name)])
+    rows = _live_rows(bound, table, reason)
+    _make_view(connection, schema, table.name, _with_view_columns(table, rows, schema))
+
+
+def _make_history_view(
+    schema: str, bound: BoundWorld, table: Table, connection: Connection
+) -> None:
+    """Creates the view of a table at all recorded ticks."""
+    entities = TABLES["entities"]
+    if table.view_columns:
+        connection.on_demand.make((schema, entities.history_view), connection)
+    history = bound.history
+    rows = None
+    if history is not None:
+        waiting = bound.buffer_views if history.visible_rows else None
+        tables = {table.name, entities.name} & set(history.store.tables)
+        _register(connection, bound, [name for t in tables for name in bound.buffer_views(t)])
+        rows = history.store.select(table.name, waiting)
+    if rows is None:
+        _register(connection, bound, [bound.live_view(table.name)])
+        rows = _live_rows(bound, table, _not_recorded(table, schema, history))
+    columns = _with_view_columns(table, rows, schema, entities.history_view)
+    _make_view(connection, schema, table.history_view, columns)
+
+
+def _make_model_view(
+    schema: str, name: str, models: Callable[[], Mapping[str, str]], connection: Connection
+) -> None:
+    """Creates the view of the values of a table that no tick changes."""
+    _make_view(connection, schema, name, models()[name])
+
+
+def _register(connection: Connection, bound: BoundWorld, names: Collection[str]) -> None:
+    """Registers buffers of a world with DuckDB, unless they are."""
+    for _, name, rows in bound.buffers():
+        if name in names and name not in bound.versions:
+            connection.register(name, rows.arrow)
+            bound.versions[name] = rows.version
 
 
 def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str:

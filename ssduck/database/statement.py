@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from sqlglot import exp
 
-from ssduck.database.connection import Connection
+from ssduck.database.connection import Connection, execution_of
 from ssduck.errors import SelectScriptError
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
@@ -106,9 +106,8 @@ class Statement:
         self._has_parameters = bool(types)
         if types:
             _read_parameters(tree, exp.table_(self._name, quoted=True, alias=_PARAMETERS))
-        name = exp.to_identifier(self._name, quoted=True).sql("duckdb")
-        self._prepare = f"PREPARE {name} AS {tree.sql('duckdb')}"
-        self._execute = f"EXECUTE {name}"
+        self._select = tree.sql("duckdb")
+        self._execute = execution_of(self._name)
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
         """Returns all rows for these values of the parameters; the caller pins the worlds."""
@@ -117,7 +116,7 @@ class Statement:
         if not self._plans.has(self._name):
             if self._has_parameters:
                 self._connection.register(self._name, self._row.arrow)
-            self._connection.run(self._prepare, timed=True)
+            self._connection.prepare(self._name, self._select)
             self._plans.add(self._name, self._reads)
         try:
             return self._connection.rows(self._execute)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import chain, count
 
@@ -121,13 +122,15 @@ class WorldRegistry:
             ArgumentError: DuckDB has a schema or database of that name, or another world has one
                 that differs in case only.
         """
-        ((database,),) = self._connection.internal_rows("SELECT current_database()")
-        if name.casefold() in _RESERVED_NAMES or name.casefold() == database.casefold():
+        database = self._connection.name.casefold()
+        if name.casefold() in _RESERVED_NAMES or name.casefold() == database:
             raise ArgumentError(
                 f"a world cannot have the name {name!r}: DuckDB has a schema or database so named"
             )
-        runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"
-        run_schemas = self._connection.internal_rows(runs, [ABOUT])
+        run_schemas: Sequence[tuple[str]] = ()
+        if self._connection.has_records:
+            runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"
+            run_schemas = self._connection.internal_rows(runs, [ABOUT])
         if name.casefold() in {schema.casefold() for (schema,) in run_schemas}:
             raise ArgumentError(
                 f"a world cannot have the name {name!r}: a recorded run has it in SQL"
@@ -157,7 +160,10 @@ class WorldRegistry:
         self.bound.append(bound)
         try:
             if isinstance(world, ReplayedWorld):
-                bound.history = WorldHistory(world.archive, world.source_record)
+                archive = world.archive
+                bound.history = WorldHistory(
+                    archive, world.source_record, visible_rows=archive.visible_rows
+                )
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
             self.register(bound)
@@ -195,11 +201,13 @@ class WorldRegistry:
         raise AssertionError(preferred)
 
     def register(self, bound: BoundWorld) -> None:
-        """Registers replaced buffers with DuckDB."""
+        """Registers replaced buffers with DuckDB, of those that views read already."""
         new = [
-            entry for entry in bound.buffers() if bound.versions.get(entry[1]) != entry[2].version
+            entry
+            for entry in bound.buffers()
+            if bound.versions.get(entry[1], entry[2].version) != entry[2].version
         ]
-        stale = {table for table, name, _ in new if name in bound.versions}
+        stale = {table for table, _, _ in new}
         if bound.margins != bound.planned_margins:  # DuckDB treats them as constants
             stale.add("entities")
             bound.planned_margins = bound.margins

@@ -31,6 +31,8 @@ _BOUND_MARGIN = 1e-8
 _MAX_ENTITIES = 1 << 32
 # The number of predicates whose witnesses are kept from tick to tick.
 _MAX_PREDICATES = 16
+# The number of regrouped tables that are kept from tick to tick.
+_MAX_REGROUPED = 16
 
 
 PredicateKind: TypeAlias = Literal["colliding", "within", "touching"]
@@ -95,7 +97,7 @@ class ShapeTable:
         entities: Indices,
         margins: Array | None = None,
     ) -> None:
-        self._solids, self._solid_indices = solids, solid_indices
+        self.solids, self.solid_indices = solids, solid_indices
         self.entities = entities
         self.margins = np.zeros(len(solid_indices)) if margins is None else margins
         self.count = int(entities.max(initial=-1)) + 1
@@ -123,6 +125,7 @@ class ShapeTable:
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
         self._witnesses: dict[PairPredicate, KeptWitnesses] = {}
+        self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
 
     def witnesses(self, predicate: PairPredicate) -> KeptWitnesses:
         """Returns the witnesses of a predicate at the tick before."""
@@ -135,11 +138,20 @@ class ShapeTable:
     def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.
 
+        The table is the same at each tick, so that it keeps its witnesses.
+
         Args:
             shapes: (m,), the numbers of the shapes.
             entities: (m,), the index of each shape's entity.
         """
-        return ShapeTable(self._solids, self._solid_indices[shapes], entities, self.margins[shapes])
+        key = shapes.tobytes(), entities.tobytes()
+        table = self._regrouped.get(key)
+        if table is None:
+            if len(self._regrouped) >= _MAX_REGROUPED:
+                self._regrouped.clear()
+            indices, margins = self.solid_indices[shapes], self.margins[shapes]
+            table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
+        return table
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +259,7 @@ def matching_pairs(
         among: the pairs of shapes to compare; None for all candidate pairs.
         kept: the witnesses of the same predicate at the tick before.
     """
-    among = predicate.candidates(tick) if among is None else _comparable_pairs(tick, among)
+    among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     by_cores = partial(_by_cores, kept=kept)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_axes, by_cores
@@ -261,7 +273,8 @@ def matching_pairs(
     return _matching_entities(tick, among, rules, bounds, satisfies)
 
 
-def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
+def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
+    """Returns those of some pairs of shapes whose entities are known, and which have points."""
     first, second = shapes
     has_known_points = tick.is_known & tick.table.has_points
     both = has_known_points[first] & has_known_points[second]
@@ -269,6 +282,24 @@ def _comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
 
 
 Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+    """Classifies the signed distances of pairs of shapes, as far as rules prove it.
+
+    Args:
+        tick: the shapes.
+        first: (n,), known shapes that have points.
+        second: (n,), the same.
+        bounds: (n,), one for each pair, metres; not negative.
+    """
+    verdicts = np.zeros(len(first), np.int8)
+    pairs = np.arange(len(first))
+    for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
+        verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs])
+        pairs = pairs[verdicts[pairs] == UNDECIDED]
+    return verdicts
 
 
 # Shapes whose squared lengths overflow stay undecided.

@@ -184,13 +184,13 @@ class NarrowPhase:
             self._placed_solid(first), self._placed_solid(second), min_depth, self.calls
         ):
             return True
-        return self._signed_distance(s, t).distance < -min_depth
+        return self.shape_signed_distance(s, t).distance < -min_depth
 
     def _are_within(self, s: int, t: int, max_distance: float) -> bool:
         """Checks whether two shapes are at most a distance apart, m."""
         if self._bound(s, t) > max_distance + ROUNDING:
             return False
-        result = self._distance_of_shapes(s, t)
+        result = self.shape_distance(s, t)
         return (0.0 if result is None else max(0.0, result.distance)) <= max_distance
 
     def _margin(self, s: int, t: int) -> float:
@@ -238,7 +238,7 @@ class NarrowPhase:
         with self._lock:
             if not (self._are_known[i] and self._are_known[j]):
                 return None
-            results = (self._signed_distance(s, t) for s, t in self._near_shapes(i, j, 0.0))
+            results = (self.shape_signed_distance(s, t) for s, t in self._near_shapes(i, j, 0.0))
             return max((0.0, *(-result.distance for result in results)))
 
     def signed_distance(self, i: int, j: int) -> SignedDistance | None:
@@ -261,7 +261,7 @@ class NarrowPhase:
         """Returns the normals, from a to b, of touching shapes (within 1 mm and both margins)."""
         with self._lock:
             near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
-            results = [(self._signed_distance(s, t), self._margin(s, t)) for s, t in near]
+            results = [(self.shape_signed_distance(s, t), self._margin(s, t)) for s, t in near]
         touching = [r for r, margin in results if r.distance <= TOUCHING_DISTANCE + margin]
         return [(-x, -y, -z) for x, y, z in (r.normal for r in touching if r.normal)]
 
@@ -392,7 +392,7 @@ class NarrowPhase:
                 break
             if bound <= 0.0 and self._min_depth(s, t) > MIN_DEPTH:
                 return 0.0
-            result = self._distance_of_shapes(s, t)
+            result = self.shape_distance(s, t)
             best = min(best, 0.0 if result is None else max(0.0, result.distance))
             if best == 0.0:
                 break
@@ -406,7 +406,7 @@ class NarrowPhase:
             # All overlapping shapes are compared, for the deepest; the others up to the nearest.
             if best is not None and bound > max(0.0, best.distance) + ROUNDING:
                 break
-            result = self._signed_distance(s, t)
+            result = self.shape_signed_distance(s, t)
             if best is None or result.distance < best.distance:
                 best = result
         return best
@@ -461,7 +461,7 @@ class NarrowPhase:
 
     # -- of two shapes --------------------------------------------------------------------
 
-    def _distance_of_shapes(self, s: int, t: int) -> SignedDistance | None:
+    def shape_distance(self, s: int, t: int) -> SignedDistance | None:
         """Returns the signed distance of two shapes; None for meshes that overlap."""
         first, second = key = self._ordered(s, t)
         if key not in self._distances:
@@ -471,9 +471,9 @@ class NarrowPhase:
         result = self._distances[key]
         return result if result is None or first == s else result.swapped()
 
-    def _signed_distance(self, s: int, t: int) -> SignedDistance:
-        result = self._distance_of_shapes(s, t)
-        if result is not None:
+    def shape_signed_distance(self, s: int, t: int) -> SignedDistance:
+        """Returns the signed distance of two shapes, which for meshes that overlap takes longer."""
+        if (result := self.shape_distance(s, t)) is not None:
             return result
         first, second = key = self._ordered(s, t)
         if key not in self._depths:

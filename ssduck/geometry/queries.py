@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
 from ssduck.geometry.gjk import UNDECIDED
@@ -26,6 +26,8 @@ from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
 MIN_PAIRS_AT_ONCE = 64
+# After this number of pairs of links of one body, all links are compared at once.
+MAX_SINGLE_OWN_PAIRS = 8
 # The number of sets of links for which queries are cached.
 MAX_LINK_QUERIES = 64
 # The rounding error of distances between boxes, m.
@@ -81,7 +83,7 @@ class ShapeQueries:
         self._ids = ids
         self._links = links
         self._by_links: dict[frozenset[int], ShapeQueries] = {}
-        # The queries of the tick without links, of queries in which all links stand beside them.
+        # The queries of the tick without links, of queries in which all links are bodies.
         self._whole: ShapeQueries | None = None
         self._loaded: dict[tuple[int, bool], bool] = {}
         self._lock = RLock()
@@ -89,6 +91,7 @@ class ShapeQueries:
         self._overlapping_with_margins: dict[float, list[int]] = {}
         # The number of pairs that were compared one by one, by predicate.
         self._pair_counts: Counter[PairPredicate] = Counter()
+        self._own_pair_count = 0
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
         self._on: list[int] | None = None
@@ -101,36 +104,66 @@ class ShapeQueries:
             needs_whole_tick: whether the answers depend on everything in the tick. Then each of
                 the links is a body of its own there, and the rest of its entity another one.
         """
+        ids = tuple(ids)
         links = frozenset(id for id in ids if id >= LINK_FACTOR)
         if not links:
             return self
-        key = links if needs_whole_tick else frozenset[int]()
+        if not needs_whole_tick:
+            is_of_links = all(id >= LINK_FACTOR for id in ids)
+            return self.links if is_of_links else self.links_and_entities
         with self._lock:
-            if key not in self._by_links:
+            if links not in self._by_links:
                 if len(self._by_links) > MAX_LINK_QUERIES:
                     self._by_links.clear()
-                queries = self._by_links[key] = self._with_parts(key)
-                queries._whole = None if needs_whole_tick else self  # noqa: SLF001  # one class
-            return self._by_links[key]
+                is_part = np.isin(self._link_ids, list(links))
+                self._by_links[links] = self._regrouped(~is_part, is_part)
+            return self._by_links[links]
 
-    def _with_parts(self, parts: frozenset[int]) -> ShapeQueries:
-        """Returns queries with some links beside the rest of their entities; all if none is given.
+    @cached_property
+    def links(self) -> ShapeQueries:
+        """The queries of the tick in which each link is a body of its own."""
+        every = np.ones(len(self._link_ids), dtype=bool)
+        return self._regrouped(~every, every, whole=self)
 
-        All links stand beside their whole entities: their shapes are there twice.
+    @cached_property
+    def links_and_entities(self) -> ShapeQueries:
+        """The queries in which all links stand beside their entities; only for one of each.
+
+        Each shape is there twice.
         """
+        every = np.ones(len(self._link_ids), dtype=bool)
+        return self._regrouped(every, every, whole=self)
+
+    @cached_property
+    def _link_ids(self) -> Ids:
+        """The id of each shape's link, (shapes,)."""
         assert self._links is not None
-        table, owner_ids = self._table, {number: id for id, number in self._numbers.items()}
+        owner_ids = {number: id for id, number in self._numbers.items()}
+        ids = np.array([owner_ids[owner] for owner in self._table.entities.tolist()], np.int64)
+        result: Ids = (self._links + 1) * LINK_FACTOR + ids
+        return result
+
+    def _regrouped(
+        self, is_of_entity: Flags, is_of_link: Flags, whole: ShapeQueries | None = None
+    ) -> ShapeQueries:
+        """Returns queries in which shapes belong to their entities, their links, or both.
+
+        Args:
+            is_of_entity: (shapes,), whether a shape belongs to its entity.
+            is_of_link: (shapes,), whether it belongs to its link.
+            whole: the queries without links, if all links are there.
+        """
+        table = self._table
         count = 1 + max(self._numbers.values(), default=0)
-        ids_of_shapes = np.array([owner_ids[owner] for owner in table.entities.tolist()], np.int64)
-        link_ids = (self._links + 1) * LINK_FACTOR + ids_of_shapes
-        shapes = np.arange(len(link_ids))
-        is_part = np.isin(link_ids, list(parts)) if parts else np.ones(len(link_ids), dtype=bool)
-        found = np.unique(link_ids[is_part])
-        part_owners = count + np.searchsorted(found, link_ids[is_part])
+        link_ids, shapes = self._link_ids, np.arange(len(self._link_ids))
+        found = np.unique(link_ids[is_of_link])
         owners = np.concatenate(
-            (table.entities[~is_part] if parts else table.entities, part_owners)
+            (
+                table.entities[is_of_entity],
+                count + np.searchsorted(found, link_ids[is_of_link]),
+            )
         )
-        shapes = np.concatenate((shapes[~is_part] if parts else shapes, shapes[is_part]))
+        shapes = np.concatenate((shapes[is_of_entity], shapes[is_of_link]))
         order = np.argsort(owners, kind="stable")
         owners, shapes = owners[order], shapes[order]
         numbers = _Numbers(self._numbers)
@@ -142,7 +175,9 @@ class ShapeQueries:
         id_of = {number: id for id, number in numbers.items()}
         boxes = np.array([narrow.box(number) for number in groups]).reshape(-1, 6).T
         ids = np.array([id_of[number] for number in groups], np.int64)
-        return ShapeQueries(narrow, numbers, table.regrouped(shapes, owners), boxes, ids)
+        queries = ShapeQueries(narrow, numbers, table.regrouped(shapes, owners), boxes, ids)
+        queries._whole = whole
+        return queries
 
     def all_colliding(self, min_depth: float) -> list[int]:
         """Returns the pairs that are deeper in each other than a depth, m, as numbers.
@@ -166,27 +201,60 @@ class ShapeQueries:
     def _pairs(self, predicate: PairPredicate) -> list[int]:
         """Returns the pairs for which a predicate holds."""
         if predicate not in self._numbers_by_predicate:
-            result = self._narrow.all_pairs(predicate, self._table)
-            ids = np.array(list(self._numbers), dtype=np.int64)
-            first, second = result.sides
+            ids = self._ids_by_number
+            first, second = self._all_pairs(predicate)
             self._numbers_by_predicate[predicate] = _both_orders(ids[first], ids[second])
         return self._numbers_by_predicate[predicate]
+
+    def _all_pairs(self, predicate: PairPredicate) -> tuple[Indices, Indices]:
+        """Returns the numbers of the pairs for which a predicate holds, the lower ones first."""
+        if not self._is_of_both:
+            return self._narrow.all_pairs(predicate, self._table).sides
+        # A link and an entity match if the link and one of the entity's links do.
+        assert self._whole is not None
+        first, second = self._whole.links._all_pairs(predicate)  # noqa: SLF001  # one class
+        ids = self._ids_by_number.tolist()
+        owners = np.array([self._numbers[entity_of(id)] for id in ids], np.intp)
+        owner_of_first, owner_of_second = owners[first], owners[second]
+        differ = owner_of_first != owner_of_second
+        entities = np.concatenate((owner_of_first[differ], owner_of_second[differ]))
+        links = np.concatenate((second[differ], first[differ]))
+        known = np.array([self._narrow.is_known(e) for e in entities.tolist()], dtype=bool)
+        pairs = np.unique(np.array((entities[known], links[known])), axis=1)
+        return pairs[0], pairs[1]
+
+    @cached_property
+    def _ids_by_number(self) -> Ids:
+        """The id of each number in the narrow phase; sensors share one, which no pair has."""
+        ids = np.zeros(1 + max(self._numbers.values(), default=-1), np.int64)
+        ids[list(self._numbers.values())] = list(self._numbers)
+        return ids
+
+    @property
+    def _is_of_both(self) -> bool:
+        """Whether these are the queries of links beside their entities."""
+        return self._whole is not None and self._whole.links is not self
 
     def all_meeting(self, max_distance: float) -> list[int]:
         """Returns the pairs whose boxes are at most a distance apart along every axis, m."""
         if max_distance not in self._overlapping:
-            first, second = overlapping_pairs(self._boxes, max_distance + BOX_TOLERANCE)
-            self._overlapping[max_distance] = _both_orders(self._ids[first], self._ids[second])
+            self._overlapping[max_distance] = self._overlapping_boxes(self._boxes, max_distance)
         return self._overlapping[max_distance]
+
+    def _overlapping_boxes(self, boxes: Array, max_distance: float) -> list[int]:
+        first, second = overlapping_pairs(boxes, max_distance + BOX_TOLERANCE)
+        a, b = self._ids[first], self._ids[second]
+        if self._is_of_both:
+            is_of_both = (a < LINK_FACTOR) != (b < LINK_FACTOR)
+            is_of_two = a % LINK_FACTOR != b % LINK_FACTOR
+            a, b = a[is_of_both & is_of_two], b[is_of_both & is_of_two]
+        return _both_orders(a, b)
 
     def all_reaching(self, max_distance: float) -> list[int]:
         """Returns the pairs whose boxes, grown by their largest margins, are that near."""
         if max_distance not in self._overlapping_with_margins:
-            first, second = overlapping_pairs(
-                self._boxes_with_margins, max_distance + BOX_TOLERANCE
-            )
-            self._overlapping_with_margins[max_distance] = _both_orders(
-                self._ids[first], self._ids[second]
+            self._overlapping_with_margins[max_distance] = self._overlapping_boxes(
+                self._boxes_with_margins, max_distance
             )
         return self._overlapping_with_margins[max_distance]
 
@@ -194,14 +262,14 @@ class ShapeQueries:
         """Returns the pairs of which the second is on the first."""
         if self._on is None:
             touching = PairPredicate("touching", TOUCHING_DISTANCE)
-            first, second = self._narrow.all_pairs(touching, self._table).sides
+            first, second = self._all_pairs(touching)
             a, b = np.concatenate((first, second)), np.concatenate((second, first))
             tick, starts = self._narrow.tick_shapes(self._table), self._narrow.starts
             boxes = entity_boxes(tick.boxes.T, starts)
             verdicts = on_verdicts(tick, boxes, starts, a, b)
             for place in np.flatnonzero(verdicts == UNDECIDED).tolist():
                 verdicts[place] = ON if self._narrow.on(int(a[place]), int(b[place])) else NOT_ON
-            ids, are_on = np.array(list(self._numbers), np.int64), verdicts == ON
+            ids, are_on = self._ids_by_number, verdicts == ON
             numbers = ids[a[are_on]] * ID_FACTOR + ids[b[are_on]]
             self._on = np.sort(numbers).tolist()
         return self._on
@@ -253,8 +321,14 @@ class ShapeQueries:
             is_far = predicate.kind != "colliding" and not predicate.distance <= self._median_size
             if self._pair_counts[predicate] <= max_single_pairs or is_far:
                 return None
-            result = self._narrow.all_pairs(predicate, self._table)
-            self._matching_by_predicate[predicate] = frozenset(result.numbers.tolist())
+            return self._numbers_of_matching(predicate)
+        return self._matching_by_predicate[predicate]
+
+    def _numbers_of_matching(self, predicate: PairPredicate) -> frozenset[int]:
+        """Returns all pairs for which a predicate holds, compared at once."""
+        if predicate not in self._matching_by_predicate:
+            first, second = (side.tolist() for side in self._all_pairs(predicate))
+            self._matching_by_predicate[predicate] = frozenset(map(pair_number, first, second))
         return self._matching_by_predicate[predicate]
 
     @cached_property
@@ -291,7 +365,7 @@ class ShapeQueries:
         i, j = self._pair(a, b)
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return math.inf
-        return self._narrow.clearance(i, j)
+        return 0.0 if self._are_overlapping_links(a, b) else self._narrow.clearance(i, j)
 
     def near(self, a: int, b: int, max_distance: float) -> bool | None:
         """Checks whether two entities are at most a distance apart, m; False without shapes."""
@@ -301,8 +375,24 @@ class ShapeQueries:
         pairs = self._matching_pairs(PairPredicate("within", max_distance))
         if pairs is not None:
             return self._contains_pair(pairs, i, j)
+        if max_distance >= 0.0 and self._are_overlapping_links(a, b):
+            return True
         clearance = self._narrow.clearance(i, j, max_distance)
         return None if clearance is None else clearance <= max_distance
+
+    def _are_overlapping_links(self, a: int, b: int) -> bool:
+        """Checks whether two links of one body surely overlap, as neighbours do.
+
+        The distance of shapes that overlap takes long. So, after a few pairs of such links in a
+        tick, all links are compared at once.
+        """
+        if entity_of(a) != entity_of(b) or min(a, b) < LINK_FACTOR:
+            return False
+        self._own_pair_count += 1
+        if self._own_pair_count <= MAX_SINGLE_OWN_PAIRS:
+            return False
+        number = pair_number(self._numbers[a], self._numbers[b])
+        return number in self._numbers_of_matching(PairPredicate("colliding", MIN_DEPTH))
 
     def touching(self, a: int, b: int, max_distance: float) -> bool | None:
         """Checks whether two of their shapes are at most a distance, m, plus both margins apart."""
@@ -335,7 +425,8 @@ class ShapeQueries:
     def rests_on(self, a: int, b: int) -> bool | None:
         """Checks whether b is on a, or on something that rests on a."""
         if self._whole is not None:
-            if not (self._is_loaded(a, is_below=True) and self._is_loaded(b, is_below=False)):
+            queries = self._whole.links_and_entities
+            if not (queries._is_loaded(a, is_below=True) and queries._is_loaded(b, is_below=False)):  # noqa: SLF001
                 return False
             return self._beside_the_rest(a, b).rests_on(a, b)
         return self._neighbours.rests_on(self._numbers[a], self._numbers[b])

@@ -80,7 +80,7 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _runs_in_file(path, database.connection.attach(path), database.connection.writer())
+    return _runs_in_file(path, database.connection.attach(path), database.connection.reader())
 
 
 def select_runs(
@@ -127,11 +127,11 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
         recording = _recording({**run.recording, "tables": tables}, run.about_file)
-        archive = ParquetArchive(run, recording, database.connection.writer())
+        archive = ParquetArchive(run, recording, database.connection.reader())
         ticks, models = archive.ticks, archive.model_rows()
     else:
         assert isinstance(run, StoredRun)
-        archive = run.history(database.connection.writer())
+        archive = run.history(database.connection.reader())
         ticks, models = archive.ticks(), archive.model_rows()
     try:
         description = run_of(models)

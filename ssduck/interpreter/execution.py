@@ -72,13 +72,18 @@ class Execution(Namespace):
         self.strict = strict
         self._value_of_query = value_of_query
         self.linter = Linter(
-            self.variable_or_none, self.is_function, lambda: self.worlds, self._recorded_names
+            self.variable_or_none,
+            self.is_function,
+            lambda: self.worlds,
+            self._recorded_names,
+            self.type_of_relation,
         )
         self._limits = limits
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self._temporal = TemporalEvaluator()
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
+        self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
         self._reader = SqlReader(self)
 
@@ -86,12 +91,11 @@ class Execution(Namespace):
     def transaction(self, program: Program) -> Iterator[None]:
         """Restores the variables if anything inside fails, and adds the place to the error."""
         with self.lock:
-            self.expire_histories()
+            if self.is_running:
+                self.expire_histories()
+            else:
+                self.begin_program()
             before = dict(self.variables)
-            outermost = not self._program_texts
-            if outermost:
-                self.drop_unused_worlds()
-                self.database.connection.meter = UsageMeter(self._limits)
             self._program_texts.append(program.text)
             try:
                 yield
@@ -105,6 +109,12 @@ class Execution(Namespace):
             finally:
                 self._program_texts.pop()
 
+    def begin_program(self) -> None:
+        """Prepares for a program while none is running; the caller has the lock."""
+        self.expire_histories()
+        self.drop_unused_worlds()
+        self.database.connection.meter = UsageMeter(self._limits)
+
     @property
     def is_running(self) -> bool:
         """Whether a program is running."""
@@ -114,6 +124,19 @@ class Execution(Namespace):
         """Drops worlds that programs made and that are no longer used; no program is running."""
         if self.database.sweep():
             self.planner.forget()
+
+    @property
+    def meaning(self) -> tuple[object, ...]:
+        """Objects that are replaced when anything but variables gives programs another meaning."""
+        return self.planner.generation, self.strict
+
+    @property
+    def stamp(self) -> tuple[object, ...]:
+        """The same object as long as no variable is bound, and `meaning` is the same."""
+        stamp = (self.variables.version, *self.meaning)
+        if stamp != self._stamp:
+            self._stamp = stamp
+        return self._stamp
 
     def forget_plans(self) -> None:
         """Forgets what was derived from the names of functions."""
@@ -128,6 +151,10 @@ class Execution(Namespace):
         if overridden is None:
             overridden = self._override_cache[program] = with_overrides(program, self._overrides)
         return overridden
+
+    def read(self, program: Program) -> Program:
+        """Returns a program as the present variables and functions give it its meaning."""
+        return self._with_overrides(self._reader.read(program))
 
     def run(self, program: Program) -> Any:
         """Returns the value of a program, or its explanation."""
@@ -190,7 +217,7 @@ class Execution(Namespace):
     def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""
         with self.transaction(program), self._rehearsal(program) as frame:
-            program = self._with_overrides(self._reader.read(program))
+            program = self.read(program)
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
                 raise ArgumentError("the program does not end with a query")
@@ -206,8 +233,7 @@ class Execution(Namespace):
             for number, statement in enumerate(self._linted_statements(program, frame), 1):
                 if number < len(program.statements):
                     frame.value(statement)
-            read = self._with_overrides(self._reader.read(program))
-            with self.worlds_pinned(*read.statements[-1:]):
+            with self.worlds_pinned(*self.read(program).statements[-1:]):
                 yield frame
         finally:
             self.variables = before
@@ -308,7 +334,9 @@ class Execution(Namespace):
     def worlds_pinned(self, *nodes: Node) -> Iterator[None]:
         """Pins all worlds at their tick, and reads the tables of relations."""
         tables = frozenset().union(*map(self.tables_read, nodes))
-        with self.database.pinned(tables, self.worlds_of(nodes) if tables else ()):
+        # Which worlds are read matters for their tables, and for stale ticks of users' clients.
+        is_relevant = tables or self.database.has_attached_world
+        with self.database.pinned(tables, self.worlds_of(nodes) if is_relevant else ()):
             yield
 
 

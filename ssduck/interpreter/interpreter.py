@@ -36,7 +36,7 @@ from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
 from ssduck.errors import UnknownNameError
-from ssduck.formatting import first_names
+from ssduck.formatting import count_of, first_names
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
     Condition,
@@ -51,8 +51,10 @@ from ssduck.interpreter.namespace import check_name
 from ssduck.interpreter.output import AsClause, as_clause_of
 from ssduck.interpreter.program import CompiledProgram, tree_of
 from ssduck.interpreter.recording import RecordingMethods
+from ssduck.interpreter.shown_rows import rows_to_show
 from ssduck.interpreter.signatures import type_hints_of
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
+from ssduck.interpreter.triggers.tick_batch import TriggerBatches
 from ssduck.language.analysis import aliases_of, sees_outside
 from ssduck.language.builtins import Function
 from ssduck.language.evaluator import Frame
@@ -62,16 +64,18 @@ from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.spec import Recording
+from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
 
 
-class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
+class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.
 
     Args:
         database: the path of a DuckDB file, or `":memory:"`.
-        tracer: a function that is called with each SQL statement before it runs.
+        tracer: a function that is called with each SQL statement before it runs, but for those that
+            make views.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
         row_by_row: whether every query runs row by row in Python, for comparison.
         strict: whether a probable mistake in a program (a name that no entity has, a variable
@@ -118,7 +122,9 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
         self._planner = self._execution.planner
         self._owned_worlds: list[World] = []
         self._adapter_queries: WeakKeyDictionary[Query, dict[Adapter, Query]] = WeakKeyDictionary()
-        self._triggers = TriggerRegistry(self, self._execution)
+        batches = TriggerBatches(self._execution, self._query_of)
+        has_own_forms = type(self).evalAs is not Interpreter.evalAs
+        self._triggers = TriggerRegistry(self, self._execution, None if has_own_forms else batches)
 
     def close(self) -> None:
         """Removes the triggers, and closes the database and the world that `load` made.
@@ -152,7 +158,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
 
     def __repr__(self) -> str:
         worlds = [
-            f"{name} ({len(world)} entities, t={world.time:g} s)"
+            f"{name} ({count_of(len(world), 'entity')}, t={world.time:g} s)"
             for name, world in self._database.worlds.items()
         ]
         parts = {
@@ -227,7 +233,8 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods):
             SelectScriptError: as `eval` does.
         """
         rows = validation.integer(rows, "show: rows", minimum=0)
-        return TableView(self.eval(program), rows)
+        compiled = program if isinstance(program, CompiledProgram) else self.compile(program)
+        return TableView(rows_to_show(compiled, self.eval), rows)
 
     def explain(self, program: str | CompiledProgram) -> str:
         """Returns the SQL of the queries in a program's last statement, and what Python evaluates.

@@ -20,6 +20,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.interpreter.known_names import KnownNames, NameKind
+from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
     Assignment,
@@ -78,6 +79,7 @@ class StatementFacts:
         aliases: bare names in a query that are also aliases of its sources.
         bare: names that are selected, keys or conditions.
         columns: bare names in GROUP BY, HAVING and ORDER BY that are also names of columns.
+        suspects: comparisons, columns and ages to look at.
     """
 
     names: list[NameSite] = field(default_factory=list)
@@ -87,6 +89,7 @@ class StatementFacts:
     aliases: list[tuple[str, SourceSpan]] = field(default_factory=list)
     bare: list[tuple[str, SourceSpan]] = field(default_factory=list)
     columns: list[tuple[str, SourceSpan]] = field(default_factory=list)
+    suspects: Suspects = field(default_factory=Suspects)
 
     @property
     def is_empty(self) -> bool:
@@ -99,7 +102,7 @@ _OuterSources = Mapping[str, Source]
 
 def facts_of(statement: Node) -> StatementFacts:
     """Returns the parts of a statement to look up."""
-    facts = StatementFacts()
+    facts = StatementFacts(suspects=suspects_of(statement))
     _collect(statement, {}, None, facts)
     return facts
 
@@ -232,6 +235,8 @@ class Linter:
         is_function: a function that checks whether a function has a name.
         worlds: a function that returns the worlds.
         recorded: a function that returns the names of all entities in a world's record.
+        type_of_relation: a function that returns the type of a relation's result; None if a name
+            is no relation.
     """
 
     def __init__(
@@ -240,8 +245,10 @@ class Linter:
         is_function: Callable[[str], bool],
         worlds: Callable[[], Iterable[World]],
         recorded: Callable[[World], Iterable[str]],
+        type_of_relation: Callable[[str], str | None],
     ) -> None:
         self._variable = variable
+        self._type_of_relation = type_of_relation
         self._is_function = is_function
         self._worlds = worlds
         self._names = KnownNames(recorded)
@@ -267,6 +274,7 @@ class Linter:
             *self._hiding_names(facts),
             *self._quoted_names(facts, text),
             *self._unknown_entities(facts, local),
+            *mistakes_in(facts.suspects, self._variable, self._type_of_relation),
         ]
         for error in mistakes:
             error.locate(text)

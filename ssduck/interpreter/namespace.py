@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from inspect import unwrap
+from types import MappingProxyType
 from typing import Any
 
 from ssduck import validation
@@ -34,12 +35,35 @@ from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
-from ssduck.recording.replay.past import past_of
+from ssduck.recording.replay.past import Past, past_of
+from ssduck.sql.name_resolution import SCALARS
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation
 from ssduck.sql.table_use import tables_of
 from ssduck.sql.translator import unknown_function
+from ssduck.world.links import Links
 from ssduck.world.world import World
+
+# The least similarity of a function's name that is suggested for an unknown variable.
+_FUNCTION_LIKENESS = 0.8
+# Messages name at most this number of worlds.
+_MAX_WORLDS = 5
+
+
+class Variables(dict[str, Any]):
+    """Variables by name.
+
+    Attributes:
+        version: an object that is replaced whenever a value is bound to a name.
+    """
+
+    def __init__(self, values: Mapping[str, Any] = MappingProxyType({})) -> None:
+        super().__init__(values)
+        self.version = object()
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        self.version = object()
+        super().__setitem__(name, value)
 
 
 class Namespace:
@@ -52,7 +76,7 @@ class Namespace:
     def __init__(self, database: Database) -> None:
         self.database = database
         self.lock = threading.RLock()
-        self.variables: dict[str, Any] = {}
+        self._variables = Variables()
         self.functions: dict[str, Function] = dict(BUILTINS)
         # The language's own functions that users' functions override, by name.
         self._overrides: dict[str, Function | None] = {}
@@ -64,6 +88,15 @@ class Namespace:
                 self.functions[name] = allen.function
 
     # -- variables (ssduck.language.evaluator.EvaluationScope) -------------------------------
+
+    @property
+    def variables(self) -> Variables:
+        """The values and histories of the variables, by name."""
+        return self._variables
+
+    @variables.setter
+    def variables(self, values: Mapping[str, Any]) -> None:
+        self._variables = values if isinstance(values, Variables) else Variables(values)
 
     def variable(self, name: str) -> Any:
         """Returns the value of a variable.
@@ -79,11 +112,24 @@ class Namespace:
             raise UnknownNameError(
                 f"there is no variable {name!r}; {name} is a function: write {name}(this), say"
             )
-        instead = suggestion_for_name(name)
-        raise UnknownNameError(
-            f"there is no variable {short_repr(name)}" + (f"; {instead}" if instead else ""),
-            suggestions=() if instead else nearest(name, self.names()),
-        )
+        raise self._unknown_variable(name)
+
+    def _unknown_variable(self, name: str) -> UnknownNameError:
+        """Returns the error for an unknown variable; it says what the name may stand for."""
+        message = f"there is no variable {short_repr(name)}"
+        if instead := suggestion_for_name(name):
+            return UnknownNameError(f"{message}; {instead}")
+        worlds = {key: value for key, value in self.variables.items() if isinstance(value, World)}
+        owners = [key for key, world in worlds.items() if name in world]
+        if owners and name.isidentifier():
+            choices = " or ".join(f"{key}.{name}" for key in owners[:_MAX_WORLDS])
+            return UnknownNameError(f"{message}; for the entity, write {choices}")
+        functions = (known for known in self.names() if known not in self.variables)
+        near = nearest(name, self.variables) or nearest(name, functions, least=_FUNCTION_LIKENESS)
+        if worlds and not near:
+            names = ", ".join(map(repr, [*worlds][:_MAX_WORLDS]))
+            message += f"; the world is {names}" if len(worlds) == 1 else f"; worlds are {names}"
+        return UnknownNameError(message, suggestions=near)
 
     def has_variable(self, name: str) -> bool:
         """Checks whether a variable has that name."""
@@ -93,10 +139,27 @@ class Namespace:
         """Checks whether a function or a relation has that name."""
         return name in RELATIONS or name in self.functions
 
+    def is_scalar(self, name: str) -> bool:
+        """Checks whether that is a relation whose value is a number, a text, True or False."""
+        return self.type_of_relation(name) in SCALARS
+
+    def type_of_relation(self, name: str) -> str | None:
+        """Returns the type of a relation's result; None if a name is no relation."""
+        is_relation = name in RELATIONS and not self.is_users(name)
+        return RELATIONS[name].result if is_relation else None
+
+    def is_world(self, name: str) -> bool:
+        """Checks whether a variable is a world, its past or its links."""
+        return isinstance(self.variables.get(name), World | Past | Links)
+
     def is_world_without(self, name: str, entity: str) -> bool:
         """Checks whether a variable is a world that has no entity of a name."""
         value = self.variables.get(name)
         return isinstance(value, World) and entity not in value
+
+    def bound_values(self, names: Iterable[str]) -> tuple[Any, ...]:
+        """Returns what is bound to names: values, histories of values, or None."""
+        return tuple(map(self._variables.get, names))
 
     def variable_or_none(self, name: str) -> Any:
         """Returns the value of a variable; None if there is none."""

@@ -8,9 +8,17 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from ssduck.adapters.registry import Adapter, Selection, all_adapters, find
-from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError, SourceSpan
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    FunctionError,
+    LimitError,
+    SelectScriptError,
+    SourceSpan,
+)
 from ssduck.formatting import error_text
 from ssduck.language.clauses import (
+    Groups,
     Rows,
     Selected,
     SelectedValue,
@@ -80,6 +88,16 @@ class AsClause:
             finally:
                 selection.close()
         selected = run(query, frame, check)
+        if query.adapter is not None and query.adapter.of_sql:
+            selected = _together(selected)
+            if self.name == "value":
+                return _scalar(selected, query)
+            if query.adapter.is_required and any(None in row for row in selected.values):
+                raise EvaluationError(
+                    "the nested query has a row without a value, and no value is NOT IN it in SQL; "
+                    "leave it out: WHERE … IS NOT NULL",
+                    span=query.span,
+                )
         return formed(selected, lambda rows: make(Selection(lambda _: rows, query, worlds)))
 
     def _make(self, selection: Selection) -> Any:
@@ -100,6 +118,40 @@ class AsClause:
             raise FunctionError(
                 f"AS {self.name}: {type(error).__name__}: {error_text(error)}", span=self.span
             ) from error
+
+
+def _together(selected: Selected) -> Rows:
+    """Returns the rows of all groups."""
+    if not isinstance(selected, Groups):
+        assert isinstance(selected, Rows)
+        return selected
+    groups = [_together(group) for group in selected.groups.values()]
+    names = groups[0].names if groups else ()
+    if any(group.names != names for group in groups):
+        names = [name for group in groups for name in group.names]
+    return Rows([row for group in groups for row in group.values], names)
+
+
+def _scalar(rows: Rows, query: Query) -> Any:
+    """Returns the value of a nested query of SQL: nothing if it has no row.
+
+    Raises:
+        EvaluationError: it has several rows.
+    """
+    if len(rows.values) > 1:
+        raise EvaluationError(
+            f"the nested query has {len(rows.values)} rows, and its value is compared or computed "
+            "with; aggregate them (min, max, avg), or write LIMIT 1 or IN",
+            span=query.span,
+        )
+    value = rows.values[0][0] if rows.values else None
+    if value is None and query.adapter is not None and query.adapter.is_required:
+        raise EvaluationError(
+            "the nested query has no value, and nothing is unequal to it in SQL; "
+            "exclude this case, by EXISTS (…) AND … for example",
+            span=query.span,
+        )
+    return value
 
 
 def as_clause_of(query: Query, frame: Frame) -> AsClause:

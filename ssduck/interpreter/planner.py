@@ -72,6 +72,9 @@ class Planner:
         scope: the variables and functions.
         limits: the limits of a query.
         row_by_row: whether every query runs row by row in Python.
+
+    Attributes:
+        generation: an object that is replaced whenever all plans are dropped.
     """
 
     def __init__(
@@ -81,6 +84,7 @@ class Planner:
         self._scope = scope
         self._limits = limits
         self._row_by_row = row_by_row
+        self.generation = object()
         self._plans: dict[Query, list[PlannedQuery]] = {}
         self._row_by_row_queries: dict[
             Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
@@ -90,6 +94,7 @@ class Planner:
 
     def forget(self) -> None:
         """Drops all plans, because a function or the name of a world has changed."""
+        self.generation = object()
         for plans in self._plans.values():
             for planned in plans:
                 planned.forget()
@@ -134,10 +139,15 @@ class Planner:
 
     def plan(self, query: Query, frame: Frame) -> Plan | None:
         """Returns the plan of a query; None if it runs row by row."""
+        planned = self.planned(query, frame)
+        return None if planned is None else planned.plan
+
+    def planned(self, query: Query, frame: Frame) -> PlannedQuery | None:
+        """Returns a query with its plan; None if it runs row by row."""
         if self._row_by_row:
             return None
         try:
-            return self._plan_for(query, frame, self._types_in(frame), cautious=False)[0].plan
+            return self._plan_for(query, frame, self._types_in(frame), cautious=False)[0]
         except NotSqlError:
             return None
 

@@ -160,11 +160,11 @@ class PlannedQuery:
             raise SqlFailedError from error
         self._failures = 0
         if self._clauses is None:
-            return self._output_rows(fetched)
+            return self.output_rows(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
 
-    def _output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
-        """Returns the rows from SQL, if nothing is left to Python."""
+    def output_rows(self, fetched: list[tuple[Any, ...]]) -> Selected:
+        """Returns the query's rows for the rows from SQL, if nothing is left to Python."""
         outputs = self.plan.outputs or []
         converters = [self._converters[output.sql_type] for output in outputs]
         indices = [output.index for output in outputs]

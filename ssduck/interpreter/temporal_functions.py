@@ -247,6 +247,7 @@ class TemporalEvaluator:
         if len(worlds) > 1:
             raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
         record = record_of(worlds.pop())
+        record.world.warn_of_unrecorded_start()
         query = self._query(call, places, tuple(handles))
 
         def rows(past: Past) -> list[list[Any]]:

@@ -15,6 +15,7 @@ from ssduck.language.analysis import aliases_of, cached_by_node, free_aliases
 from ssduck.language.builtins import AGGREGATES
 from ssduck.language.evaluator import ExpressionCompiler, Frame, Thunk
 from ssduck.language.tree import (
+    AdapterClause,
     Binary,
     Call,
     If,
@@ -33,14 +34,15 @@ _EMPTY_RESULTS: dict[str, Callable[[], Any]] = {"count": int, "sum": int, "uniq"
 def over_rows(node: Node) -> list[Call]:
     """Returns the aggregates in a part of a query with groups that are over the rows of a group.
 
-    An aggregate of a nested query or of a list literal is over that list; `count(uniq(x))` is over
-    the list that `uniq(x)` makes of the rows.
+    An aggregate of a nested query that is a list, or of a list literal, is over that list;
+    `count(uniq(x))` is over the list that `uniq(x)` makes of the rows.
     """
     if isinstance(node, Query):
         return []
     match node:
         case Call(name=name, arguments=(argument,)) if name in AGGREGATES:
-            if not isinstance(argument, Query | ListLiteral) and not _is_uniq(argument):
+            is_list = isinstance(argument, Query | ListLiteral) and not _is_number(argument)
+            if not is_list and not _is_uniq(argument):
                 return [node]
     return [call for child in node.children() for call in over_rows(child)]
 
@@ -55,9 +57,23 @@ def _counts_rows(node: Node) -> bool:
     match node:
         case Query():
             return False
-        case Call(name=name, arguments=(Literal(value=int() | float()),)) if name in AGGREGATES:
+        case Call(name=name, arguments=(argument,)) if name in AGGREGATES and _is_number(argument):
             return True
     return any(map(_counts_rows, node.children()))
+
+
+def _is_number(node: Node) -> bool:
+    """Checks whether a value is a number that is written out, or the value of a nested query."""
+    match node:
+        case Literal(value=int() | float()):
+            return True
+        case Unary(operator="-" | "+", operand=operand):
+            return _is_number(operand)
+        case Binary(operator="+" | "-" | "*" | "/", left=left, right=right):
+            return _is_number(left) and _is_number(right)
+        case Query(adapter=AdapterClause(name="value", of_sql=True)):
+            return True
+    return False
 
 
 def is_one_group(query: Query) -> bool:
@@ -89,7 +105,8 @@ def is_aggregated(query: Query, selected: Iterable[Node]) -> bool:
 
 def _is_of_rows(argument: Node) -> bool:
     """Checks whether an argument cannot be a list that is the same for all rows."""
-    return isinstance(argument, Literal) or bool(free_aliases(argument))
+    is_written_out = isinstance(argument, Literal) or _is_number(argument)
+    return is_written_out or bool(free_aliases(argument))
 
 
 class GroupFunction:
@@ -140,6 +157,7 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
         value = argument(first)
         # An aggregate of a list that is the same for all rows is over that list.
         values = list(value) if isinstance(value, list | tuple) else [value] * len(rows)
+    values = [value for value in values if value is not None]
     if not values:
         return _EMPTY_RESULTS.get(call.name, lambda: None)()
     try:
@@ -153,10 +171,7 @@ def _aggregated(call: Call, argument: Thunk, rows: Sequence[Frame], first: Frame
 
 def _refusal_message(name: str, values: Sequence[Any]) -> str:
     kinds = list(dict.fromkeys(map(type_in_words, values)))
-    message = f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
-    if any(value is None for value in values):
-        message += "; leave out the rows without a value: WHERE … IS NOT NULL"
-    return message
+    return f"{name} over the rows of a group does not take {' and '.join(kinds[:3])}"
 
 
 def check_one_group(query: Query, selected: Sequence[Node]) -> None:

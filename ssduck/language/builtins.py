@@ -245,6 +245,11 @@ _OPERATOR_FUNCTIONS = (
     ),
 )
 
+# The functions of numbers alone.
+NUMBER_FUNCTIONS = frozenset(
+    (*(f.name for f in _NUMBER_FUNCTIONS), "round", "pow", "atan2", "int", "float")
+)
+
 AGGREGATES: dict[str, Function] = {function.name: function for function in _LIST_FUNCTIONS}
 
 BUILTINS: dict[str, Function] = {

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from ssduck.errors import SourceSpan
+
 _ENDS = {"'": "'", '"': '"', "/*": "*/", "//": "\n", "#": "\n", "--": "\n"}
 _QUOTES = ("'", '"')
+# What is before and behind the sign in an integer division.
+_ENDS_OPERAND = re.compile(r"[\w)\]] *$")
+_CONTINUES = re.compile(
+    r" *[\d.]+ *(?:$|[=<>!,)+*/-]|(?:AS|FROM|AND|OR)\b)", re.IGNORECASE | re.MULTILINE
+)
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,25 @@ def without_dashes(text: str) -> str:
             parts += [text[last : part.start], " " * (part.end - part.start)]
             last = part.end
     return "".join([*parts, text[last:]])
+
+
+def divisions(text: str) -> list[SourceSpan]:
+    """Returns the comments that are probably meant as divisions: `7 // 2`.
+
+    >>> divisions("SELECT 7 // 2 AS n")
+    [SourceSpan(start=9, end=11)]
+    >>> divisions("SELECT z // 2 of them")
+    []
+    """
+    if "//" not in text:
+        return []
+    return [
+        SourceSpan(part.start, part.start + 2)
+        for part in delimited(text)
+        if part.opening == "//"
+        and _ENDS_OPERAND.search(text, 0, part.start)
+        and _CONTINUES.match(text, part.start + 2)
+    ]
 
 
 def last_opening(text: str) -> int:

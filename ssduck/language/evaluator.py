@@ -488,12 +488,8 @@ class ExpressionCompiler:
         aliases = free_aliases(node.value) if isinstance(node.value, ListLiteral) else frozenset()
 
         def assign(frame: Frame) -> Any:
-            if node.is_bare and name not in frame.local and not frame.scope.has_variable(name):
-                raise UnknownNameError(
-                    f"there is no variable {short_repr(name)} to assign here: "
-                    "write == to compare, or assign it before the query",
-                    span=node.span,
-                )
+            if node.value_start is not None:
+                _check_assigned(node, frame)
             seconds = None if horizon is None else horizon(frame)
             if aliases and None not in aliases and not frame.elements:
                 assigned: Any = frame.scope.deferred(node.value)
@@ -517,6 +513,19 @@ class ExpressionCompiler:
             return lambda _: math.inf
         value = self.thunk(node)
         return _with_span(node, lambda frame: horizon_of(value(frame)))
+
+
+def _check_assigned(node: Assignment, frame: Frame) -> None:
+    """Checks that a query sets a variable that is there, or at least no column."""
+    name, element = node.name, frame.elements.get(None)
+    if name in frame.local or frame.scope.has_variable(name):
+        return
+    if node.is_bare or (isinstance(element, dict) and name in element):
+        raise UnknownNameError(
+            f"there is no variable {short_repr(name)} to assign here: "
+            "write == to compare, or assign it before the query",
+            span=node.span,
+        )
 
 
 def _refuse_state(name: str, frame: Frame) -> None:

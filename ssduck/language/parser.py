@@ -17,10 +17,10 @@ from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
 from ssduck.errors import ParseError, SourceSpan
-from ssduck.language.comments import last_opening, without_dashes
+from ssduck.language.comments import divisions, last_opening, without_dashes
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
-from ssduck.language.sql_syntax import SqlForms, with_numbered_column
+from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.language.tree import (
     AdapterClause,
@@ -127,6 +127,8 @@ class _Parser(SqlForms):
             statements.append(self.statement())
             if self.token is not None:
                 self.expect(TokenType.SEMICOLON, "';'")
+        for span in divisions(self.text):
+            self.add_suspicion(span, "this begins a comment; an integer quotient is floor(x / y)")
         return Program(self.text, tuple(statements), explain, tuple(self.suspicions))
 
     def statement(self) -> Node:
@@ -134,7 +136,7 @@ class _Parser(SqlForms):
         if self.at_word("SELECT"):
             node: Node = self.query()
         elif self.at_assignment():
-            node = self.assignment()
+            node = self.ambiguous_assignment() if self.equals else self.assignment()
         else:
             node = self.expression()
         self.depth -= 1
@@ -142,7 +144,7 @@ class _Parser(SqlForms):
 
     def at_assignment(self) -> bool:
         """Checks whether `name =` or `name{…} =` comes next."""
-        if not self.at(TokenType.VAR):
+        if not self.at(TokenType.VAR) or (self.equals and self.at_word("TRUE", "FALSE", "THIS")):
             return False
         offset = 1
         if is_kind(self.ahead(offset), TokenType.L_BRACE):
@@ -187,15 +189,18 @@ class _Parser(SqlForms):
     def query(self) -> Query:
         start = self.here()
         self.descend()
-        compares, self.compares = self.compares, False
+        equals, self.equals = self.equals, "in a value"
         is_listed, self.is_listed = self.is_listed, True
         self.expect_word("SELECT")
         distinct = self.take_distinct()
         star = self.at(TokenType.STAR)
         items = () if self.take(TokenType.STAR) else self.separated(self.select_item)
+        self.equals = ""
         if star and not self.at_word("FROM"):
             self.fail("expected FROM after *")
         if not self.take_words("FROM"):
+            if self.token is None or self.at(TokenType.SEMICOLON):
+                self.fail("expected FROM (without it write the value alone: 1 + 1)")
             self.fail("expected FROM (a column is named by AS)")
         self.is_listed = is_listed
         sources, joined = self.sources()
@@ -205,16 +210,17 @@ class _Parser(SqlForms):
         if distinct and self.at_word("START", "CONNECT"):
             self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
         recursion = self.recursion()
-        group = self.separated(self.expression) if self.take_words("GROUP", "BY") else ()
+        group = self.separated(self.group_key) if self.take_words("GROUP", "BY") else ()
+        group = tuple(numbered_column(key, items) for key in group)
         having = self.condition() if self.take_words("HAVING") else None
         order = self.separated(self.key) if self.take_words("ORDER", "BY") else ()
-        order = tuple(with_numbered_column(key, items) for key in order)
+        order = tuple(replace(key, value=numbered_column(key.value, items)) for key in order)
         limit, offset = self.limits(may_be_followed=is_listed)
         if offset is not None and recursion is not None:
             self.fail("expected no OFFSET of paths (it skips rows)")
         adapter = self.adapter() if self.take_words("AS") else None
         self.depth -= 1
-        self.compares, self.is_listed = compares, is_listed
+        self.equals, self.is_listed = equals, is_listed
         query = Query(
             self.since(start),
             items,
@@ -256,33 +262,34 @@ class _Parser(SqlForms):
             self.fail("expected OFFSET (write LIMIT n OFFSET m to skip the first m rows)")
         return limit, offset
 
-    def bare_assignment(self) -> Node:
-        """Returns an assignment that stands as a whole in SELECT or WHERE."""
-        self.descend()
-        node = replace(self.assignment(), is_bare=True)
-        self.depth -= 1
-        return node
-
     def select_item(self) -> Node:
         """Returns an item of SELECT: a value, named or not, or an assignment to a variable."""
-        return self.bare_assignment() if self.at_assignment() else self.item()
+        if not self.at_assignment():
+            return self.item()
+        start = self.here()
+        node = replace(self.ambiguous_assignment(), is_bare=True)
+        return self.named(start, node)
 
     def where_part(self) -> Node:
         """Returns WHERE's condition; it may be an assignment, or a comparison by `=`."""
-        if not self.at_assignment():
-            return self.condition()
-        before, self.compares = self.compares, True
-        node = replace(self.ambiguous_assignment(), is_bare=True)
-        self.compares = before
+        before, self.equals = self.equals, "in a condition"
+        if self.at_assignment():
+            node: Node = replace(self.ambiguous_assignment(), is_bare=True)
+        else:
+            node = self.expression()
+        self.equals = before
         return node
 
     def ambiguous_assignment(self) -> Assignment:
-        """Returns `name = value` in a condition: an assignment that may be a comparison."""
+        """Returns `name = value` in a query: an assignment that may be a comparison."""
         self.descend()
         value = self.ahead(2) if is_kind(self.ahead(), TokenType.EQ) else None
         node = self.assignment()
         self.depth -= 1
-        return node if value is None else replace(node, value_start=value.start)
+        if value is None:
+            return node
+        is_condition = self.equals == "in a condition"
+        return replace(node, value_start=value.start, is_condition=is_condition)
 
     def source(self) -> Source:
         start = self.here()
@@ -325,7 +332,7 @@ class _Parser(SqlForms):
 
     def key(self) -> OrderKey:
         start = self.here()
-        value = self.expression()
+        value = self.group_key()
         descending = self.take_words("DESC") or self.take_words("DESCENDING")
         if not descending:
             _ = self.take_words("ASC") or self.take_words("ASCENDING")
@@ -394,9 +401,13 @@ class _Parser(SqlForms):
                 left = self.condition_operator(start, left)
                 continue
             row = OperandRow(start.start, left, self.end())
+            is_compared = False
             while self.operator_level() == level and self.condition_level() < 0:
                 word = self.tokens[self.index].text.upper()
                 operator = {"<>": "!=", "=": "=="}.get(word, word)
+                if word == "=" and is_compared:
+                    raise ParseError(CHAIN_OF_EQUALS, text=self.text, span=self.here())
+                is_compared = word == "="
                 self.index += 1
                 place = self.here()
                 right = self.members() if operator == "IN" else self.operation(level + 1)
@@ -411,7 +422,7 @@ class _Parser(SqlForms):
         if token is None or token.token_type == TokenType.STRING:
             return -1
         if token.token_type == TokenType.EQ and token.text == "=":
-            if self.compares:
+            if self.equals:
                 return LEVEL_OF["=="]
             self.fail("expected '==' to compare ('=' assigns)")
         operator = token.text.upper()
@@ -459,8 +470,7 @@ class _Parser(SqlForms):
             return Literal(start, unquoted(self.text[slice_of(token)]))
         if self.take(TokenType.L_PAREN):
             is_listed, self.is_listed = self.is_listed, False
-            is_ambiguous = self.compares and self.at_assignment()
-            node = self.ambiguous_assignment() if is_ambiguous else self.statement()
+            node = self.statement()
             self.is_listed = is_listed
             self.expect(TokenType.R_PAREN, "')'")
             return node
@@ -518,8 +528,9 @@ class _Parser(SqlForms):
     def parts(self) -> tuple[Node, ...]:
         """Statements with commas between them, in brackets."""
         is_listed, self.is_listed = self.is_listed, True
+        equals, self.equals = self.equals, "in a value" if self.equals else ""
         result = self.separated(self.statement)
-        self.is_listed = is_listed
+        self.is_listed, self.equals = is_listed, equals
         return result
 
     def if_expression(self) -> If:

@@ -1,31 +1,38 @@
 """Reads spellings of SQL whose meaning depends on the variables and functions that exist.
 
 `WHERE z = 1` compares unless `z` is a variable, `above(a, b)` takes the elements of the sources `a`
-and `b` unless these are variables, and `MAX(z)` is `max(z)` unless a function has that name. The
-older meaning of a program always comes first, so a program that ran before keeps its meaning.
+and `b` unless these are variables, `MAX(z)` is `max(z)` and `EXISTS (SELECT …)` a condition unless
+a function has that name. A nested query is a value, or a list, where a list of dicts would be an
+error or never equal. The older meaning of a program always comes first, so a program that ran
+before keeps its meaning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary
 
-from ssduck.errors import SourceSpan
-from ssduck.language.aggregates import is_grouped
-from ssduck.language.builtins import BUILTINS
+from ssduck.errors import ParseError, SourceSpan
+from ssduck.language.aggregates import over_rows
+from ssduck.language.builtins import AGGREGATES, BUILTINS, NUMBER_FUNCTIONS
+from ssduck.language.sql_syntax import CHAIN_OF_EQUALS
 from ssduck.language.token_cursor import LEVEL_OF
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
     Binary,
+    Branch,
     Call,
+    If,
     Index,
+    ListLiteral,
     Literal,
     Name,
     Node,
     OperatorChain,
+    OrderKey,
     Program,
     QualifiedName,
     Query,
@@ -37,6 +44,9 @@ from ssduck.language.tree import (
 
 _COMPARISONS = ("==", "!=", "<", "<=", ">", ">=")
 _ARITHMETIC = ("-", "*", "/", "%", "^")
+_SUM = ("+",)
+# Stands among the visible names for a source of entities, whose functions are columns.
+_ENTITIES = "."
 # The clauses of a query that its own sources are visible in.
 _OWN_CLAUSES = frozenset(("items", "where", "recursion", "group", "having", "order"))
 # Those in which a bare name may be a key of the only source's element.
@@ -54,6 +64,12 @@ class Names(Protocol):
 
     def is_users(self, name: str) -> bool:
         """Checks whether that is a user's function."""
+
+    def is_scalar(self, name: str) -> bool:
+        """Checks whether that is a relation whose value is a number, a text, True or False."""
+
+    def is_world(self, name: str) -> bool:
+        """Checks whether a variable is a world, its past or its links."""
 
     def is_world_without(self, name: str, entity: str) -> bool:
         """Checks whether a variable is a world that has no entity of a name."""
@@ -95,7 +111,7 @@ class SqlReader:
     def _facts_of(self, name: str, local: Collection[str]) -> tuple[bool, ...]:
         names = self._names
         is_variable = name in local or names.has_variable(name)
-        return is_variable, names.is_function(name), names.is_users(name)
+        return is_variable, names.is_function(name), names.is_users(name), names.is_world(name)
 
 
 @dataclass(frozen=True)
@@ -126,10 +142,11 @@ def _doubts_of(program: Program) -> _Doubts:
                 is_doubtful |= part.value_start is not None
                 names.add(name)
             case Call(name=name):
-                is_doubtful |= _lower_builtin(name) is not None
+                is_doubtful |= _lower_builtin(name) is not None or _is_exists(part)
                 names.add(name)
-            case Binary(left=left, right=right):
-                is_doubtful |= isinstance(left, Query) or isinstance(right, Query)
+            case Query(adapter=None, items=(_,)) | Query(adapter=None, group=(_, *_)):
+                is_doubtful |= part not in program.statements
+        match part:
             case Source(alias=str() as alias, value=value):
                 (own_names if _is_variable_itself(alias, value) else aliases).add(alias)
             case Index(base=Name(name=name), indices=(Literal(value=str() as key),)):
@@ -191,28 +208,129 @@ class _Reading:
                 return None if self._has_variable(name) else This(part.span, name)
             case Index(base=Name(name=name), indices=(Literal(value=str()),)):
                 return self._qualified(part) if f"{name}." in aliases else None
-            case Assignment() if self._compares(part):
+            case Unary(operator="NOT", operand=Binary(operator="==", left=left, right=right)):
+                if isinstance(left, Query) or isinstance(right, Query):
+                    return self._node(Binary(part.span, "!=", left, right), aliases)
+            case Unary(operator="NOT", operand=Binary(operator="IN", right=Query() as right) as on):
+                if self._is_plain(on.left) and _has_one_column(right):
+                    member = self._membership(on, right, is_required=True)
+                    return self._node(replace(part, operand=member), aliases)
+            case Source(value=Query() as query) if _has_aggregated_groups(query):
+                return self._node(replace(part, value=_with_form(query, "dict")), aliases)
+            case Assignment() if self._compares(part, aliases):
+                self._check_comparison(part)
                 self._resolved_spans.add(part.span)
                 return self._node(_comparison(part), aliases)
             case Call(name=name) if not self._names.is_function(name):
+                if _is_exists(part):
+                    return self._node(_existence(part), aliases)
                 builtin = _lower_builtin(name)
                 if builtin is not None:
                     return self._node(replace(part, name=builtin), aliases)
             case Binary(operator="IN", left=left, right=Query() as right):
-                if self._is_plain(left) and _is_column(right):
-                    self._resolved_spans.add(right.span)
-                    return self._node(replace(part, right=_with_form(right, "list")), aliases)
-            case Binary(operator=operator) if operator in _COMPARISONS + _ARITHMETIC:
-                return self._scalar_comparison(part, aliases)
-        return None
+                if self._is_plain(left) and _has_one_column(right):
+                    return self._node(self._membership(part, right), aliases)
+        changed = part.replaced(lambda child: self._operand(part, child))
+        return None if changed is part else self._node(changed, aliases)
+
+    def _membership(self, node: Binary, query: Query, *, is_required: bool = False) -> Node:
+        """Returns `x IN (SELECT …)` with the list of the nested query's values."""
+        self._resolved_spans.add(query.span)
+        return replace(node, right=_with_form(query, "list", is_required=is_required))
+
+    def _operand(self, parent: Node, child: Node) -> Node | None:
+        """Returns an operand of a node: a nested query as its value; None for the node itself."""
+        if child is parent:
+            return None
+        if not isinstance(child, Query) or not _has_one_column(child):
+            return child
+        if not self._is_value(parent, child):
+            return child
+        is_unequal = isinstance(parent, Binary) and parent.operator == "!="
+        return _with_form(child, "value", is_required=is_unequal)
+
+    def _is_value(self, parent: Node, query: Query) -> bool:
+        """Checks whether a nested query of one column stands for its value."""
+        match parent:
+            case OrderKey():
+                return True
+            case Binary(operator=operator, left=left, right=right) if (
+                operator in _COMPARISONS + _ARITHMETIC + _SUM
+            ):
+                other = right if query is left else left
+                is_plain = operator not in _SUM and self._is_plain(other)
+                return is_plain or self._has_one_row(query)
+            case Call(name="to", arguments=(value, _)):
+                return query is value and self._has_one_row(query)
+            case Call(name=name) if name in NUMBER_FUNCTIONS:
+                return not self._names.is_users(name)
+            case Call(name=name) if (_lower_builtin(name) or name) in AGGREGATES:
+                return self._has_one_row(query)
+            case OperatorChain(operators=(operator, *_)):
+                return operator in _COMPARISONS + _ARITHMETIC + _SUM and self._has_one_row(query)
+            case Unary(operator="-" | "+") | If() | Branch():
+                return self._has_one_row(query)
+            case Query(items=items):
+                return any(query is item for item in items) and self._has_one_row(query)
+        return False
+
+    def _has_one_row(self, query: Query) -> bool:
+        """Checks whether a query certainly aggregates all of its rows to one."""
+        if query.group or query.distinct or query.limit is not None or query.offset is not None:
+            return False
+        (item,) = query.items
+        if isinstance(item, Call) and item.name == "to" and len(item.arguments) == 2:
+            item = item.arguments[0]
+        return any(self._is_aggregate(part) for part in _outside_of_queries(item))
+
+    def _is_aggregate(self, node: Node) -> bool:
+        """Checks whether a part is an aggregate of values that are no lists."""
+        match node:
+            case Call(name=name, arguments=(argument,)):
+                is_function = self._names.is_function(name)
+                if is_function and self._names.is_users(name):
+                    return False
+                name = name if is_function else _lower_builtin(name) or name
+                if name not in AGGREGATES:
+                    return False
+                if isinstance(argument, Call) and argument.name == "uniq":
+                    (argument,) = argument.arguments
+                return self._is_scalar(argument)
+        return False
+
+    def _is_scalar(self, node: Node) -> bool:
+        """Checks whether a value is certainly a number, a text, True or False."""
+        match node:
+            case Literal(value=value):
+                return not isinstance(value, str)
+            case Unary():
+                return True
+            case Binary(operator=operator, left=left, right=right):
+                if operator not in _ARITHMETIC + _SUM:
+                    return True
+                return self._is_scalar(left) or self._is_scalar(right)
+            case Name(name=name) | QualifiedName(key=name) | Call(name=name):
+                if isinstance(node, Name) and self._has_variable(name):
+                    return False
+                is_own = not self._names.is_users(name)
+                return is_own and (self._names.is_scalar(name) or name in NUMBER_FUNCTIONS)
+            case If(otherwise=(otherwise,)):
+                return self._is_scalar(otherwise)
+        return False
 
     def _query(self, query: Query, aliases: frozenset[str]) -> Query:
+        changed = query.replaced(lambda child: self._operand(query, child))
+        assert isinstance(changed, Query)
+        query = changed
         own = {
             source.alias
             for source in query.sources
             if source.alias is not None and not _is_variable_itself(source.alias, source.value)
         }
         visible = (aliases - {source.alias for source in query.sources}) | own
+        visible -= {_ENTITIES}
+        if any(map(self._has_columns, query.sources)):
+            visible |= {_ENTITIES}
         # `room.z` where the source is called by its variable.
         visible |= {f"{s.alias}." for s in query.sources if s.alias not in own}
         parts: dict[str, Any] = {}
@@ -225,12 +343,12 @@ class _Reading:
                 parts[kind.name] = self._node(value, inside)
             elif isinstance(value, tuple):
                 parts[kind.name] = tuple(self._node(part, inside) for part in value)
-        changed = {
+        new = {
             name: value
             for name, value in parts.items()
             if not _is_same(value, getattr(query, name))
         }
-        return replace(query, **changed) if changed else query
+        return replace(query, **new) if new else query
 
     def _qualified(self, node: Index) -> Node | None:
         """Returns `room.z` as a value of the source's element; None if it is an entity."""
@@ -244,21 +362,34 @@ class _Reading:
             return None
         return Call(node.span, key, (This(node.base.span, alias),), index.span)
 
-    def _compares(self, node: Assignment) -> bool:
-        """Checks whether `name = value` in a condition is a comparison."""
+    def _check_comparison(self, node: Assignment) -> None:
+        """Checks that a value is compared with one other: `x = y = 0` is an error in SQL.
+
+        Raises:
+            ParseError: it is compared with a comparison.
+        """
+        value = node.value
+        is_equality = isinstance(value, Assignment) or (
+            isinstance(value, Binary) and value.operator == "=="
+        )
+        if is_equality and value.span.start == node.value_start:
+            raise ParseError(CHAIN_OF_EQUALS, text=self._program.text, span=node.span)
+
+    def _compares(self, node: Assignment, aliases: frozenset[str]) -> bool:
+        """Checks whether `name = value` in a query is a comparison."""
         if node.value_start is None or self._has_variable(node.name):
             return False
-        # A whole WHERE was an error so far; in brackets it sets a variable.
-        return node.is_bare or self._names.is_function(node.name)
+        is_column = _ENTITIES in aliases and self._names.is_function(node.name)
+        return node.is_condition or is_column
 
-    def _scalar_comparison(self, node: Binary, aliases: frozenset[str]) -> Node | None:
-        """Returns `z > (SELECT max(z) …)` with the nested query's value; None for others."""
-        left, right = node.left, node.right
-        if isinstance(right, Query) and _is_column(right) and self._is_plain(left):
-            return self._node(replace(node, right=_with_form(right, "value")), aliases)
-        if isinstance(left, Query) and _is_column(left) and self._is_plain(right):
-            return self._node(replace(node, left=_with_form(left, "value")), aliases)
-        return None
+    def _has_columns(self, source: Source) -> bool:
+        """Checks whether functions of the elements of a source are its columns: of entities."""
+        match source.value:
+            case Name(name=name) | TimeIndex(name=name):
+                return self._names.is_world(name)
+            case Query() | Call():
+                return True
+        return False
 
     def _is_plain(self, node: Node) -> bool:
         """Checks whether a value is certainly no list of dicts, and no dict."""
@@ -270,12 +401,16 @@ class _Reading:
             case Binary(left=left, right=right):
                 return self._is_plain(left) and self._is_plain(right)
             case Name(name=name):
-                return not self._has_variable(name) and self._is_own_function(name)
+                return not self._has_variable(name) and self._is_own(name)
             case Call(name=name):
                 return self._is_own_function(_lower_builtin(name) or name)
             case QualifiedName(alias=alias, key=key):
-                return not self._has_variable(alias) and self._is_own_function(key)
+                return not self._has_variable(alias) and self._is_own(key)
         return False
+
+    def _is_own(self, name: str) -> bool:
+        """Checks whether a name is a function of the language, or can only be a key."""
+        return self._is_own_function(name) or not self._names.is_function(name)
 
     def _is_own_function(self, name: str) -> bool:
         is_known = self._names.is_function(name) and not self._names.is_users(name)
@@ -288,14 +423,45 @@ def _is_same(value: Any, before: Any) -> bool:
     return value is before
 
 
-def _is_column(query: Query) -> bool:
+def _has_one_column(query: Query) -> bool:
     """Checks whether a query yields one column and names no result form."""
-    has_one_column = len(query.items) == 1 and query.adapter is None and query.recursion is None
-    return has_one_column and not (is_grouped(query) and query.group)
+    return len(query.items) == 1 and query.adapter is None and query.recursion is None
 
 
-def _with_form(query: Query, form: str) -> Query:
-    return replace(query, adapter=AdapterClause(query.span, form))
+def _has_aggregated_groups(query: Query) -> bool:
+    """Checks whether a query has groups of one row each, and names no result form."""
+    is_table = query.adapter is None and query.recursion is None and bool(query.group)
+    return is_table and any(map(over_rows, query.items))
+
+
+def _with_form(query: Query, form: str, *, is_required: bool = False) -> Query:
+    clause = AdapterClause(query.span, form, of_sql=True, is_required=is_required)
+    return replace(query, adapter=clause)
+
+
+def _is_exists(node: Call) -> bool:
+    return (
+        node.name.upper() == "EXISTS"
+        and len(node.arguments) == 1
+        and (isinstance(node.arguments[0], Query))
+    )
+
+
+def _existence(node: Call) -> Node:
+    """Returns the condition that a query has rows."""
+    (query,) = node.arguments
+    assert isinstance(query, Query)
+    if query.adapter is None:
+        query = _with_form(query, "list")
+    return Binary(node.span, "!=", ListLiteral(node.span, ()), query)
+
+
+def _outside_of_queries(node: Node) -> Iterator[Node]:
+    """Yields a node and its parts, without nested queries and what is in them."""
+    if not isinstance(node, Query):
+        yield node
+        for child in node.children():
+            yield from _outside_of_queries(child)
 
 
 def _comparison(node: Assignment) -> Node:

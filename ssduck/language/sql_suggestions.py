@@ -10,17 +10,22 @@ _LIMIT_ADVICE = "write LIMIT n behind ORDER BY"
 _CAST = "write int(x), float(x) or str(x)"
 _MISSING = "there is no NULL; write x IS NULL, or x IS NOT NULL"
 _INSTEAD = "write IF(x IS NULL; 0; x)"
+_TIMES = "times are seconds of simulated time: getTime(), time(this)"
+_AGGREGATES = "the aggregates are count, sum, min, max, avg, uniq; query others by ss.sql"
 _TEXTS = "texts are compared exactly; find a part of one by 'part' IN text, or by LIKE"
 
 _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("JOIN", "INNER", "LEFT", "RIGHT", "FULL", "OUTER", "CROSS", "NATURAL", "ON", "USING"): _JOIN,
     ("UNION", "INTERSECT", "EXCEPT", "MINUS"): _SETS,
     ("ANY", "SOME"): _COMPARE,
-    ("EXISTS",): "write [] != (SELECT … AS list)",
+    ("EXISTS",): "write EXISTS (SELECT … FROM …)",
     ("OFFSET", "SKIP"): "write LIMIT n OFFSET m behind ORDER BY",
     ("FETCH", "TOP", "FIRST"): _LIMIT_ADVICE,
     ("NULLS",): "leave out the rows without a value: WHERE x IS NOT NULL",
     ("QUALIFY", "WINDOW", "OVER", "PARTITION", "ROLLUP", "CUBE", "PIVOT", "LATERAL"): _RAW,
+    ("RANK", "DENSE_RANK", "ROW_NUMBER", "LAG", "LEAD", "NTILE", "GROUPING", "SETS"): _RAW,
+    ("FILTER",): "write sum(CASE WHEN condition THEN 1 ELSE 0 END)",
+    ("DATE", "TIMESTAMP", "INTERVAL", "EXTRACT"): _TIMES,
     ("INSERT", "UPDATE", "DELETE", "CREATE", "DROP", "ALTER", "MERGE", "TRUNCATE"): _RAW,
     ("COPY", "ATTACH", "PRAGMA", "SHOW", "DESCRIBE", "INSTALL"): _RAW,
     ("WITH",): "name the result of a query: rows = SELECT … AS list; SELECT … FROM rows",
@@ -37,7 +42,7 @@ _INSTEAD_OF: dict[tuple[str, ...], str] = {
     ("CEILING",): "write ceil(x)",
     ("MEAN", "AVERAGE"): "write avg(x)",
     ("ALL",): "leave ALL out: all rows are selected, unless DISTINCT is written",
-    ("DISTINCT",): "write SELECT DISTINCT x, without brackets, or uniq(x) in GROUP BY's queries",
+    ("DISTINCT",): "write SELECT DISTINCT x, without brackets or ON, or uniq(x) with GROUP BY",
     ("WHEN", "THEN", "ELSE", "END"): "write CASE WHEN … THEN … ELSE … END, or IF(…; …; …)",
     ("NOTNULL", "ISNULL"): "write x IS NOT NULL, or x IS NULL",
     ("AND",): "a condition stands on both sides of AND",
@@ -86,6 +91,19 @@ _OWN_NAMES = {
     **dict.fromkeys(("RANDOM", "RAND"), _RANDOM),
     **dict.fromkeys(("ENTITIES", "JOINTS", "SHAPES", "CONTACTS", "SENSINGS"), _TABLE),
     "TICKS": _TABLE,
+    **dict.fromkeys(("NOW", "CURRENT_DATE", "CURRENT_TIME", "CURRENT_TIMESTAMP", "TODAY"), _TIMES),
+    **dict.fromkeys(("DATE_PART", "DATEDIFF", "DATE_DIFF", "DATE_TRUNC", "STRFTIME"), _TIMES),
+    **dict.fromkeys(("STDDEV", "STDDEV_POP", "STDDEV_SAMP", "VARIANCE", "VAR_POP"), _AGGREGATES),
+    **dict.fromkeys(("MEDIAN", "QUANTILE", "MODE", "FIRST", "LAST", "ANY_VALUE"), _AGGREGATES),
+    **dict.fromkeys(("STRING_AGG", "ARRAY_AGG", "GROUP_CONCAT", "LISTAGG"), _AGGREGATES),
+    **dict.fromkeys(("LEFT", "RIGHT", "REPLACE", "REVERSE", "CONTAINS", "STRPOS"), _TEXTS),
+    **dict.fromkeys(("CHAR_LENGTH", "INITCAP", "SPLIT_PART", "LPAD", "RPAD"), _TEXTS),
+    "PI": "write 3.141592653589793",
+    "LN": "write log(x), the natural logarithm",
+    "LOG10": "write log(x) / log(10)",
+    "TRUNC": "write int(x)",
+    "ISNAN": "write x != x",
+    "SIGN": "write CASE WHEN x > 0 THEN 1 WHEN x < 0 THEN -1 ELSE 0 END",
 }
 
 

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
 
 from sqlglot.tokenizer_core import TokenType
 
-from ssduck.errors import SourceSpan
+from ssduck.errors import ParseError, SourceSpan
 from ssduck.language.sql_suggestions import HABITS
 from ssduck.language.token_cursor import (
     CLAUSES,
@@ -34,7 +33,6 @@ from ssduck.language.tree import (
     Name,
     Node,
     OperatorChain,
-    OrderKey,
     QualifiedName,
     Query,
     Source,
@@ -54,21 +52,22 @@ _BEHIND_SOURCE = (
     *("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "OFFSET", "AS"),
     *("JOIN", "INNER", "CROSS", "ON"),
 )
+CHAIN_OF_EQUALS = "this compares True or False; write x = y AND y = z"
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 
 
-def with_numbered_column(key: OrderKey, items: Sequence[Node]) -> OrderKey:
-    """Returns `ORDER BY 2` as a key by the second column; other keys unchanged."""
-    number = key.value.value if isinstance(key.value, Literal) else None
+def numbered_column(key: Node, items: Sequence[Node]) -> Node:
+    """Returns the second column for the 2 in `ORDER BY 2`; other keys unchanged."""
+    number = key.value if isinstance(key, Literal) else None
     if type(number) is not int or not 1 <= number <= len(items):
         return key
     match items[number - 1]:
         case Assignment():
             return key
         case Call(name="to", arguments=(value, _)):
-            return replace(key, value=value)
+            return value
         case column:
-            return replace(key, value=column)
+            return column
 
 
 def _is_written_out(value: Node) -> bool:
@@ -80,8 +79,9 @@ def _is_written_out(value: Node) -> bool:
 class SqlForms(Cursor):
     """The part of the parser for forms that come from SQL."""
 
-    # Whether `=` compares here, and whether a comma may follow a query's result form.
-    compares = False
+    # Where in a query `=` compares: "in a condition", "in a value" as SELECT has; "" elsewhere.
+    equals = ""
+    # Whether a comma may follow a query's result form.
     is_listed = False
 
     @abstractmethod
@@ -98,9 +98,16 @@ class SqlForms(Cursor):
 
     def condition(self) -> Node:
         """Returns an expression in which `=` compares."""
-        before, self.compares = self.compares, True
+        before, self.equals = self.equals, "in a condition"
         node = self.expression()
-        self.compares = before
+        self.equals = before
+        return node
+
+    def group_key(self) -> Node:
+        """Returns a key of GROUP BY or ORDER BY, in which `=` compares."""
+        before, self.equals = self.equals, "in a value"
+        node = self.expression()
+        self.equals = before
         return node
 
     # -- operators ------------------------------------------------------------------------
@@ -127,10 +134,12 @@ class SqlForms(Cursor):
             above, below = Binary(place, ">=", left, low), Binary(place, "<=", left, high)
             node = Binary(place, "AND", above, below)
         elif self.take_words("IN"):
-            node = Binary(self.since(start), "IN", left, self.members())
+            right = self.members()
+            node = Binary(self.since(start), "IN", left, right)
         else:
             self.expect_word("LIKE")
-            node = Binary(self.since(start), "LIKE", left, self.operation(LEVEL_OF["IN"] + 1))
+            right = self.operation(LEVEL_OF["IN"] + 1)
+            node = Binary(self.since(start), "LIKE", left, right)
         return Unary(self.since(start), "NOT", node) if is_not else node
 
     def members(self) -> Node:
@@ -146,19 +155,11 @@ class SqlForms(Cursor):
             return ListLiteral(self.since(start), items)
         else:
             right = self.operation(LEVEL_OF["IN"] + 1)
-            if isinstance(right, Literal):
-                return self._only_member(start, right)
-            if isinstance(right, Unary) and isinstance(right.operand, Literal):
+            if isinstance(right.operand if isinstance(right, Unary) else right, Literal):
                 return ListLiteral(self.since(start), (right,))
         if isinstance(right, Query) and right.adapter is None and right.items:
             message = "the query behind IN yields dicts; for their values write AS list"
             self.add_suspicion(right.span, message)
-        return right
-
-    def _only_member(self, start: SourceSpan, right: Literal) -> Node:
-        if not isinstance(right.value, str):
-            return ListLiteral(self.since(start), (right,))
-        self.add_suspicion(right.span, "IN looks for a part of this text; write a list in [ ]")
         return right
 
     def _is_list(self) -> bool:
@@ -179,22 +180,26 @@ class SqlForms(Cursor):
         return False
 
     def check_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
-        """Reports `0 < z < 1`, which compares True or False with 1, as suspicious.
+        """Reports `0 < z < 1`, which compares True or False with 1: in a query it is an error.
 
         Args:
             operator: the operator.
             sides: its two sides, each with the place of its first token.
+
+        Raises:
+            ParseError: it is in a query.
         """
         left, left_start, right, right_start = sides
         for side, start in ((left, left_start), (right, right_start)):
             has_no_parentheses = side.span.start == start.start  # not in parentheses
             is_comparison = isinstance(side, Binary) and side.operator in _RELATIONAL
             if operator in _RELATIONAL and is_comparison and has_no_parentheses:
-                self.add_suspicion(
-                    self.since(left_start),
-                    "one side of this comparison is True or False; "
-                    "write a < b AND b < c, or b BETWEEN a AND c",
-                )
+                message = "one side of this comparison is True or False; write a < b AND b < c"
+                span = self.since(left_start)
+                if self.equals:
+                    message += ", or b BETWEEN a AND c"
+                    raise ParseError(message, text=self.text, span=span)
+                self.add_suspicion(span, message)
 
     # -- CASE -----------------------------------------------------------------------------
 
@@ -273,9 +278,14 @@ class SqlForms(Cursor):
             name = self.expect_name("a source's name")  # `k.*` is its element, as `*` is
             self.index += 2
             return This(self.since(start), name.text)
-        node = self.expression()
+        return self.named(start, self.expression())
+
+    def named(self, start: SourceSpan, node: Node) -> Node:
+        """Returns a selected value with the name behind AS, if there is one."""
         if not self.take_words("AS"):
             return node
+        if self.at(TokenType.STRING):
+            self.fail("expected a column's name (without quotes)")
         name = self.expect_name("a column's name")
         place = self.since(start)
         return Call(place, "to", (node, Literal(span_of(name), name.text)), place)
@@ -348,10 +358,20 @@ class SqlForms(Cursor):
             ):
                 for side in node.children():
                     self.check_condition(side)
+                self._check_constants(list(node.children()))
+            case Assignment(value=Binary(operator="AND" | "OR") as value, value_start=int()):
+                self._check_constants(list(value.children())[1:])  # the first is compared
             case Unary(operator="NOT", operand=operand):
                 self.check_condition(operand)
             case Assignment(name=name, value=value) if _is_written_out(value):
                 self.add_suspicion(node.span, f"this sets the variable {name}; write == to compare")
+
+    def _check_constants(self, conditions: Sequence[Node]) -> None:
+        """Reports conditions that are texts or numbers: `id = 'can' OR 'cup'`."""
+        for node in conditions:
+            if isinstance(node, Literal) and not isinstance(node.value, bool):
+                message = "this condition is the same for all rows; write x IN (a, b)"
+                self.add_suspicion(node.span, message)
 
     def check_texts(self, node: Node | None) -> None:
         """Reports a condition on two texts, one in double quotes: it is the same for all rows."""

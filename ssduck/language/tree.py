@@ -266,8 +266,9 @@ class Assignment(Node):
         horizon: the time for which the variable keeps its values.
         value: the new value.
         is_bare: whether it is a whole item of SELECT or WHERE, where `==` may be meant.
-        value_start: the place of the value in the text where `=` may compare: as a whole WHERE, or
-            in brackets in a condition; None elsewhere.
+        value_start: the place of the value in the text where `=` may compare, which is in a query;
+            None elsewhere.
+        is_condition: whether it is a condition of a query, or in brackets in one.
     """
 
     name: str
@@ -275,6 +276,7 @@ class Assignment(Node):
     value: Node
     is_bare: bool = False
     value_start: int | None = None
+    is_condition: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,6 +285,13 @@ class Source(Node):
 
     alias: str | None
     value: Node
+
+    @property
+    def is_table(self) -> bool:
+        """Whether its elements are the rows of a nested query, as dicts."""
+        return isinstance(self.value, Query) and (
+            self.value.adapter is None or self.value.adapter.name in ("dict", "dictionary")
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,11 +321,23 @@ class Recursion(Node):
 
 @dataclass(frozen=True, eq=False)
 class AdapterClause(Node):
-    """`AS name(arguments)`."""
+    """`AS name(arguments)`.
+
+    Attributes:
+        name: the name of the result form.
+        arguments: its positional arguments.
+        named: its named arguments.
+        of_sql: whether a nested query has it as in SQL: a value is of one row at most, and nothing
+            without a row; the rows of all groups are together.
+        is_required: whether a value must not be nothing: `<>` and NOT IN hold of it here, but not
+            in SQL.
+    """
 
     name: str
     arguments: tuple[Node, ...] = ()
     named: tuple[Assignment, ...] = ()
+    of_sql: bool = False
+    is_required: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,8 @@ from ssduck.world import ctrl_c
 # Held by a store while added rows become readable.
 CommitLock: TypeAlias = AbstractContextManager[None]
 NO_LOCK: CommitLock = nullcontext()
+# Stores a batch, the rows of each table.
+StoreBatch: TypeAlias = Callable[[Mapping[str, pa.Table], CommitLock], None]
 
 
 class BufferedRows:
@@ -43,7 +45,7 @@ class BackgroundWriter:
     during the transition, and a reader of both holds it while it reads.
 
     Args:
-        add: stores a batch atomically, and holds the given lock while the rows become readable.
+        append: stores a batch atomically, and holds the given lock while the rows become readable.
         tables: the columns of each table of a batch.
 
     Attributes:
@@ -53,10 +55,10 @@ class BackgroundWriter:
 
     def __init__(
         self,
-        add: Callable[[Mapping[str, pa.Table], CommitLock], None],
+        append: StoreBatch,
         tables: Mapping[str, pa.Schema],
     ) -> None:
-        self._add = add
+        self._append = append
         # A condition: waiting for the thread releases the lock, however often it was acquired.
         self.lock = threading.Condition(threading.RLock())
         self.batches = {table: BufferedRows(columns) for table, columns in tables.items()}
@@ -96,7 +98,7 @@ class BackgroundWriter:
 
     def _run(self) -> None:
         try:
-            self.store()
+            self.store(self._append)
         except BaseException as error:  # noqa: BLE001  # raised by the next tick or flush
             self._failure = error
         finally:
@@ -104,11 +106,11 @@ class BackgroundWriter:
                 self._thread = None
                 self.lock.notify_all()
 
-    def store(self) -> None:
+    def store(self, store_batch: StoreBatch) -> None:
         """Stores all batches in this thread; a batch that fails and those after it stay here."""
         while self._count:
             oldest = {table: batch.parts[0] for table, batch in self.batches.items()}
-            self._add(oldest, self._commit())
+            store_batch(oldest, self._commit())
 
     @contextmanager
     def _commit(self) -> Iterator[None]:

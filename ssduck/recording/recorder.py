@@ -3,20 +3,22 @@
 A `Recorder` copies the rows of each tick into buffers (`ssduck.recording.buffers`). When one is
 full, the rows of all of them go to a store, so that the stored rows end with a whole tick. A store
 on a disk gets them in a background thread (`ssduck.recording.background_writer`), while the buffers
-fill again.
+fill again. It gets the first tick at once, and the others at the latest when half of the time is
+over after which they have to be there (`Recording.flush_every`), so that writing them takes the
+other half at most. If no tick comes then, a timer sees to it (`ssduck.recording.flush_timer`).
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Mapping
-from contextlib import AbstractContextManager
-from typing import Any
+from time import monotonic
 
 import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError
+from ssduck.recording import flush_timer
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
 from ssduck.recording.mass_changes import MassChanges
@@ -39,24 +41,34 @@ class Recorder:
         recording: what is recorded of each tick.
         store: takes the rows.
         max_ticks: the largest number of buffered ticks.
+        flush_every: the time after which a tick is on the disk, s of real time; None for no limit.
 
     Attributes:
         buffers: the buffered rows, by table.
         ticks: the recorded ticks, stored and buffered.
         members: the recorded entities by id, removed ones included.
         mass_changes: the bodies whose masses have changed since they were recorded.
+        flush_at: the time at which buffered rows are stored even if the buffers are not full, s of
+            `time.monotonic`; None for none.
     """
 
     def __init__(
-        self, recording: Recording, store: TickStore, max_ticks: int = BUFFERED_TICKS
+        self,
+        recording: Recording,
+        store: TickStore,
+        max_ticks: int = BUFFERED_TICKS,
+        flush_every: float | None = None,
     ) -> None:
         self.recording = recording
         self._max_ticks = max_ticks
         self._store = store
         self.buffers = {table: new_buffer(table) for table in store.tables}
         columns = {table: buffer.arrow.schema for table, buffer in self.buffers.items()}
-        self._writer = BackgroundWriter(store.add, columns)
+        self._writer = BackgroundWriter(store.append, columns)
         self._lock = threading.RLock()
+        self._flush_every = flush_every
+        # The time at which the buffered rows are to be stored, s of `monotonic`; None for no time.
+        self.flush_at: float | None = None
         self.ticks = TickBuffer()
         self.members: dict[int, EntityInfo] = {}
         self.mass_changes = MassChanges()
@@ -78,14 +90,14 @@ class Recorder:
         return (self.buffers,) if self._store.is_in_place else (self._writer.batches, self.buffers)
 
     @property
-    def read_lock(self) -> AbstractContextManager[Any]:
+    def read_lock(self) -> threading.Condition:
         """A lock under which no buffered row becomes a stored one; its holder holds the world."""
         return self._writer.lock
 
     @property
     def is_writer_thread(self) -> bool:
-        """Whether the calling thread is the one that stores rows in the background."""
-        return self._writer.is_writer_thread
+        """Whether the calling thread is one that stores rows in the background."""
+        return self._writer.is_writer_thread or flush_timer.is_timer_thread()
 
     def record(self, snapshot: Snapshot) -> None:
         """Records a tick if it is due; the caller holds its world.
@@ -126,6 +138,8 @@ class Recorder:
         for table, count in counts.items():
             rows.copy(snapshot, table, self.buffers[table], count)
         self.ticks.append(snapshot.number, snapshot.time)
+        self._set_flush_time()
+        error = error or self._error_of(self._flush_if_due)
         if not snapshot.is_complete:  # the store has NULL where the buffer has NaN
             error = error or self._error_of(self.flush)
         if error is not None:
@@ -164,15 +178,58 @@ class Recorder:
             return
         self._has_dropped_old = False
         if self._store.is_in_place:
-            self._writer.store()
+            self._writer.store(self._store.append)
             self._drop_old_ticks()
         else:
             self._writer.start()
 
     def _empty_buffers(self) -> None:
         """Moves the buffered rows to a batch of the writer."""
+        self.flush_at = None
         if self.buffers["ticks"].count:
-            self._writer.put({table: buffer.take() for table, buffer in self.buffers.items()})
+            with self.read_lock:
+                self._writer.put({table: buffer.take() for table, buffer in self.buffers.items()})
+
+    def _set_flush_time(self) -> None:
+        """Sets the time at which the rows are stored that came into empty buffers."""
+        if self._flush_every is None or self.flush_at is not None:
+            return
+        is_first = len(self.ticks) == 1
+        self.flush_at = monotonic() + (0.0 if is_first else self._flush_every / 2)
+        flush_timer.start_watching(self)
+
+    def _flush_if_due(self) -> None:
+        """Starts storing the buffered rows if it is time, unless earlier ones are being stored."""
+        is_due = self.flush_at is not None and monotonic() >= self.flush_at
+        if is_due and not self._writer.is_busy and not self._new_members:
+            self._empty_buffers()
+            self._has_dropped_old = False
+            self._writer.start()
+
+    def try_to_flush(self) -> bool:
+        """Does the same without the world, which stands still; returns whether that was possible.
+
+        It was not if the recorder is in use.
+        """
+        if not self._lock.acquire(blocking=False):
+            return False
+        try:
+            if self.flush_at is None:
+                return True
+            if not self.read_lock.acquire(blocking=False):
+                return False
+            try:
+                self._flush_if_due()
+            finally:
+                self.read_lock.release()
+            return self.flush_at is None
+        finally:
+            self._lock.release()
+
+    def stop_flushing(self) -> None:
+        """Stores no more rows unless asked to."""
+        with self._lock:
+            self._flush_every = self.flush_at = None
 
     def wait(self) -> None:
         """Waits until no rows are being stored in the background."""
@@ -193,7 +250,8 @@ class Recorder:
             self._store_new_members()
             self._empty_buffers()
             self._has_dropped_old = False
-            self._writer.store()
+            self._writer.store(self._store.add)
+            self._store.complete()
             self._drop_old_ticks()
             if error is not None:
                 raise error

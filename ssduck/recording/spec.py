@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Literal
 
 from ssduck import validation
@@ -17,6 +17,8 @@ from ssduck.world.layout import EntityInfo
 RETENTION_PARTS = 4
 # The memory that the ticks of a world take at most by default, bytes.
 DEFAULT_MAX_BYTES = 512 * 2**20
+# The time after which a tick is on the disk by default, s of real time.
+DEFAULT_FLUSH_EVERY = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class Recording:
         max_bytes: the size of the retained rows, bytes, at most; the oldest ticks are dropped
             first. None for no limit. By default 512 MiB in memory unless `seconds` or `ticks` is
             given, and no limit in files.
+        flush_every: in files and folders, the time after which a tick is on the disk, s of wall
+            clock; None to store full buffers only.
 
     Raises:
         ArgumentError: a table is unknown, a number is not above 0, or a value is of the wrong
@@ -53,6 +57,7 @@ class Recording:
     seconds: float | None = None
     ticks: int | None = None
     max_bytes: int | Literal["default"] | None = "default"
+    flush_every: float | None = DEFAULT_FLUSH_EVERY
 
     def __post_init__(self) -> None:
         for name in ("tables", "entities"):
@@ -76,9 +81,11 @@ class Recording:
                 continue
             rule = f"{name} is to be a whole number above 0"
             object.__setattr__(self, name, validation.integer_above_0(value, rule))
-        if self.seconds is not None:
-            seconds = validation.number_above_0(self.seconds, "seconds is to be a number above 0")
-            object.__setattr__(self, "seconds", seconds)
+        for name in ("seconds", "flush_every"):
+            value = getattr(self, name)
+            if value is not None:
+                number = validation.number_above_0(value, f"{name} is to be a number above 0")
+                object.__setattr__(self, name, number)
         object.__setattr__(self, "changed", validation.boolean(self.changed, "changed"))
 
     @property
@@ -86,6 +93,13 @@ class Recording:
         """Whether older ticks are dropped."""
         has_size_limit = isinstance(self.max_bytes, int)
         return has_size_limit or self.seconds is not None or self.ticks is not None
+
+
+def description_of(recording: Recording) -> dict[str, Any]:
+    """Returns what a stored recording says of itself, to be given to `Recording` again."""
+    description = asdict(recording)
+    del description["flush_every"]  # says nothing about the stored ticks
+    return description
 
 
 def with_size_limit(recording: Recording, *, in_memory: bool) -> Recording:

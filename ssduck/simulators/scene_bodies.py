@@ -142,7 +142,7 @@ def read_body(table: TomlTable, folder: Path) -> BodySpec:
     fixed = table.flag("fixed", source == "plane")
     velocity = BodySpec.velocity
     if source in ("urdf", *PRIMITIVES):
-        velocity = table.numbers("velocity", 6, velocity)
+        velocity = table.numbers("velocity", 6, velocity, meaning="vx, vy, vz, wx, wy, wz")
     is_file = source in MODEL_FILES
     joints, speeds, held = (
         table.table(key).all_numbers() if is_file else {}
@@ -219,7 +219,7 @@ def _primitive(table: TomlTable, type: str, fixed: bool) -> Primitive:
     elif count == 1:
         size = (table.number(type, above=0.0),)
     else:
-        size = table.numbers(type, count)
+        size = table.numbers(type, count, meaning=meaning)
         if min(size) <= 0.0:
             table.fail(type, f"{meaning} must be above 0, found {list(size)}")
     if fixed:

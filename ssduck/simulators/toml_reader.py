@@ -75,9 +75,9 @@ class TomlTable:
         return value
 
     def numbers(
-        self, key: str, count: int, default: tuple[float, ...] = REQUIRED
+        self, key: str, count: int, default: tuple[float, ...] = REQUIRED, *, meaning: str = ""
     ) -> tuple[float, ...]:
-        """Returns a tuple of `count` finite numbers."""
+        """Returns a tuple of `count` finite numbers; errors name their meaning."""
 
         def fits(value: object) -> bool:
             return (
@@ -86,11 +86,12 @@ class TomlTable:
                 and all(map(_is_number, value))
             )
 
-        return tuple(float(v) for v in self._get(key, default, fits, f"{count} finite numbers"))
+        expected = f"{count} finite numbers" + (f" ({meaning})" if meaning else "")
+        return tuple(float(v) for v in self._get(key, default, fits, expected))
 
     def vector(self, key: str, default: Vector = REQUIRED) -> Vector:
         """Returns three finite numbers."""
-        x, y, z = self.numbers(key, 3, default)
+        x, y, z = self.numbers(key, 3, default, meaning="x, y, z")
         return (x, y, z)
 
     def unit_vector(self, key: str) -> Vector:
@@ -103,7 +104,7 @@ class TomlTable:
 
     def quaternion(self, key: str) -> Quaternion:
         """Returns a quaternion, scaled to unit length; one far from unit length is an error."""
-        w, x, y, z = self.numbers(key, 4, (1.0, 0.0, 0.0, 0.0))
+        w, x, y, z = self.numbers(key, 4, (1.0, 0.0, 0.0, 0.0), meaning="w, x, y, z")
         length = math.sqrt(w * w + x * x + y * y + z * z)
         if abs(length - 1.0) > 1e-3:
             self.fail(key, f"not a rotation: w, x, y, z have length {length:.4g}, not 1")

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from sqlglot import exp
 
 from ssduck.schema import ID_FACTOR, TABLES, EntityTable
-from ssduck.sql.relations.geometry_query import PairSearch
-from ssduck.sql.sql_values import NotSqlError, SqlValue
-from ssduck.sql.types import ANY, BOOLEAN, IDS, SqlType
+from ssduck.sql.relations.geometry_query import PairKind, PairSearch, name_over_ticks
+from ssduck.sql.relations.relation import Relation
+from ssduck.sql.sql_values import FloatDomain, NotSqlError, SqlValue
+from ssduck.sql.types import ANY, BOOLEAN, DOUBLE, IDS, SqlType
 
 
 @dataclass(frozen=True)
@@ -142,46 +143,61 @@ def joined_entity(
 
 
 def pairs_over_ticks(
-    search: PairSearch,
+    relation: Relation,
     distance: exp.Expr,
     row: TickRange,
     ids: tuple[exp.Expr, exp.Expr],
     columns: tuple[exp.Expr, exp.Expr],
     name: str,
 ) -> JoinedEntity:
-    """Returns whether a relation holds of two entities at the tick of a row, for all ticks at once.
+    """Returns a relation of two entities at the tick of a row, computed for all ticks at once.
 
     Args:
-        search: the search for the pairs that collide, touch, or are within a distance.
+        relation: a relation of shapes that is decided over many ticks.
         distance: the distance or the depth, m.
         row: the range of ticks, and the tick of the row.
         ids: the ids of the entities; columns if they differ from row to row.
         columns: the ids of the entities at the row.
         name: the name of the table of pairs.
     """
+    geometry = relation.geometry
+    assert geometry is not None
+    assert geometry.over_ticks is not None
     arguments: list[exp.Expr] = [
         exp.Literal.string(row.schema),
         row.first.copy(),
         row.last.copy(),
         *(exp.Literal.number(0) if isinstance(id, exp.Column) else id.copy() for id in ids),
+        exp.cast(distance.copy(), "DOUBLE"),
     ]
-    if search.takes_distance:
-        arguments.append(exp.cast(distance.copy(), "DOUBLE"))
-    function = exp.to_identifier(search.name_over_ticks, quoted=True)
+    function = exp.to_identifier(name_over_ticks(geometry.over_ticks), quoted=True)
     result = exp.Anonymous(this=function, expressions=arguments)
     unnested_pairs = exp.select(exp.alias_(exp.func("unnest", result), "p")).subquery("found")
     parts = [
         exp.alias_(exp.func("struct_extract", exp.column("p"), exp.Literal.string(part)), part)
-        for part in ("tick", "a", "b", "known")
+        for part in ("tick", "a", "b", "value")
     ]
     table = exp.select(*parts).from_(unnested_pairs).subquery(exp.to_identifier(name, quoted=True))
     equal = zip(("tick", "a", "b"), (row.tick, *columns), strict=True)
     on = exp.and_(*(exp.EQ(this=column_of(name, c), expression=e.copy()) for c, e in equal))
     join = exp.Join(this=table, side="LEFT", on=on)
-    is_missing = exp.Is(this=column_of(name, "tick"), expression=exp.Null())
-    known = exp.EQ(this=column_of(name, "known"), expression=exp.Literal.number(1))
-    holds = exp.case().when(is_missing, exp.false()).when(known, exp.true())
+    value, holds = column_of(name, "value"), exp.case()
+    if not geometry.is_predicate:
+        for column in columns:
+            holds = holds.when(_is_null(column), exp.null())
+    is_missing = _is_null(column_of(name, "tick"))
+    if relation.result == "double":
+        zero = exp.cast(exp.Literal.number(0), "DOUBLE")
+        domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
+        number = holds.when(is_missing, zero).else_(value)
+        return JoinedEntity(SqlValue(number, DOUBLE, domain=domain), join)
+    known = exp.EQ(this=value, expression=exp.Literal.number(1))
+    holds = holds.when(is_missing, exp.false()).when(known, exp.true())
     return JoinedEntity(SqlValue(holds, BOOLEAN), join)
+
+
+def _is_null(value: exp.Expr) -> exp.Expr:
+    return exp.Is(this=value.copy(), expression=exp.Null())
 
 
 def needed_joins(joined_entities: Iterable[JoinedEntity], select: exp.Select) -> list[exp.Join]:
@@ -236,7 +252,7 @@ class PairTable:
     Attributes:
         table: its table in FROM.
         columns: the columns of the two ids.
-        position: the key of the order of both sources.
+        position: the key of the order of both sources, if they are entities.
     """
 
     table: exp.Expr
@@ -244,10 +260,12 @@ class PairTable:
     position: exp.Ordered
 
 
-def pair_table(search: PairSearch, distance: exp.Expr, schema: str, name: str) -> PairTable:
-    """Returns the pairs of entities of a world that a search finds."""
+def pair_table(
+    search: PairSearch, distance: exp.Expr, schema: str, name: str, kind: PairKind = "entities"
+) -> PairTable:
+    """Returns the pairs of entities of a world, of their links, or of both, that a search finds."""
     function = exp.to_identifier(search.name, quoted=True)
-    arguments: list[exp.Expr] = [exp.Literal.string(schema)]
+    arguments: list[exp.Expr] = [exp.Literal.string(schema), exp.Literal.string(kind)]
     if search.takes_distance:
         arguments.append(exp.cast(distance.copy(), "DOUBLE"))
     numbers = exp.func("unnest", exp.Anonymous(this=function, expressions=arguments))

@@ -8,22 +8,25 @@ Query([Name('id')], [Source('kitchen', Name('kitchen'))], Call('isRobot', [This(
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from ssduck.errors import ArgumentError, SelectScriptError
 from ssduck.language.aggregates import is_grouped, over_rows
-from ssduck.language.analysis import states
+from ssduck.language.analysis import free_aliases, states
+from ssduck.language.builtins import AGGREGATES, NUMBER_FUNCTIONS
 from ssduck.language.clauses import SelectedValue
 from ssduck.language.overrides import written_name
 from ssduck.language.tree import (
     Assignment,
     Binary,
     Call,
+    If,
     Index,
     Literal,
     Name,
     Node,
+    OperatorChain,
     OrderKey,
     QualifiedName,
     Query,
@@ -36,7 +39,7 @@ from ssduck.sql.plan import SourceType, TypeEnvironment
 from ssduck.sql.relations.registry import RELATIONS
 
 # The types of values that are no lists, so that an aggregate of one is over the rows.
-_SCALARS = frozenset(("double", "integer", "number", "string", "boolean"))
+SCALARS = frozenset(("double", "integer", "number", "string", "boolean"))
 
 
 @dataclass
@@ -91,6 +94,8 @@ class _Resolver:
         self._states = states(query).union(outer)
         self._bare: dict[str, bool] = {}
         self._named_columns = dict(_named_columns(query))
+        # Those that AS names, as in SQL.
+        self._as_names = {name for name, node in _as_columns(query)}
 
     def resolved(self) -> ResolvedQuery:
         query = self._query
@@ -98,8 +103,8 @@ class _Resolver:
             query,
             where=None if query.where is None else query.where.replaced(self._in_where),
             group=tuple(map(self._key, query.group)),
-            having=None if query.having is None else self._key(query.having),
-            order=tuple(OrderKey(k.span, self._key(k.value), k.descending) for k in query.order),
+            having=None if query.having is None else self._column_key(query.having),
+            order=tuple(OrderKey(k.span, self._order(k.value), k.descending) for k in query.order),
         )
         columns = tuple(self._columns())
         if self._aggregates_all_rows(columns):
@@ -113,29 +118,53 @@ class _Resolver:
         """
         if self._query.recursion is not None or is_grouped(self._query):
             return False
+        aliases = {None, *(source_type.alias for source_type in self._source_types)}
         calls = (call for column in columns for call in over_rows(column.node))
-        return any(self._is_scalar_of_row(call.arguments[0]) for call in calls)
+        arguments = (call.arguments[0] for call in calls)
+        return any(free_aliases(node) & aliases and self._is_scalar(node) for node in arguments)
 
-    def _is_scalar_of_row(self, node: Node) -> bool:
-        """Checks whether a value is certainly a number, a text or a truth value of a row."""
+    def _is_scalar(self, node: Node) -> bool:
+        """Checks whether a value is certainly a number, a text or a truth value."""
         match node:
-            case Call(name=name, arguments=arguments) if name in RELATIONS:
-                is_of_row = any(isinstance(argument, This) for argument in arguments)
-                return is_of_row and RELATIONS[name].result in _SCALARS
-            case QualifiedName(alias=alias, key=key):
-                is_entity = any(t.alias == alias and _has_entities(t) for t in self._source_types)
-                if not is_entity or self._names.has_variable(alias):
-                    return False
-                name = self._names.resolved_name(key)
-                return name in RELATIONS and RELATIONS[name].result in _SCALARS
-            case Unary(operand=operand):
-                return self._is_scalar_of_row(operand)
-            case Binary(operator="+" | "-" | "*" | "/" | "%" | "^", left=left, right=right):
-                sides = (left, right)
-                is_known = all(
-                    isinstance(side, Literal) or self._is_scalar_of_row(side) for side in sides
+            case Literal():
+                return True
+            case Call(name=name):
+                if name in RELATIONS:
+                    return RELATIONS[name].result in SCALARS
+                return name in NUMBER_FUNCTIONS or (
+                    name == "uniq" and self._is_scalar(node.arguments[0])
                 )
-                return is_known and not all(isinstance(side, Literal) for side in sides)
+            case QualifiedName(alias=alias, key=key) if not self._names.has_variable(alias):
+                return self._is_scalar_key(alias, key)
+            case Index(base=This(alias=alias), indices=(Literal(value=str() as key),)):
+                return self._is_scalar_key(alias, key)
+            case UnresolvedName():
+                # A key, unless a nested query without rows had keys.
+                return self._query.sources[0].is_table
+            case Unary(operand=operand):
+                return node.operator in ("NOT", "IS NULL") or self._is_scalar(operand)
+            case Binary(operator="+" | "-" | "*" | "/" | "%" | "^", left=left, right=right):
+                return self._is_scalar(left) and self._is_scalar(right)
+            case Binary() | OperatorChain(operators=("AND" | "OR" | "XOR", *_)):
+                return True
+            case If(otherwise=(otherwise,)):
+                values = [value for branch in node.branches for value in branch.then[-1:]]
+                return all(map(self._is_scalar, (*values, otherwise)))
+        return False
+
+    def _is_scalar_key(self, alias: str | None, key: str) -> bool:
+        """Checks whether a key of a source's elements, or a function of them, is such a value."""
+        for source_type in self._source_types:
+            if alias not in (None, source_type.alias):
+                continue
+            if _has_entities(source_type):
+                name = self._names.resolved_name(key)
+                return name in RELATIONS and RELATIONS[name].result in SCALARS
+            if source_type.sql_type is not None and source_type.sql_type.type == "record":
+                return any(
+                    name == key and kind.type in SCALARS
+                    for name, kind in source_type.sql_type.fields
+                )
         return False
 
     def _columns(self) -> Iterator[SelectedValue]:
@@ -168,12 +197,36 @@ class _Resolver:
 
     def _key(self, node: Node) -> Node:
         """Returns a part of GROUP BY, HAVING or ORDER BY, where columns have their names, too."""
-        return node.replaced(lambda part: self._column_named(part) or self._looked_up(part))
+        return node.replaced(self._key_part)
+
+    def _key_part(self, part: Node) -> Node | None:
+        return self._column_named(part) or self._looked_up(part)
+
+    def _order(self, node: Node) -> Node:
+        """Returns a key of ORDER BY; within a computed one, functions of the row come first."""
+        is_column = isinstance(node, Name) or bool(self._query.group)
+        return self._column_key(node) if is_column else self._key(node)
+
+    def _column_key(self, node: Node) -> Node:
+        """Returns a part of HAVING or ORDER BY, where the columns that AS names come first."""
+        return node.replaced(lambda part: self._as_column(part) or self._key_part(part))
+
+    def _as_column(self, part: Node) -> Node | None:
+        match part:
+            case Call(name=name) if name in AGGREGATES:
+                return self._key(part)  # of the rows, which have no columns yet
+            case Name(name=name) if name in self._as_names and not self._is_hidden(name):
+                self._bare[name] = False
+                return self._resolved(self._named_columns[name])
+        return None
+
+    def _is_hidden(self, name: str) -> bool:
+        return name in self._states or self._names.has_variable(name)
 
     def _column_named(self, part: Node) -> Node | None:
         if not isinstance(part, Name) or part.name not in self._named_columns:
             return None
-        if part.name in self._states or self._names.has_variable(part.name):
+        if self._is_hidden(part.name):
             return None
         only = self._source_types[0] if len(self._source_types) == 1 else None
         if only is not None and (only.sql_type is not None and only.sql_type.type == "record"):
@@ -201,17 +254,38 @@ class _Resolver:
         is_record = (
             only is not None and only.sql_type is not None and only.sql_type.type == "record"
         )
-        if known or only is None:
+        if known:
             return part
-        if is_record or only.dicts or not only.known:
+        if only is not None and (is_record or only.dicts or not only.known):
+            if is_record and not self._is_known(only, part.name):
+                return self._column_or(part, self._looked_up)
             return self._looked_up(part)
         name = self._names.resolved_name(part.name)
         call = Call(part.span, name, (This(part.span, None),), part.span)
         try:
             self._names.check_call(call)
         except SelectScriptError:  # the error at its evaluation is more precise
-            return part
-        return call
+            return self._column_or(part, lambda name: name)
+        return part if only is None else call
+
+    def _is_known(self, source_type: SourceType, name: str) -> bool:
+        """Checks whether a name is a key of records, or a function."""
+        fields = () if source_type.sql_type is None else source_type.sql_type.fields
+        if any(key == name for key, _ in fields):
+            return True
+        this = (This(self._query.span, None),)
+        call = Call(self._query.span, self._names.resolved_name(name), this, self._query.span)
+        try:
+            self._names.check_call(call)
+        except SelectScriptError:
+            return False
+        return True
+
+    def _column_or(self, part: Name, other: Callable[[Node], Node | None]) -> Node | None:
+        """Returns the column that AS names; of a name that SELECT does not have, another part."""
+        if part.name in self._as_names:
+            return self._resolved(self._named_columns[part.name])
+        return other(part)
 
     def _looked_up(self, part: Node) -> Node | None:
         if isinstance(part, Query | QualifiedName):
@@ -238,6 +312,15 @@ def _has_entities(source_type: SourceType) -> bool:
     """Checks whether the elements of a source are entities."""
     element = source_type.sql_type
     return source_type.schema is not None or (element is not None and element.type == "entity")
+
+
+def _as_columns(query: Query) -> Iterator[tuple[str, Node]]:
+    """Yields the columns that AS names; those that `to` names are called by it."""
+    for node in query.items:
+        match node:
+            case Call(name="to", arguments=(value, Literal(value=str() as name))):
+                if node.name_span == node.span:
+                    yield name, value
 
 
 def _named_columns(query: Query) -> Iterator[tuple[str, Node]]:

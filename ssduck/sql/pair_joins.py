@@ -7,17 +7,19 @@ that are near enough.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from sqlglot import exp
 
 from ssduck.language import tree
 from ssduck.language.tree import Binary, Call, Node, This
+from ssduck.schema import EntityTable
 from ssduck.sql.expressions import Expressions
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.pair_lookup import JoinedPairs
 from ssduck.sql.relation_calls import expanded
+from ssduck.sql.relations.geometry_query import PairKind
 from ssduck.sql.relations.registry import BOXES_WITHIN, RELATIONS
 from ssduck.sql.sql_values import NotSqlError
 
@@ -32,13 +34,13 @@ class PairJoin:
         table: the table of candidate pairs.
         pairs: the search for these pairs, and the condition on a row of the sources and of the
             table.
-        position: the key of the order of the call's two arguments.
+        position: the key of the order of the call's two arguments; None if they have links.
         sides: the sources in that order.
     """
 
     table: exp.Expr
     pairs: JoinedPairs
-    position: exp.Ordered
+    position: exp.Ordered | None
     sides: tuple[This, This]
 
 
@@ -61,8 +63,8 @@ def pair_join(
     >>> print(sql_of(query))
     SELECT a.name FROM kitchen.entities AS a CROSS JOIN kitchen.entities AS b CROSS JOIN
     (SELECT n // 4294967296 AS a, n % 4294967296 AS b, n
-     FROM (SELECT UNNEST("NARROW ALL_WITHIN"('kitchen', CAST(0.1e0 AS DOUBLE))) AS n) AS numbered)
-    AS pairs WHERE a.id = pairs.a AND b.id = pairs.b ORDER BY pairs.n ASC
+     FROM (SELECT UNNEST("NARROW ALL_WITHIN"('kitchen', 'entities', CAST(0.1e0 AS DOUBLE))) AS n)
+     AS numbered) AS pairs WHERE a.id = pairs.a AND b.id = pairs.b ORDER BY pairs.n ASC
 
     Args:
         sql: the expressions of the query.
@@ -72,9 +74,11 @@ def pair_join(
     """
     relation, constants = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidate_pairs is not None
+    search = relation.candidate_pairs.search
+    kind = _kind_of({sql.value(side).sql_type.table for side in sides})
     if not relation.is_symmetric:  # the search gives pairs in the order of its arguments
         sides = (node.arguments[0], node.arguments[1])  # type: ignore[assignment]
-    if not all(map(sql.is_constant, constants)):
+    if not all(map(sql.is_constant, constants)) or (kind != "entities" and not search.finds_links):
         return None
     try:
         holds = sql.condition(node)
@@ -83,16 +87,25 @@ def pair_join(
     except NotSqlError:
         return None
     distance = expanded(relation.candidate_distance(len(node.arguments)), values)
-    search = relation.candidate_pairs.search
-    pairs = pair_table(search, distance, schema, sql.context.alias("pairs"))
+    pairs = pair_table(search, distance, schema, sql.context.alias("pairs"), kind)
     result = [
-        exp.EQ(this=sql.value(side).sql, expression=column)
+        exp.EQ(this=sql.value(side).sql, expression=column.copy())
         for side, column in zip(sides, pairs.columns, strict=True)
     ]
     exact = () if search.is_exact else (holds,)
     condition = exp.and_(*result, *exact)
     joined = JoinedPairs(schema, search, distance, condition)
-    return PairJoin(pairs.table, joined, pairs.position, sides)
+    # Links are in the order of their entities, not of their ids.
+    position = pairs.position if kind == "entities" else None
+    return PairJoin(pairs.table, joined, position, sides)
+
+
+def _kind_of(tables: Collection[EntityTable]) -> PairKind:
+    """Returns what the sides of pairs are: rows of these tables."""
+    if len(tables) == 1:
+        (kind,) = tables
+        return kind
+    return "links and entities"
 
 
 def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:

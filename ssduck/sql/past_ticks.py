@@ -77,8 +77,8 @@ class QueryTicks:
         self, relation: Relation, values: Mapping[str, SqlValue], count: int
     ) -> SqlValue | None:
         """Returns a relation of shapes at all ticks of a window; None if there is no window."""
-        candidates = relation.candidate_pairs
-        if candidates is None or candidates.search.predicate is None:
+        geometry = relation.geometry
+        if geometry is None or geometry.over_ticks is None:
             return None
         if any(value.sql_type.table == "links" for value in values.values()):
             return None
@@ -93,15 +93,21 @@ class QueryTicks:
             return None
         if any(not isinstance(value.sql, exp.Parameter | exp.Literal) for value in numbers):
             return None
-        values_by_name = dict(zip(list(values)[2:], numbers, strict=True))
-        distance = expanded(relation.candidate_distance(count), values_by_name)
         ids = self._id_of(a), self._id_of(b)
+        if geometry.needs_single_pair and any(isinstance(id, exp.Column) for id in ids):
+            return None
+        distance: exp.Expr = exp.Literal.number(0)
+        if geometry.is_predicate:
+            values_by_name = dict(zip(list(values)[2:], numbers, strict=True))
+            distance = expanded(relation.candidate_distance(count), values_by_name)
         key = (relation.name, distance.sql(), span.tick.sql(), *(id.sql() for id in ids))
         if key not in self.joined_entities:
             name = self._context.alias("pairs then")
-            columns = self._id_at_row(a), self._id_at_row(b)
+            # A predicate needs no row of a handle, whose id is the same at all rows.
+            id_at_row = self._id_at_row if geometry.is_predicate else _id_column
+            columns = id_at_row(a), id_at_row(b)
             self.joined_entities[key] = pairs_over_ticks(
-                candidates.search, distance, span, ids, columns, name
+                relation, distance, span, ids, columns, name
             )
         return self.joined_entities[key].value
 
@@ -188,3 +194,9 @@ class QueryTicks:
             )
             self._parameters[id.sql()] = id
         return self.joined_entities[key]
+
+
+def _id_column(value: SqlValue) -> exp.Expr:
+    """Returns the id of an entity at a row, NULL where it was not there."""
+    assert value.column is not None
+    return value.column("id")

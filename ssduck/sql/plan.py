@@ -137,6 +137,7 @@ class Plan:
         bare: the resolved names, and whether there was a variable of that name.
         deferred: the lists in variables that the query evaluates.
         cautious: whether nothing in the SQL can fail.
+        may_fail: whether something in the SQL may fail, so that Python decides.
         lookup: the look-up that has the rows of the SQL, if there is one.
     """
 
@@ -159,6 +160,7 @@ class Plan:
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False
+    may_fail: bool = False
     lookup: PairLookup | None = None
 
     @cached_property

@@ -47,6 +47,8 @@ MAX_SOURCES = 64
 _LISTS = ("list",)
 _VALUES = ("value", "val")
 _DICTS = ("dict", "dictionary")
+# The value of one row at most.
+_SCALAR = "scalar"
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,8 @@ def value(outer: ExpressionScope, query: Query) -> SqlValue:
     rows = _rows(outer, query)
     if form in _LISTS:
         return _unrolled_list(rows) if isinstance(rows, UnrolledRows) else _list(rows)
+    if form == _SCALAR:
+        return _scalar(outer, rows)
     if form in _VALUES:
         outer.context.note_possible_failure()  # there may be no row
         return _unrolled_value(rows) if isinstance(rows, UnrolledRows) else _value(rows)
@@ -237,6 +241,21 @@ def _list(rows: Subquery) -> SqlValue:
     return SqlValue(exp.Coalesce(this=subquery, expressions=[empty]), list_type, domain=domain)
 
 
+def _scalar(outer: ExpressionScope, rows: Rows) -> SqlValue:
+    """Returns the value of the only row; it fails without a row, or with several."""
+    if isinstance(rows, UnrolledRows) or rows.items[0].sql_type.type == "entity":
+        raise NotSqlError
+    outer.context.note_possible_failure()
+    value = _value(rows, missing=True)
+    if rows.limit != 1:
+        if rows.limit is not None:
+            raise NotSqlError
+        count = exp.paren(rows.select(exp.Count(this=exp.Star())))
+        one = exp.EQ(this=count, expression=exp.Literal.number(1))
+        value = replace(value, expression=exp.case().when(one, value.sql))
+    return replace(value, expression=or_failure(value.sql, value.sql_type))
+
+
 def _value(rows: Subquery, *, missing: bool = False) -> SqlValue:
     """Returns the first item of the first row; it fails without a row unless it may be missing."""
     item = rows.items[0]
@@ -323,6 +342,8 @@ def _common(items: Sequence[SqlValue]) -> SqlType:
 def _form(query: Query) -> str:
     if query.adapter is None:
         return "dict"
+    if query.adapter.of_sql and query.adapter.name == "value":
+        return _SCALAR
     return "" if query.adapter.arguments or query.adapter.named else query.adapter.name
 
 

@@ -146,7 +146,8 @@ class _Translator:
         result = [condition for condition in conditions if condition is not None]
         result.extend(self._tick_joins())
         order, keys = self._order(result)
-        is_in_order_of_pairs = [key.this for key in order] == [p.position.this for p in self.pairs]
+        positions = [None if p.position is None else p.position.this for p in self.pairs]
+        is_in_order_of_pairs = [key.this for key in order] == positions
         is_group = is_one_group(self.query)
         limit, offset = self._limits(left=bool(left or keys or is_group or self.query.distinct))
         in_sql = limit is not None or offset is not None
@@ -285,7 +286,7 @@ class _Translator:
         live = (
             s
             for s in self.result.source_types
-            if s.has_values and s.sql_type is None and not s.past_kind and s.table == "entities"
+            if s.has_values and s.sql_type is None and not s.past_kind
         )
         worlds = {source_type.alias: source_type.schema for source_type in live}
         schemas = {worlds.get(str(side.alias)) for side in sides}
@@ -302,7 +303,7 @@ class _Translator:
             return None
         self.pairs.append(result)
         places = [order.index(str(side.alias)) for side in result.sides]
-        if places[1] == places[0] + 1:
+        if result.position is not None and places[1] == places[0] + 1:
             self.positions[str(result.sides[0].alias)] = result.position
         return result.pairs.condition
 
@@ -451,6 +452,7 @@ class _Translator:
     def _finish(self, select: exp.Select) -> None:
         plan = self.result
         plan.select = select
+        plan.may_fail = self.context.possible_failures > 0
         # Parts that turned out not to be SQL may have left parameters.
         used = {parameter.name for parameter in select.find_all(exp.Parameter)}
         plan.bindings = [binding for binding in plan.bindings if binding.name in used]

@@ -57,8 +57,14 @@ class Link(Handle):
 
     @property
     def entity(self) -> Entity:
-        """The entity that has the link."""
+        """The entity that has the link.
+
+        Raises:
+            RemovedEntityError: the world does not have the entity any more.
+        """
         id, moment = entity_of(self.id), self.moment
+        if moment is None and id not in self.world.snapshot.rows:
+            raise self.removed()
         return self.world.entity(id) if moment is None else moment.record.entity(moment.tick, id)
 
     @property

@@ -37,6 +37,8 @@ def new_folder(folder: Path) -> Iterator[None]:
         if any(folder.iterdir()):
             raise SceneError(f"{folder} is not empty: a scene is saved into a folder of its own")
         yield
+    except SceneError:
+        raise
     except (OSError, ValueError) as error:  # a null character is a ValueError
         reason = error.strerror if isinstance(error, OSError) else None
         raise SceneError(f"{folder}: {reason or error}") from error

@@ -8,10 +8,18 @@ import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
-from typing import Protocol, Self
+from typing import Never, Protocol, Self
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
+from ssduck.errors import (
+    ArgumentError,
+    NumberError,
+    ProgramWarning,
+    SelectScriptError,
+    SimulatorError,
+    warn,
+)
+from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
@@ -65,6 +73,9 @@ class SteppedSimulation(Observable):
         self._registry = EntityRegistry(snapshot.load_order)
         self._recorders: list[weakref.ref[TickSink]] = []
         self._stale_tick_check = StaleTickCheck()
+        # The time of the first tick, and that of the first recorded one.
+        self._start: float | None = None
+        self._first_recorded: float | None = None
 
     @property
     def time(self) -> float:
@@ -79,7 +90,7 @@ class SteppedSimulation(Observable):
 
     # -- a tick ---------------------------------------------------------------------------
 
-    def tick(self, *, steps: int | None = None, time: float | None = None) -> Self:
+    def tick(self, *unnamed: Never, steps: int | None = None, time: float | None = None) -> Self:
         """Takes a tick: replaces the tables by the current state of the simulator.
 
         In an attached world, whose client you step, each such tick advances simulated time: by
@@ -87,6 +98,7 @@ class SteppedSimulation(Observable):
         advance time, and neither argument is accepted.
 
         Args:
+            *unnamed: none; the two arguments need their names.
             steps: the number of steps that you have run since the last tick, 0 or more. 0 takes
                 another tick at the same time, for example after bodies were moved.
             time: the current simulated time, s, instead of a number of steps; not before that
@@ -98,8 +110,15 @@ class SteppedSimulation(Observable):
         Raises:
             SimulatorError: the simulator does not answer; the last tick and its time remain.
             NumberError: an argument is no such number, or the time is before the last tick's.
-            ArgumentError: both arguments are given, or the world is not attached.
+            ArgumentError: both arguments are given, or one without its name, or the world is not
+                attached.
         """
+        if unnamed:
+            value = short_repr(unnamed[0])
+            raise ArgumentError(
+                f"tick: {value} has no name: write tick(steps={value}) for a number of steps, "
+                f"tick(time={value}) for the simulated time in seconds"
+            )
         with self.lock:
             self._check_not_pinned()
             before, number = self._simulator.clock, self.snapshot.number
@@ -221,6 +240,8 @@ class SteppedSimulation(Observable):
             self._registry.update(self._simulator)
             self.snapshot.take(self._simulator, self._registry.entities)
             self._stale_tick_check.note_tick()
+            if self._start is None:
+                self._start = self.snapshot.time
             self._record_tick()
 
     def _record_tick(self) -> None:
@@ -264,13 +285,18 @@ class SteppedSimulation(Observable):
         self._take()
 
     @contextmanager
-    def pinned(self, tables: Iterable[str] = ()) -> Iterator[None]:
-        """Keeps the world at its tick, with tables included, while a query runs."""
+    def pinned(self, tables: Iterable[str] = (), *, is_read: bool = True) -> Iterator[None]:
+        """Keeps the world at its tick, with tables included, while a query runs.
+
+        Args:
+            tables: the tables to include.
+            is_read: whether the query reads the world, which warns of a stale tick.
+        """
         self._waiting += 1
         self.lock.acquire()
         self._waiting -= 1
         try:
-            if not self._queries:
+            if is_read and not self._queries:
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             self.request_tables(tables)
             self._queries += 1
@@ -296,6 +322,8 @@ class SteppedSimulation(Observable):
             with suppress(SimulatorError):  # of a closed simulator, the last tick is recorded
                 self._read_masses()
             self._recorders.append(weakref.ref(recorder))
+            if self._first_recorded is None:
+                self._first_recorded = self.snapshot.time
             self._read_recorded()
             if self.snapshot.request_tables(()):
                 self._take()
@@ -308,11 +336,28 @@ class SteppedSimulation(Observable):
             self._recorders = [r for r in self._recorders if r() not in (None, recorder)]
             self._read_recorded()
 
+    def warn_of_unrecorded_start(self) -> None:
+        """Warns, once, if the world had ticks of earlier times before it was recorded at all."""
+        start, first = self._start, self._first_recorded
+        if start is not None and first is not None and first > start:
+            self._start = None
+            warn(
+                f"{self.name}: its ticks before {first:g} s were not recorded, since an "
+                "interpreter records a world from the moment it is bound to a variable; the past "
+                "begins there",
+                ProgramWarning,
+            )
+
     def _read_recorded(self) -> None:
         """Makes each tick include the tables of the recorders."""
         recorders = [recorder for reference in self._recorders if (recorder := reference())]
         tables = frozenset(table for r in recorders for table in r.tables)
         self.snapshot.recorded = tables - {"entities"}
+
+    @property
+    def is_attached(self) -> bool:
+        """Whether the simulation is a client of the user's."""
+        return self._simulator.is_external
 
     @property
     def is_final(self) -> bool:

@@ -451,8 +451,8 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
         return links_of(self.entity(entity_of(id)))[link_of(id)]
 
     def __repr__(self) -> str:
-        about = contents_of([(entity.name, entity.kind) for entity in self])
-        return f"<World {self.name!r}: {len(self)} entities{about}, t={self.time:g} s>"
+        contents = contents_of([(entity.name, entity.kind) for entity in self])
+        return f"<World {self.name!r}: {contents}, t={self.time:g} s>"
 
     def _repr_png_(self) -> bytes | None:
         """Returns a picture for notebooks; None if the world cannot be rendered."""

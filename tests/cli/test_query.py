@@ -9,7 +9,9 @@ import json
 import re
 import warnings
 
+import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 import ssduck
 from ssduck.interpreter import opening
@@ -157,7 +159,7 @@ ERRORS = [
     (["query", "two.toml", "1 / 0;"], 1, "division by zero"),
     (["query", "two.toml", "sqrt(1, 2, 3);"], 1, "sqrt takes 1 argument, not 3"),
     (["query", "two.toml", "SELECT id FROM two AS lst;"], 1, "did you mean 'list'?"),
-    (["query", "two.toml", "id(tow);"], 1, "did you mean 'to' or 'two'"),
+    (["query", "two.toml", "id(tow);"], 1, "did you mean 'two'"),
     (
         ["query", "two.toml", LONG],
         1,
@@ -222,11 +224,11 @@ def test_a_mistake_of_ours_is_a_traceback(here, monkeypatch):
 
 
 @pytest.mark.filterwarnings("default")
-def test_warnings_are_one_line_each_and_told_once(here, monkeypatch):
+def test_each_warning_is_written_once(here, monkeypatch):
     load = opening.load
 
     def warn(scene):
-        for text in ("a [shape]\n  is odd", "another", "a [shape]\n  is odd"):
+        for text in ("a [shape] is odd", "another", "a [shape] is odd"):
             warnings.warn(text, stacklevel=2)
         return load(scene)
 
@@ -234,6 +236,30 @@ def test_warnings_are_one_line_each_and_told_once(here, monkeypatch):
     result = ssduck_("query", "two.toml", "1;")
     assert (result.exit_code, result.stdout) == (0, "1\n")
     assert result.stderr == "warning: a [shape] is odd\nwarning: another\n"
+
+
+PROBABLE_MISTAKE = """\
+no entity of two has the name 'bigg'; did you mean 'big'?
+  line 1, column 29
+    SELECT id FROM two WHERE id='bigg';
+                                ^^^^^^
+"""
+
+
+@pytest.mark.parametrize(
+    ("flags", "filter", "code", "prefix"),
+    [
+        ([], "default", 0, "warning: "),
+        ([], "error", 1, "error: "),
+        (["--strict"], "default", 1, "error: "),
+    ],
+)
+def test_a_warning_underlines_its_place(here, flags, filter, code, prefix):
+    """Also as an error, as `python -W error` makes it: no traceback."""
+    with warnings.catch_warnings():
+        warnings.simplefilter(filter)
+        result = ssduck_("query", "two.toml", "SELECT id FROM two WHERE id='bigg';", *flags)
+    assert (result.exit_code, result.stderr) == (code, prefix + PROBABLE_MISTAKE)
 
 
 # -- query: formats and files ---------------------------------------------------------------------
@@ -288,3 +314,56 @@ def test_wrong_formats(here, flags, code, told):
     result = ssduck_("query", "two.toml", "[1, 2];", *flags)
     assert (result.exit_code, result.stdout) == (code, "")
     assert told in result.stderr
+
+
+NO_ROWS = "SELECT id, z + 1 AS top FROM two WHERE z > 100;"
+
+
+@pytest.mark.parametrize(
+    ("format", "expected"),
+    [
+        ("table", "id  top\n--  ---\n(no rows)\n"),
+        ("csv", "id,top\n"),
+        ("json", "[]\n"),
+        ("markdown", "| id | top |\n| --- | --- |\n"),
+    ],
+)
+def test_a_query_without_rows_has_its_columns(here, format, expected):
+    assert answer("query", "two.toml", NO_ROWS, "-F", format) == expected
+    if format == "table":
+        assert answer("query", "two.toml", "[];", "-F", format) == "(no rows)\n"
+
+
+def test_a_file_without_rows_has_its_columns(here):
+    answer("query", "two.toml", NO_ROWS, "-o", "none.parquet")
+    assert pq.read_table("none.parquet").column_names == ["id", "top"]
+    assert pq.read_table("none.parquet").num_rows == 0
+
+
+def test_a_plan_of_duckdb_is_readable(here):
+    plan = answer("query", "two.toml", "--sql", "EXPLAIN SELECT id FROM entities")
+    first, *_, last = plan.splitlines()
+    assert (first[0], last[0]) == ("╭", "╰")
+    assert "│ Projections: id" in plan
+    rows = answer("query", "two.toml", "--sql", "EXPLAIN SELECT 1", "-F", "csv")
+    assert rows.startswith("explain_key,explain_value\n")
+
+
+PICTURES = ["occupancygrid(0.5, 0.1)", "voxelgrid(0.5)", "points(0.2)", "mesh", "graph", "image"]
+
+
+@pytest.mark.parametrize("form", PICTURES)
+def test_a_picture_goes_to_a_file(here, form):
+    program = f"SELECT {'touching(a.this, b.this)' if form == 'graph' else 'a.obj'} FROM a=two"
+    program += ", b=two" if form == "graph" else ""
+    answer("query", "two.toml", f"{program} AS {form};", "-o", "picture.png")
+    with Image.open("picture.png") as picture:
+        assert picture.format == "PNG"
+        assert len(picture.convert("RGB").getcolors(2**24)) > 1
+
+
+def test_a_table_is_no_picture(here):
+    result = ssduck_("query", "two.toml", "SELECT id FROM two;", "-o", "picture.png")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "this is no picture; AS image, mesh, points, graph" in result.stderr
+    assert not (here / "picture.png").exists()

@@ -95,19 +95,28 @@ def test_a_folder_of_the_name_of_a_scene_is_not_taken_for_it(here):
     assert answer("query", "./kitchen", "count(SELECT this FROM two AS list);") == "2\n"
 
 
+ENDS = [
+    (signal.SIGINT, "interrupted: the record is complete up to then\n"),
+    (signal.SIGTERM, "terminated: the record is complete up to then\n"),
+    (signal.SIGHUP, "terminated: the record is complete up to then\n"),
+]
+
+
 @LINUX
-@sampled("output", ["run", "run.duckdb"], every=2)
-def test_an_interrupted_recording_is_whole(here, output):
-    with start("record", "two.toml", "--seconds", "100000", "-o", output) as process:
+@sampled(
+    ("output", "number", "told"),
+    [(output, *end) for output in ("run", "run.duckdb") for end in ENDS],
+    every=4,
+)
+def test_an_interrupted_recording_is_whole(here, output, number, told):
+    recording = ["two.toml", "--seconds", "100000", "-o", output, "--flush-every", "1000"]
+    with start("record", *recording) as process:
         began = time.monotonic()
         while time.monotonic() < began + HANGS and written(here, output) < 200_000:
             time.sleep(0.05)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         out, err = process.communicate(timeout=HANGS)
-    assert (process.returncode, err) == (
-        130,
-        "interrupted: the record is complete up to then\n",
-    )
+    assert (process.returncode, err) == (128 + number, told)
     (episode,) = ssduck.episodes(output)
     assert out.startswith(f"{episode.ticks} ticks of 'two', from 0 s to {episode.end:g} s")
     assert episode.ticks > 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 import textwrap
 import types
@@ -15,6 +16,7 @@ from PIL import Image
 
 import ssduck
 from ssduck.errors import SelectScriptError
+from tests.support.timing import HANGS
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +114,31 @@ def test_an_attached_world_is_a_picture_as_long_as_its_client_lives():
     assert world._repr_png_().startswith(b"\x89PNG")
     pybullet.disconnect(client)
     assert world._repr_png_() is None
+
+
+KERNEL = """
+import sys, types
+shell = types.SimpleNamespace(config={"IPKernelApp": {}})
+sys.modules["IPython"] = types.ModuleType("IPython")
+sys.modules["IPython"].get_ipython = lambda: shell
+sys.modules["ipywidgets"] = None
+import duckdb
+try:
+    duckdb.connect().execute("SET enable_progress_bar = false")
+except duckdb.InvalidInputException as error:
+    assert "ipywidgets" in str(error), error
+    import ssduck
+    print(ssduck.Interpreter().sql("SELECT 1 AS one").fetchall())
+"""
+
+
+@pytest.mark.slow
+def test_a_kernel_needs_no_widgets():
+    """DuckDB takes the process for a kernel, and refuses settings of its progress bar."""
+    done = subprocess.run(
+        [sys.executable, "-c", KERNEL], capture_output=True, text=True, timeout=HANGS, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "[(1,)]\n"), done.stderr
 
 
 def test_printed_tables_fit_the_page(hall, monkeypatch):

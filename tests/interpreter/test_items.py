@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import get_type_hints
 
@@ -39,6 +40,56 @@ def test_an_unknown_item_is_an_error_with_the_nearest_name(ss, name, nearest):
         ss[name]
     assert isinstance(caught.value, LookupError)
     assert nearest is None or nearest in caught.value.suggestions
+
+
+UNKNOWN = [
+    ("kitchen;", "there is no variable 'kitchen'; the world is 'room'"),
+    ("SELECT id FROM kitchen;", "there is no variable 'kitchen'; the world is 'room'"),
+    ("SELECT id FROM romo;", "there is no variable 'romo'; did you mean 'room'?"),
+    ("z(can);", "there is no variable 'can'; for the entity, write room.can"),
+    ("SELECT id FROM room WHERE above(table, this);", "write room.table"),
+    ("SELECT id FROM room WHERE positon == 1;", "did you mean 'position'"),
+    ("SELECT id FROM room AS dataframe;", "there is no result form 'dataframe'; there are arrow, "),
+    ("SELECT id FROM room AS lst;", "there is no result form 'lst'; did you mean 'list'?"),
+]
+
+
+@pytest.mark.parametrize(("program", "words"), UNKNOWN)
+def test_an_unknown_name_names_what_there_is(ss, program, words):
+    with pytest.raises(UnknownNameError) as caught:
+        ss.eval(program)
+    assert words in str(caught.value)
+
+
+def test_functions_are_suggested_only_if_they_are_near(ss):
+    """The function `robot` is not what `rooom` means."""
+    with pytest.raises(UnknownNameError, match=r"'rooom'; did you mean 'room'\?$"):
+        ss["rooom"]
+    with pytest.raises(UnknownNameError, match=r"'sim'; the world is 'room'$"):
+        ss["sim"]
+    ss["other"] = ss["room"].what_if()
+    with pytest.raises(UnknownNameError, match=r"'sim'; worlds are 'room', 'other'$"):
+        ss["sim"]
+    with pytest.raises(UnknownNameError, match=r"write room\.can or other\.can$"):
+        ss["can"]
+    with ssduck.Interpreter() as empty, pytest.raises(UnknownNameError, match=r"'sim'$"):
+        empty["sim"]
+
+
+def test_an_item_is_no_attribute(ss):
+    """The error shows how to get it; private names and others have Python's message."""
+    for thing, name in ((ss, "room"), (ss["room"], "can")):
+        hint = rf"has no attribute '{name}'; write \['{name}'\] instead of \.{name}$"
+        with pytest.raises(AttributeError, match=hint):
+            getattr(thing, name)
+        with pytest.raises(
+            AttributeError, match=r"'(Interpreter|World)' object has no attribute 'x'$"
+        ):
+            thing.x  # noqa: B018
+        assert not hasattr(thing, "_ipython_display_")
+    with pytest.raises(AttributeError, match=r"'KinBody' object has no attribute 'positon'$"):
+        ss["room"]["can"].positon  # noqa: B018
+    assert copy.copy(ss["room"]["can"]) == ss["room"]["can"]
 
 
 def test_what_is_no_item(ss):
@@ -92,6 +143,13 @@ def test_dir_lists_what_is_public(ss):
     assert {"eval", "sql", "run", "worlds", "strict", "history", "help"} <= set(dir(ss))
     assert {"step", "tick", "run", "what_if", "time", "name", "simulator"} <= set(dir(room))
     assert {"position", "aabb", "links", "move", "full_name"} <= set(dir(room["can"]))
+
+
+@pytest.mark.parametrize("of", [ssduck.World, ssduck.Entity, ssduck.Link])
+def test_classes_list_what_their_objects_do(of):
+    names = {name for name in dir(of) if not name.startswith("_")}
+    assert names
+    assert names.isdisjoint(of.INTERNAL_NAMES)
 
 
 def test_strict_is_a_flag(ss):

@@ -204,6 +204,11 @@ CALLS = {
     "Recording(every)": ("above 0", False, lambda _, v: ssduck.Recording(every=v)),
     "Recording(changed)": ("flag", False, lambda _, v: ssduck.Recording(changed=v)),
     "Recording(seconds)": ("seconds above 0", True, lambda _, v: ssduck.Recording(seconds=v)),
+    "Recording(flush_every)": (
+        "seconds above 0",
+        True,
+        lambda _, v: ssduck.Recording(flush_every=v),
+    ),
     "Recording(ticks)": ("above 0", True, lambda _, v: ssduck.Recording(ticks=v)),
     "Recording(max_bytes)": ("above 0", True, lambda _, v: ssduck.Recording(max_bytes=v)),
     "OccupancyGrid.at(point)": ("inside", False, lambda _, v: occupied().at(v, 0.5)),

@@ -176,7 +176,7 @@ MISTAKES = [
     ("SELECT id FROM kitchen AS;", ";", "result form"),
     ("SELECT id FROM kitchen AS list(1;", ";", "')'"),
     ("SELECT * id FROM kitchen;", "id", "FROM"),
-    ("SELECT f(z + 1 = 'x') FROM kitchen;", "=", "'=='"),
+    ("f(z + 1 = 'x');", "=", "'=='"),
     ("SELECT id FROM kitchen STOP WITH a;", "STOP", "';'"),
     ("SELECT id FROM kitchen START WITH a=1;", ";", "CONNECT BY"),
     ("SELECT id FROM kitchen CONNECT BY a=1;", ";", "STOP WITH"),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 
+import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, UnknownNameError, UnsupportedError
+from ssduck.errors import ArgumentError, RemovedEntityError, UnknownNameError, UnsupportedError
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, link_id
 
 HAND = "sim.panda.panda_hand"
@@ -181,3 +182,23 @@ def test_what_if(cell):
         assert count == len(
             ss.eval("SELECT id FROM links(maybe) WHERE near(this, maybe.cube, 1) AS list;")
         )
+
+
+def test_links_of_a_removed_body(client):
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    world = ssduck.World.attach(client, names={body: "ball"})
+    (link,) = world["ball"].links
+    for row_by_row in (False, True):
+        with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+            ss.add_variable("sim", world)
+            ss.add_variable("base", link)
+            if not row_by_row:
+                pybullet.removeBody(body, client)
+                world.tick()
+            for program in ("entity(base);", "z(base);", "parent(base);", "near(base, base, 1);"):
+                with pytest.raises(RemovedEntityError, match=r"'ball\.link0' is no longer"):
+                    ss.eval(program)
+    assert not link.is_there
+    with pytest.raises(RemovedEntityError, match=r"'ball\.link0' is no longer in world"):
+        assert link.entity

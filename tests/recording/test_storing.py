@@ -27,6 +27,8 @@ from tests.support.timing import HANGS
 ROOT = Path(__file__).resolve().parents[2]
 RING = 10
 BALLS = 3
+# Stores full buffers only.
+FULL = Recording(flush_every=None)
 POSIX = pytest.mark.skipif(os.name != "posix", reason="forks")
 
 
@@ -85,7 +87,7 @@ def world(client: int, monkeypatch: pytest.MonkeyPatch) -> ssduck.World:
 
 @pytest.fixture
 def recorded(world: ssduck.World, tmp_path: Path) -> Iterator[ssduck.Interpreter]:
-    with ssduck.Interpreter(str(tmp_path / "run.duckdb")) as ss:
+    with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=FULL) as ss:
         ss.add_variable("lab", world)
         yield ss
 
@@ -285,7 +287,7 @@ def test_a_world_that_is_recorded_anew_while_it_is_stored(world: ssduck.World, g
 
 @pytest.mark.slow
 def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) -> None:
-    kept = Recording(ticks=8 * RING)
+    kept = Recording(ticks=8 * RING, flush_every=None)
     with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=kept) as ss:
         ss.add_variable("lab", world)
         for last in range(7, 30 * RING, 17):
@@ -366,7 +368,7 @@ def test_an_interpreter_that_is_forgotten_while_it_stores(
     world: ssduck.World, gate: Gate, tmp_path: Path
 ) -> None:
     path = tmp_path / "run.duckdb"
-    ss = ssduck.Interpreter(str(path))
+    ss = ssduck.Interpreter(str(path), recording=FULL)
     ss.add_variable("lab", world)
     gate.hold("INSERT")
     _ticked(world, RING + 3)
@@ -385,7 +387,7 @@ def test_garbage_is_collected_in_the_thread_that_stores(
     world: ssduck.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.duckdb"
-    ss: Any = ssduck.Interpreter(str(path))
+    ss: Any = ssduck.Interpreter(str(path), recording=FULL)
     ss.add_variable("lab", world)
     finish = ss._database.connection._finalizer
     run, ended = WriterConnection.run, threading.Event()
@@ -418,7 +420,7 @@ ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
 for place in range(3):
     pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1])
 world = ssduck.World.attach(client, name="lab")
-ss = ssduck.Interpreter(sys.argv[1])
+ss = ssduck.Interpreter(sys.argv[1], recording=ssduck.Recording(flush_every=None))
 ss.add_variable("lab", world)
 slow = WriterConnection.insert
 def insert(*given):

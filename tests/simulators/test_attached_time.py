@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 
 import numpy as np
 import pybullet
@@ -230,6 +231,51 @@ def test_a_record_has_the_times(client, bouncing, tmp_path):
         record.eval("ball = SELECT obj FROM sim WHERE id(this) == 'ball' AS value;")
         assert record.eval(asked) == ss.eval(asked)
         assert record.call_variable("sim").time == 1.0
+
+
+@pytest.mark.parametrize("value", [4, 0.5, "4"])
+def test_an_argument_without_a_name_is_an_error_that_names_both(client, bouncing, value):
+    _, world = bouncing
+    with pytest.raises(ArgumentError) as raised:
+        world.tick(value)
+    assert f"tick(steps={value!r})" in raised.value.message
+    assert f"tick(time={value!r})" in raised.value.message
+    assert world.time == 0
+
+
+def late_start(act):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        act()
+    return [str(w.message) for w in caught if "were not recorded" in str(w.message)]
+
+
+def test_ticks_before_a_world_is_bound_are_told_of_once(client, bouncing):
+    _, world = bouncing
+    late = ssduck.World.attach(client, names={0: "floor", 1: "ball"})
+    for _ in range(24):
+        stepped(client)
+        late.tick()
+        world.tick()
+    for bound, expected in ((late, 1), (world, 0)):  # the other one was bound at once
+        with ssduck.Interpreter() as ss:
+            ss.add_variable("late", bound)
+            assert late_start(lambda ss=ss: ss.eval("SELECT z FROM late;")) == []
+            messages = late_start(lambda ss=ss: ss.eval("holds(z(late.ball) > 2);"))
+            assert len(messages) == expected
+            assert all(message.startswith("late: its ticks before 0.1 s") for message in messages)
+            for program in ("since(z(late.ball) > 0);", "changes(z(late.ball) > 0);"):
+                assert late_start(lambda ss=ss, program=program: ss.eval(program)) == []
+
+
+@pytest.mark.usefixtures("bouncing")
+def test_ticks_at_the_start_are_none_before_it(client):
+    """Of a world that has not been stepped, all times are recorded."""
+    late = ssduck.World.attach(client, names={0: "floor", 1: "ball"})
+    late["ball"].move([0, 0, 2])
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("late", late)
+        assert late_start(lambda: ss.eval("holds(z(late.ball) > 2);")) == []
 
 
 def test_after_a_reset_the_client_is_attached_anew(client, bouncing, tmp_path):

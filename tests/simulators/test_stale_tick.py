@@ -144,3 +144,56 @@ def test_bodies_that_come_and_go(client: int, sim: tuple[ssduck.Interpreter, ssd
     world.tick()
     pybullet.stepSimulation(client)
     assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
+
+
+@pytest.fixture
+def other(sim: tuple[ssduck.Interpreter, ssduck.World]) -> Iterator[int]:
+    """A second client with a ball, whose world is `other`."""
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setGravity(0, 0, -9.81, client)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, shape, basePosition=[0, 0, 1], physicsClientId=client)
+    sim[0].add_variable("other", ssduck.World.attach(client, names={0: "egg"}))
+    yield client
+    pybullet.disconnect(client)
+
+
+OF_SIM: list[Callable[[ssduck.Interpreter], Any]] = [
+    lambda ss: ss.eval("SELECT id, z FROM sim;"),
+    lambda ss: ss.eval("z(ball);"),
+    lambda ss: ss.eval("holds(z(sim.ball) > 0);"),
+    lambda ss: ss.sql("SELECT z FROM sim.entities").fetchall(),
+    lambda ss: ss.sql("SELECT z FROM entities").fetchall(),
+]
+OF_OTHER: list[Callable[[ssduck.Interpreter], Any]] = [
+    lambda ss: ss.eval("SELECT id, z FROM other;"),
+    lambda ss: ss.eval("z(other.egg);"),
+    lambda ss: ss.eval("holds(z(other.egg) > 0);"),
+    lambda ss: ss.sql("SELECT z FROM other.entities").fetchall(),
+    lambda ss: ss.sql('SELECT z FROM other."entities_history"').fetchall(),
+    lambda ss: ss.sql("FROM Other.links").fetchall(),
+]
+
+
+@pytest.mark.parametrize("is_first", [True, False])
+def test_only_worlds_that_a_query_reads_are_compared(
+    client: int, other: int, sim: tuple[ssduck.Interpreter, ssduck.World], *, is_first: bool
+) -> None:
+    """Worlds that are stepped by turns are not told between the step of one and its tick."""
+    ss, _ = sim
+    pybullet.stepSimulation(client if is_first else other)
+    reading, not_reading = (OF_SIM, OF_OTHER) if is_first else (OF_OTHER, OF_SIM)
+    for query in not_reading:
+        assert warned(lambda query=query: query(ss)) == []  # type: ignore[misc]
+    (message,) = warned(lambda: [query(ss) for query in reading])
+    assert message.startswith("sim:" if is_first else "other:")
+
+
+def test_a_join_reads_all_of_its_worlds(
+    client: int, other: int, sim: tuple[ssduck.Interpreter, ssduck.World]
+) -> None:
+    ss, _ = sim
+    pybullet.stepSimulation(client)
+    pybullet.stepSimulation(other)
+    messages = warned(lambda: ss.sql("SELECT a.z, b.z FROM entities a, other.entities b"))
+    assert sorted(message.partition(":")[0] for message in messages) == ["other", "sim"]

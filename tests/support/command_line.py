@@ -128,7 +128,7 @@ ANSWERS = [
         [{"big": 0}, {"small": 2}],
         "big,small\n0.0,\n,2.0\n",
     ),
-    ("SELECT obj FROM two WHERE z(this) > 100;", "(no rows)\n", [], "value\n"),
+    ("SELECT obj FROM two WHERE z(this) > 100;", "obj\n---\n(no rows)\n", [], "obj\n"),
 ]
 
 # The same for SQL.

@@ -2,4 +2,8 @@
 
 `registry` holds the triggers of an interpreter, and `trigger` is one of them. `conditions` decides
 when it fires, `diff` compares results, and `callback_queue` runs callbacks in their own thread.
+
+Triggers that are due at the same tick are evaluated together (`tick_batch`) if their programs are
+formulas over the entities of a world (`formulas`): with numpy (`array_expressions`), and what numpy
+does not evaluate bit for bit as DuckDB does, with one statement (`batch`).
 """

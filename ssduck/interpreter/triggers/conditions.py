@@ -70,6 +70,10 @@ class Debouncer:
     """Holds the result that was last delivered, and the one that is about to settle.
 
     Before the first result there are no rows, the result is false, and any result is a change.
+
+    Attributes:
+        is_steady: whether the last result equals the one that was last delivered, so that the
+            same result again changes nothing.
     """
 
     def __init__(self, config: TriggerConfig) -> None:
@@ -81,6 +85,7 @@ class Debouncer:
         elif config.rows:
             self._settled = multiset([])
         self._candidate: Any = None
+        self.is_steady = False
         self._candidate_since: WeakKeyDictionary[World, float] | None = None
 
     def fires(self, result: Any, worlds: Sequence[World]) -> tuple[Any] | None:
@@ -112,18 +117,25 @@ class Debouncer:
         """Checks whether a key is new and has held for the debounce time."""
         if value == self._settled:
             self.reset()
+            self.is_steady = True
             return False
+        self.is_steady = False
+        if self._config.debounce and not self._has_held(value, worlds):
+            return False
+        self._settled = value
+        self.reset()
+        self.is_steady = True
+        return True
+
+    def _has_held(self, value: Any, worlds: Sequence[World]) -> bool:
+        """Checks whether a new key has held for the debounce time."""
         if self._candidate_since is None or value != self._candidate:
             self._candidate = value
             self._candidate_since = WeakKeyDictionary({world: world.time for world in worlds})
         since = self._candidate_since
-        is_settled = any(w.reached(since.get(w, w.time) + self._config.debounce) for w in worlds)
-        if is_settled or not self._config.debounce:
-            self._settled = value
-            self.reset()
-            return True
-        return False
+        return any(w.reached(since.get(w, w.time) + self._config.debounce) for w in worlds)
 
     def reset(self) -> None:
         """Forgets the result that was about to settle."""
         self._candidate = self._candidate_since = None
+        self.is_steady = False

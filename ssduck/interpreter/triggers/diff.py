@@ -97,10 +97,7 @@ def canonical_key(value: Any) -> Any:
     if kind is list or isinstance(value, tuple):
         return (kind, *map(canonical_key, value))
     if kind is dict:
-        return (
-            dict,
-            frozenset((canonical_key(key), canonical_key(part)) for key, part in value.items()),
-        )
+        return (dict, frozenset(map(_item_key, value.items())))
     if kind is set or kind is frozenset:
         return (frozenset, frozenset(map(canonical_key, value)))
     if isinstance(value, np.generic):
@@ -113,6 +110,14 @@ def canonical_key(value: Any) -> Any:
         nodes, edges = dict(value.nodes(data=True)), list(value.edges(data=True))
         return (kind, canonical_key(nodes), multiset(edges))
     return _CopiedValue(value)
+
+
+def _item_key(item: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Returns the key of an item of a dict."""
+    key, part = item
+    if type(key) is str and type(part) is float and part == part:  # noqa: PLR0124  # not NaN
+        return item  # the most frequent one
+    return canonical_key(key), canonical_key(part)
 
 
 # The key of NaN, which does not equal itself.
@@ -162,10 +167,13 @@ def copy_of(value: Any) -> Any:
     kind = type(value)
     if kind in ATOMS or isinstance(value, Handle | World):
         return value
-    if kind is list or kind is tuple or kind is set:
-        return kind(map(copy_of, value))
+    # Most parts are atoms, and a call for each of them would take most of the time.
+    if kind is list:
+        return [part if type(part) in ATOMS else copy_of(part) for part in value]
     if kind is dict:
-        return {key: copy_of(part) for key, part in value.items()}
+        return {k: part if type(part) in ATOMS else copy_of(part) for k, part in value.items()}
+    if kind is tuple or kind is set:
+        return kind(map(copy_of, value))
     try:
         return copy.deepcopy(value)
     except Exception:  # noqa: BLE001  # a user's class may do anything

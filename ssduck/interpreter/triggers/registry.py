@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 from weakref import WeakSet
@@ -19,7 +19,13 @@ from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.conditions import TriggerConfig, When
-from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
+from ssduck.interpreter.triggers.tick_batch import (
+    TickBatch,
+    TriggerBatches,
+    are_fixed,
+    are_same,
+)
+from ssduck.interpreter.triggers.trigger import Batched, Trigger, TriggerState, TriggerWarning
 from ssduck.language.tree import Node
 from ssduck.language.value_keys import ATOMS
 from ssduck.world.handles import Handle
@@ -61,6 +67,17 @@ class Names(Protocol):
 
     def worlds_of(self, nodes: Iterable[Node]) -> list[World] | None:
         """Returns the worlds that nodes may read; None if that depends on values."""
+
+    def bound_values(self, names: Iterable[str]) -> tuple[Any, ...]:
+        """Returns what is bound to names: values, histories of values, or None."""
+
+    @property
+    def meaning(self) -> tuple[object, ...]:
+        """Objects that are replaced when anything but variables gives programs another meaning."""
+
+    @property
+    def stamp(self) -> tuple[object, ...]:
+        """The same object as long as no variable is bound, and `meaning` is the same."""
 
 
 class TriggerMethods:
@@ -163,11 +180,15 @@ class TriggerRegistry:
     Args:
         interpreter: the interpreter that evaluates their programs.
         names: its variables and functions.
+        batches: evaluates triggers together; None if each is evaluated by itself.
     """
 
-    def __init__(self, interpreter: Evaluator, names: Names) -> None:
+    def __init__(
+        self, interpreter: Evaluator, names: Names, batches: TriggerBatches | None
+    ) -> None:
         self._interpreter = interpreter
         self._names = names
+        self._batches = batches
         self._by_name: dict[str, Trigger] = {}
         self._lock = threading.Lock()
         self._observed: WeakSet[World] = WeakSet()
@@ -189,13 +210,16 @@ class TriggerRegistry:
         validation.function(callback, "add_trigger: callback")
         self._check_free(config.name)
         trigger = Trigger(config, program, callback)
-        with trigger.exclusive():
+        trigger.begin()
+        try:
             trigger.reschedule(self._observe(trigger))
             delivery = self._next_delivery(trigger)
             with self._lock:
                 self._check_free(config.name)
                 self._by_name = {**self._by_name, config.name: trigger}
             self._fire(trigger, delivery)
+        finally:
+            trigger.end()
 
     def _check_free(self, name: str) -> None:
         if name in self._by_name:
@@ -250,33 +274,62 @@ class TriggerRegistry:
 
     def due(self, world: World, /) -> float:
         """Returns the time at which the next trigger is due in a world."""
-        triggers = [t for t in self._by_name.values() if world in self._worlds_of(t)]
-        return min((trigger.due(world) for trigger in triggers), default=math.inf)
+        due, stamp = math.inf, self._names.stamp
+        for trigger in self._by_name.values():
+            if not trigger.paused and world in self._worlds_of(trigger, stamp):
+                due = min(due, trigger.due(world))
+                if due == -math.inf:
+                    break
+        return due
 
     def ticked(self, world: World, /) -> None:
         """Evaluates the triggers that are due in a world, in the order in which they were added."""
-        for trigger in self._by_name.values():
-            # An earlier callback may have removed or paused it.
-            reads_world = not trigger.removed and world in self._worlds_of(trigger)
-            if reads_world and world.reached(trigger.due(world)):
-                self._evaluate(trigger)
+        stamp, triggers = self._names.stamp, self._by_name.values()
+        due = {trigger: None for trigger in triggers if self._is_due(trigger, world, stamp)}
+        if not due:
+            return
+        batch = None if self._batches is None else self._batches.begin(world, due, stamp)
+        for trigger in triggers:
+            # An earlier callback or program may have changed what is due.
+            is_doubtful = batch is None or batch.is_doubtful
+            if is_doubtful:
+                is_due = self._is_due(trigger, world, self._names.stamp)
+            else:
+                is_due = trigger in due and not trigger.paused
+            if is_due and not trigger.removed:
+                self._evaluate(trigger, batch)
+
+    def _is_due(self, trigger: Trigger, world: World, stamp: object) -> bool:
+        """Checks whether a trigger is due in a world."""
+        if trigger.paused or world not in self._worlds_of(trigger, stamp):
+            return False
+        due = trigger.due(world)
+        return due == -math.inf or (due < math.inf and world.reached(due))
 
     def rebound(self) -> None:
         """Observes the worlds that triggers read, after a name was bound to another world."""
         for trigger in self._by_name.values():
+            trigger.batched = Batched()
             self._observe(trigger)
 
-    def _evaluate(self, trigger: Trigger) -> None:
-        with trigger.exclusive() as is_exclusive:
-            if not is_exclusive:
-                return
-            trigger.reschedule(self._worlds_of(trigger))
+    def _evaluate(self, trigger: Trigger, batch: TickBatch | None = None) -> None:
+        if not trigger.begin():
+            return
+        try:
+            if trigger.config.interval:
+                trigger.reschedule(self._worlds_of(trigger))
             try:
-                delivery = self._next_delivery(trigger)
+                delivery = self._next_delivery(trigger, batch)
             except Exception as error:  # noqa: BLE001  # no error stops the world
+                trigger.batched = Batched()
                 trigger.fail(error)
                 return
-            self._fire(trigger, delivery)
+            if delivery is not None:
+                if batch is not None:
+                    batch.is_doubtful = True
+                self._fire(trigger, delivery)
+        finally:
+            trigger.end()
 
     def _fire(self, trigger: Trigger, delivery: tuple[Any] | None) -> None:
         """Fires a trigger if there is a value to deliver."""
@@ -285,15 +338,28 @@ class TriggerRegistry:
             # The callback may have stepped worlds; evaluations that were due meanwhile are skipped.
             trigger.reschedule(self._worlds_of(trigger))
 
-    def _next_delivery(self, trigger: Trigger) -> tuple[Any] | None:
+    def _next_delivery(self, trigger: Trigger, batch: TickBatch | None = None) -> tuple[Any] | None:
         """Evaluates a trigger, and returns the value to deliver, in a tuple; None for none."""
         trigger.count_evaluation()
+        if batch is not None:
+            batched = batch.result(trigger)
+            if batched is not None and not batched.is_new and trigger.is_steady:
+                return None
+            if batched is not None:
+                result = batched.value if batched.is_new else trigger.result
+                return trigger.deliverable(result, self._observe(trigger))
         dependencies = self._dependencies_of(trigger)
         if dependencies is None or dependencies != trigger.dependencies:
             trigger.dependencies = None
+            key = None
+            if self._batches is not None:
+                key = self._batches.key(trigger, self._worlds_of(trigger))
             result = self._interpreter.eval(trigger.program)
             # As read before the evaluation, so that a tick taken meanwhile is not missed.
             trigger.dependencies = dependencies
+            trigger.batched.key, trigger.batched.fingerprint = key, None
+            if batch is not None:
+                batch.is_doubtful = True
         else:
             result = trigger.result
         return trigger.deliverable(result, self._observe(trigger))
@@ -309,14 +375,26 @@ class TriggerRegistry:
         ticks = [(world, world.snapshot.number) for world in self._worlds_of(trigger)]
         return [(name, type(value), value) for name, value in values], ticks
 
-    def _worlds_of(self, trigger: Trigger) -> list[World]:
-        """Returns the worlds that a program reads; all worlds if unknown or none."""
-        worlds: list[World] | None = None
-        with suppress(RecursionError):  # a list that contains itself
-            worlds = self._names.worlds_of(trigger.program.tree.statements)
-        return list(dict.fromkeys(worlds or self._names.worlds))
+    def _worlds_of(self, trigger: Trigger, stamp: object = None) -> Sequence[World]:
+        """Returns the worlds that a program reads; all worlds if unknown or none.
 
-    def _observe(self, trigger: Trigger) -> list[World]:
+        Args:
+            trigger: the trigger.
+            stamp: the stamp of the names, if it is known.
+        """
+        known, stamp = trigger.worlds, stamp or self._names.stamp
+        if known.stamp is not stamp:
+            key = (*self._names.meaning, *self._names.bound_values(trigger.variables))
+            if known.key is None or not are_same(known.key, key):
+                worlds: list[World] | None = None
+                with suppress(RecursionError):  # a list that contains itself
+                    worlds = self._names.worlds_of(trigger.program.tree.statements)
+                known.worlds = list(dict.fromkeys(worlds or ()))
+                known.key = key if are_fixed(key) else None
+            known.stamp = None if known.key is None else stamp
+        return known.worlds or self._names.worlds
+
+    def _observe(self, trigger: Trigger) -> Sequence[World]:
         """Observes the worlds that a trigger reads, and all that it may come to read."""
         worlds = self._worlds_of(trigger)
         for world in (*worlds, *self._names.worlds):

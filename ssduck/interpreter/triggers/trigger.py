@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import threading
 import weakref
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -16,6 +16,7 @@ from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.callback_queue import CallbackQueue
 from ssduck.interpreter.triggers.conditions import Debouncer, TriggerConfig
 from ssduck.interpreter.triggers.diff import copy_of
+from ssduck.interpreter.triggers.formulas import Formula
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
 from ssduck.language.tree import Program, Query, UnresolvedName
 from ssduck.sql.table_use import tables_of
@@ -25,6 +26,41 @@ from ssduck.world.world import World
 MAX_WARNINGS = 100
 # Functions whose values change though their arguments do not.
 _CHANGING = IMPURE | {"getTime", "var"}
+
+
+@dataclass
+class KnownWorlds:
+    """The worlds that a program reads.
+
+    Attributes:
+        stamp: the stamp of the names for which they are known.
+        key: the values from which they follow; None if these are not known, or may change.
+        worlds: the worlds; empty if they are not known.
+    """
+
+    stamp: object = None
+    key: tuple[Any, ...] | None = None
+    worlds: Sequence[World] = ()
+
+
+@dataclass
+class Batched:
+    """What is needed to evaluate a trigger together with others.
+
+    Attributes:
+        key: the values that decided what the program means when it was last evaluated by itself;
+            None if that failed, or if it is always evaluated by itself.
+        stamp: the stamp of the names for which the key is known to be up to date.
+        formula_key: the key for which the formula was made.
+        formula: the formula of its program; None if it is none.
+        fingerprint: that of the rows of its last result; None if unknown.
+    """
+
+    key: tuple[Any, ...] | None = None
+    stamp: object = None
+    formula_key: tuple[Any, ...] | None = None
+    formula: Formula | None = None
+    fingerprint: Any = None
 
 
 class TriggerWarning(RuntimeWarning):
@@ -41,6 +77,10 @@ class Trigger:
         removed: whether its callback is not to be called any more.
         reads: the names on which the result depends, if it depends on these and ticks only.
         dependencies: the variables and ticks of its last result; None if they are unknown.
+        names: the names whose values decide what the program means, in a fixed order.
+        variables: the names of the variables that the program reads, in a fixed order.
+        worlds: the worlds that it reads, with the values from which they follow.
+        batched: what is needed to evaluate it together with others.
         queue: the queue of its callback; None if the callback runs in the stepping thread.
     """
 
@@ -53,6 +93,12 @@ class Trigger:
         self.removed = False
         self.reads = _names_read_by(program.tree)
         self.dependencies: Any = None
+        self.names = tuple(sorted(self.reads or ()))
+        self.variables = tuple(
+            sorted(frozenset().union(*map(variables_of, program.tree.statements)))
+        )
+        self.worlds = KnownWorlds()
+        self.batched = Batched()
         self._busy = threading.Lock()
         self._schedules: WeakKeyDictionary[World, Schedule] = WeakKeyDictionary()
         self._debouncer = Debouncer(config)
@@ -67,20 +113,20 @@ class Trigger:
             # The thread does not refer to the trigger, and ends with it.
             weakref.finalize(self, self.queue.close)
 
-    @contextmanager
-    def exclusive(self) -> Iterator[bool]:
-        """Yields whether no other evaluation is running, in another thread or around this call."""
-        is_exclusive = self._busy.acquire(blocking=False)
-        try:
-            yield is_exclusive
-        finally:
-            if is_exclusive:
-                self._busy.release()
+    def begin(self) -> bool:
+        """Begins an evaluation, unless one is running, in another thread or around this call."""
+        return self._busy.acquire(blocking=False)
+
+    def end(self) -> None:
+        """Ends an evaluation that was begun."""
+        self._busy.release()
 
     def due(self, world: World) -> float:
         """Returns the time at which it is due in a world; infinity while it is evaluated."""
         if self.paused or self._busy.locked():
             return math.inf
+        if not self.config.interval:
+            return -math.inf
         return self._schedule(world).due
 
     def _schedule(self, world: World) -> Schedule:
@@ -91,8 +137,9 @@ class Trigger:
 
     def reschedule(self, worlds: Sequence[World]) -> None:
         """Sets the next due time to the next multiple of the interval."""
-        for world in worlds:
-            self._schedule(world).reschedule(world)
+        if self.config.interval:  # without one, it is always due
+            for world in worlds:
+                self._schedule(world).reschedule(world)
 
     def resume(self, worlds: Sequence[World]) -> None:
         """Resumes the evaluations at the next multiple of the interval."""
@@ -111,6 +158,11 @@ class Trigger:
         delivery = self._debouncer.fires(result, worlds)
         self._log.result = copy_of(result)
         return delivery
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether its last result again would change nothing."""
+        return self._debouncer.is_steady
 
     def count_evaluation(self) -> None:
         """Counts an evaluation."""

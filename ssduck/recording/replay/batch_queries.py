@@ -1,4 +1,4 @@
-"""Evaluates predicates on pairs of entities at many recorded ticks in one batch.
+"""Answers questions about pairs of entities at many recorded ticks in one batch.
 
 Each pair at a tick becomes two separate entities of one narrow phase
 (`ssduck.geometry.narrow_phase`), so that all pairs are compared together. Shapes of different
@@ -15,17 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.batch import (
-    PairPredicate,
-    ShapeTable,
-    TickShapes,
-    matching_pairs,
-    of_known_entities,
-)
+from ssduck.geometry.batch import ShapeTable, TickShapes, of_known_entities
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.pair_batch import Answers, PairBatch, PairQuestion
 from ssduck.geometry.poses import (
     compose,
     flat_rotation_matrices,
@@ -158,22 +153,19 @@ class EntityShapes:
             boxes = model.boxes.boxes(poses[:, :3], matrices).T
         return positions, orientations, boxes
 
-    def evaluate(
-        self, first: PairSide, second: PairSide, predicate: PairPredicate, calls: CallCounter
-    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Evaluates a predicate on n pairs of entities.
+    def answers(
+        self, first: PairSide, second: PairSide, question: PairQuestion, calls: CallCounter
+    ) -> Answers:
+        """Returns the answers to a question about n pairs of entities.
 
         Args:
             first: the first entity of each pair.
             second: the second entity of each pair.
-            predicate: the condition.
+            question: the question.
             calls: counts comparisons.
-
-        Returns:
-            Whether the predicate holds for each pair, (n,); whether that is known, (n,).
         """
-        holds = np.zeros(len(first.ids), dtype=bool)
-        known = np.zeros(len(first.ids), dtype=bool)
+        values = np.zeros(len(first.ids))
+        is_open = np.zeros(len(first.ids), dtype=bool)
         counts = self._shape_counts(first.ids) * self._shape_counts(second.ids)
         ends = np.cumsum(np.maximum(counts, 1))
         start = 0
@@ -181,9 +173,13 @@ class EntityShapes:
             before = ends[start - 1] if start else 0
             end = int(np.searchsorted(ends, before + MAX_BATCH_SIZE, side="right"))
             rows = np.arange(start, max(end, start + 1))
-            holds[rows], known[rows] = self._evaluate_batch(first, second, rows, predicate, calls)
+            batch = self._batch(first, second, rows, calls)
+            answers = batch.answers(question)
+            if question.kind != "resting":
+                calls.pairs += batch.compared_count
+            values[rows], is_open[rows] = answers.values, answers.is_open
             start = int(rows[-1]) + 1
-        return holds, known
+        return Answers(values, is_open)
 
     def _shape_counts(self, ids: Ids) -> Indices:
         counts = np.zeros(len(ids), np.intp)
@@ -191,15 +187,10 @@ class EntityShapes:
             counts[ids == id] = self._shape_model(id).count
         return counts
 
-    def _evaluate_batch(
-        self,
-        first: PairSide,
-        second: PairSide,
-        rows: Indices,
-        predicate: PairPredicate,
-        calls: CallCounter,
-    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-        """Evaluates a predicate on n of the pairs; the entities of pair k are k and n + k."""
+    def _batch(
+        self, first: PairSide, second: PairSide, rows: Indices, calls: CallCounter
+    ) -> PairBatch:
+        """Returns n of the pairs with their shapes; the entities of pair k are k and n + k."""
         parts = [*self._place_shapes(first, rows, 0), *self._place_shapes(second, rows, len(rows))]
         owners, solid_indices = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
         margins, *poses = (np.concatenate([part[i] for part in parts]) for i in (2, 3, 4))
@@ -210,27 +201,15 @@ class EntityShapes:
             positions, orientations = positions[order], orientations[order]
         count = len(rows)
         counts = np.bincount(owners, minlength=2 * count)
-        starts = np.cumsum(counts) - counts
-        shapes = _cross_pairs(starts[:count], counts[:count], starts[count:], counts[count:])
-        table = ShapeTable(self._solids, solid_indices, owners, margins)
-        scene = _tick_shapes(table, positions, orientations)
-        unbounded = np.array([[-np.inf] * 3 + [np.inf] * 3] * 2)
-
-        def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
-            pair = [s, t]
-            placed = positions[pair], orientations[pair], unbounded
-            narrow = NarrowPhase(
-                self._solids, solid_indices[pair], *placed, [0, 1, 2], calls, margins[pair]
-            )
-            return narrow.satisfies(0, 1, predicate)
-
-        result = matching_pairs(scene, predicate, satisfies, shapes)
-        calls.pairs += len(result.compared)
-        holds = np.zeros(count, dtype=bool)
-        holds[result.sides[0]] = True
-        are_known = np.ones(2 * count, dtype=bool)
-        are_known[owners[~scene.is_known]] = False
-        return holds, are_known[:count] & are_known[count:]
+        starts = np.concatenate(([0], np.cumsum(counts)))
+        sides = (starts[:count], counts[:count], starts[count:-1], counts[count:])
+        scene = _tick_shapes(
+            ShapeTable(self._solids, solid_indices, owners, margins), positions, orientations
+        )
+        boxes = np.tile([-np.inf] * 3 + [np.inf] * 3, (len(owners), 1))
+        placed = positions, orientations, boxes, starts.tolist()
+        narrow = NarrowPhase(self._solids, solid_indices, *placed, calls, margins)
+        return PairBatch(scene, _cross_pairs(*sides), count, narrow, starts)
 
     def _place_shapes(
         self, side: PairSide, rows: Indices, start: int

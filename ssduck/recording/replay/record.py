@@ -8,8 +8,6 @@ from __future__ import annotations
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,12 +16,12 @@ import pyarrow as pa
 
 from ssduck.errors import EvaluationError
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.batch import PairPredicate
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.mass_changes import MassChanges
-from ssduck.recording.replay.batch_queries import EntityShapes, Ids, LinkPosesOverTicks, PairSide
+from ssduck.recording.replay.answer_cache import AnswerCache
+from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
@@ -44,8 +42,6 @@ MAX_WORLDS = 256
 MAX_SINGLE_QUERIES = 8
 MAX_COUNTED_TICKS = 100_000
 
-# The columns of the result of a predicate: the tick, two ids, and 1, or 0 where it is unknown.
-PREDICATE_COLUMNS = ("tick", "a", "b", "known")
 # Times that differ by less are equal, s.
 TIME_TOLERANCE = 1e-9
 _NAN = float("nan")
@@ -66,6 +62,10 @@ class Record:
         run: the number of the run; None for that of the world.
         mass_changes: the bodies whose masses changed after they were recorded; None for none.
         recording: what is recorded; None for a record of another time.
+
+    Attributes:
+        entity_shapes: the shapes of the members.
+        answer_cache: the answers about pairs of entities at its ticks, as far as they are cached.
     """
 
     def __init__(
@@ -90,9 +90,10 @@ class Record:
         self._links_table = links_of(self.tables)
         self.members = members
         self.fetch = fetch
-        self._near_pairs = near_pairs
         self._mass_changes = mass_changes
-        self._entity_shapes = EntityShapes(members)
+        self.near_pairs = near_pairs
+        self.entity_shapes = EntityShapes(members)
+        self.answer_cache = AnswerCache()
         # The number of members that the value was computed for, and the value.
         self._cached_margins = -1, 0.0
         # The number of queries of shapes at each tick.
@@ -223,33 +224,7 @@ class Record:
             )
         return place
 
-    def matching_pairs(self, request: PairRequest, predicate: PairPredicate) -> list[Ids]:
-        """Returns the pairs of entities for which a predicate holds or is unknown, at some ticks.
-
-        Args:
-            request: selects the pairs; margins are added to its gap where the predicate needs it.
-            predicate: the condition.
-
-        Returns:
-            The columns `PREDICATE_COLUMNS`.
-        """
-        margins = self.margins if predicate.kind == "touching" else 0.0
-        rows = self._near_pairs(replace(request, max_gap=request.max_gap + margins))
-        ticks = rows["tick"].to_numpy()
-        sides = [
-            PairSide(
-                rows[side].to_numpy(),
-                LinkPosesOverTicks(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
-                partial(self._link_poses, ticks),
-            )
-            for side in "ab"
-        ]
-        holds, known = self._entity_shapes.evaluate(sides[0], sides[1], predicate, self.calls)
-        selected = np.flatnonzero(holds | ~known)
-        columns = (ticks, sides[0].ids, sides[1].ids, known.astype(np.int64))
-        return [column[selected] for column in columns]
-
-    def _link_poses(
+    def link_poses(
         self, ticks: npt.NDArray[np.int64], rows: Indices, id: int, link: int
     ) -> LinkPosesOverTicks:
         """Returns the poses of a link of an entity at the ticks of some rows."""
@@ -299,11 +274,11 @@ class Record:
             [self._pose("entities", tick, id, 0)]
             + [
                 self._pose(self._links_table, tick, id, link)
-                for link in self._entity_shapes.moving_links(id)
+                for link in self.entity_shapes.moving_links(id)
             ]
             for id in ordered
         ]
-        return self._entity_shapes.shapes(ordered, [np.array(links) for links in poses], self.calls)
+        return self.entity_shapes.shapes(ordered, [np.array(links) for links in poses], self.calls)
 
     @property
     def margins(self) -> float:
@@ -341,12 +316,6 @@ def index_at(world: str, time: float, times: Array, now: float, advice: str = ""
     return place
 
 
-def _columns(rows: pa.Table, side: str, names: Sequence[str]) -> Array:
-    """Returns columns of one of two entities, (rows, names)."""
-    columns = [_numbers(rows[f"{side}_{name}"]) for name in names]
-    return np.array(columns).reshape(len(names), rows.num_rows).T
-
-
 def _unavailable(record: Record) -> dict[str, str]:
     """Returns the tables that are unavailable at a past tick, with the reasons."""
     world, recording = record.world.name, record.recording
@@ -357,8 +326,3 @@ def _unavailable(record: Record) -> dict[str, str]:
         for table in ON_DEMAND - record.tables
         if not TABLES[table].follows_from_poses
     }
-
-
-def _numbers(column: pa.ChunkedArray) -> Array:
-    """Returns a column of numbers; NaN for unknown ones."""
-    return np.asarray(column.to_numpy(), dtype=np.float64)

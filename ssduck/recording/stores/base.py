@@ -25,13 +25,11 @@ from ssduck.world.layout import EntityInfo
 
 
 class VisibleRows(Protocol):
-    """Rows in memory that DuckDB reads in place.
+    """Rows in memory that DuckDB reads in place."""
 
-    Attributes:
-        version: is incremented whenever `arrow` becomes another object.
-    """
-
-    version: int
+    @property
+    def version(self) -> int:
+        """A number that is incremented whenever `arrow` becomes another object."""
 
     @property
     def arrow(self) -> pa.Table:
@@ -115,6 +113,20 @@ class TickStore(ABC):
             SqlError: a database cannot be written.
         """
 
+    def append(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
+        """Stores the rows of whole ticks as `add` does, though in a form that few rows may have.
+
+        A folder has them in a log until they are enough for a part.
+        """
+        self.add(rows, commit_lock)
+
+    def complete(self) -> None:  # noqa: B027  # most stores have one form only
+        """Gives appended rows the form of added ones.
+
+        Raises:
+            RecordError: a folder cannot be written; the rows remain as they were appended.
+        """
+
     @abstractmethod
     def drop_before(self, tick: int) -> int:
         """Drops rows of ticks before a number, as far as whole parts are older.
@@ -135,11 +147,13 @@ class TickArchive(ABC):
         recording: what was recorded of each tick.
         tables: the tables that have rows, `ticks` among them.
         unrecorded_run: the number of the run for an old record, whose rows lack it.
+        visible_rows: the stored rows that DuckDB reads from memory, by table.
     """
 
     recording: Recording
     tables: tuple[str, ...]
     unrecorded_run: int | None = None
+    visible_rows: tuple[Mapping[str, VisibleRows], ...] = ()
 
     @abstractmethod
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:

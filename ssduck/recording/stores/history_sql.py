@@ -118,7 +118,7 @@ def near_pair_rows(
     ids = [f"{side}.id = {id}" for side, id in (("a", request.a), ("b", request.b)) if id]
     sql = (
         f"WITH entities AS ({rows}), "  # noqa: S608
-        f"request AS (SELECT {request.max_gap!r}::DOUBLE + {BOX_TOLERANCE!r}::DOUBLE AS max_gap) "
+        f"request AS (SELECT '{request.max_gap!r}'::DOUBLE + {BOX_TOLERANCE!r}::DOUBLE AS max_gap) "
         f"SELECT a.tick AS tick, a.id AS a, b.id AS b, {poses} "
         "FROM entities AS a JOIN entities AS b ON a.tick = b.tick CROSS JOIN request "
         f"WHERE {' AND '.join(['a.id <> b.id', *ids])} "

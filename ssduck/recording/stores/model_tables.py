@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
 from datetime import UTC, datetime
 
 import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
-from ssduck.recording.spec import Recording
+from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import IdProvider, default_values, model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
@@ -49,7 +48,7 @@ class ModelTables:
             "version": VERSION,
             "world": world,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "recording": asdict(recording),
+            "recording": description_of(recording),
         }
         self._is_new = True
         self.connection.run(f"CREATE SCHEMA {quoted(self.schema)}")

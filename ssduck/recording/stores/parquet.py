@@ -6,8 +6,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Collection, Mapping
-from contextlib import suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
@@ -22,21 +22,26 @@ from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
+from ssduck.recording.buffers import MAX_BUFFERED_ROWS
 from ssduck.recording.episode import Episode
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import IdProvider, join_model, model_rows
+from ssduck.recording.static_tables import IdProvider, model_rows
+from ssduck.recording.stores.atomic_files import temporary_path, write_atomically
 from ssduck.recording.stores.base import TickStore
+from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     FORMAT,
+    LOG,
     UNITS,
     VERSION,
     FolderRun,
     check_about,
     part_name,
 )
-from ssduck.schema import MODELS, TABLES, recorded_tables
+from ssduck.recording.stores.part_log import PartLog
+from ssduck.schema import MODELS, recorded_tables
 from ssduck.world.layout import EntityInfo
 
 if TYPE_CHECKING:
@@ -71,6 +76,8 @@ class ParquetStore(TickStore):
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
         self._part_count = self._model_count = 0
+        assert self.run.key is not None
+        self._log = PartLog(self.run.place(LOG), self.run.key)
         self.last_tick: int | None = None
 
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
@@ -84,18 +91,42 @@ class ParquetStore(TickStore):
         self._geometries |= set(models["geometries"]["id"].to_pylist())
         self._model_count += 1
 
+    def append(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
+        """Stores the rows of whole ticks in the log, or as a part if they complete one."""
+        if _fill_a_part(self._log.with_rows(rows)):
+            self.add(rows, commit_lock)
+            return
+        self._store_empty_models()
+        with _writing(self._log.place), commit_lock:
+            self._log.append(self._part_count, rows)
+            self._set_last_tick(rows)
+
     def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
-        """Stores the rows of whole ticks as a part, all or nothing."""
-        if not self._model_count:  # the world has no entities
-            self.add_members((), _NoIds())
+        """Stores the rows of the log and those of further whole ticks as a part, all or nothing."""
+        self._store_empty_models()
+        rows = self._log.with_rows(rows)
         for table, added in rows.items():
             if table != "ticks":
-                complete = self._with_model(table, added, rows["entities"])
+                complete = complete_rows(table, added, rows["entities"], self._models)
                 self._write(table, self._part_count, complete)
         with commit_lock:
             self._write("ticks", self._part_count, rows["ticks"])
             self._part_count += 1
-            self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
+            self._set_last_tick(rows)
+        with _writing(self._log.place):
+            self._log.clear()
+
+    def complete(self) -> None:
+        """Stores the rows of the log as a part."""
+        if self._log:
+            self.add({})
+
+    def _store_empty_models(self) -> None:
+        if not self._model_count:  # the world has no entities
+            self.add_members((), _NoIds())
+
+    def _set_last_tick(self, rows: Mapping[str, pa.Table]) -> None:
+        self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
 
     def finish(self) -> None:
         """Records the number of parts, so that missing ones are noticed.
@@ -106,66 +137,47 @@ class ParquetStore(TickStore):
         parts = {"ticks": self._part_count, "models": self._model_count}
         try:
             about = json.loads(self.run.about_file.read_text("utf-8")) | {"parts": parts}
-            _write_atomically(self.run.about_file, lambda file: _write_json(about, file))
+            write_atomically(self.run.about_file, lambda file: _write_json(about, file))
         except OSError as error:
             raise RecordError(f"{self.run.about_file} cannot be written: {error}") from error
 
     def discard(self) -> None:
         """Removes the files of the episode."""
         self.run.about_file.unlink(missing_ok=True)
-        for table in (*self.tables, *(f"models/{table}" for table in MODELS)):
+        for table in (*self.tables, LOG, *(f"models/{table}" for table in MODELS)):
             shutil.rmtree(self.run.place(table), ignore_errors=True)
-
-    def _with_model(self, table: str, rows: pa.Table, entities: pa.Table) -> pa.Table:
-        """Returns rows with all columns of their table."""
-        if table not in TABLES:  # the poses of links are internal
-            return rows
-        names = TABLES[table].names
-        if not TABLES[table].model:
-            return rows.select(names)
-        if table == "links":
-            rows = _sorted_links(
-                pa.concat_tables([rows, self._links_of_single_link_bodies(rows, entities)])
-            )
-        for name in TABLES[table].tick_columns.booleans:
-            place = rows.column_names.index(name)
-            rows = rows.set_column(place, name, rows[name].cast(pa.bool_()))
-        return join_model(table, rows, self._models[table], names)
-
-    def _links_of_single_link_bodies(self, links: pa.Table, entities: pa.Table) -> pa.Table:
-        """Returns the rows of the links of bodies with one link, which has the pose of the body."""
-        model = self._models["entities"]
-        single = model.filter(pa.array(model["links"].to_numpy() == 1))["id"].to_numpy()
-        bodies = entities.filter(pa.array(np.isin(entities["id"].to_numpy(), single)))
-        number = pa.array(np.zeros(bodies.num_rows, dtype=np.int64))
-        renamed = bodies.rename_columns({"id": "entity"}).append_column("link", number)
-        return renamed.select(links.column_names)
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:
         place = self.run.place(table)
         label = self.run.label(table, number)
         assert label is not None
         labelled = rows.replace_schema_metadata({FORMAT: label})
-        try:
+        with _writing(place):
             place.mkdir(parents=True, exist_ok=True)
-            _write_atomically(
-                place / part_name(number), lambda file: _write_parquet(labelled, file)
-            )
-        except OSError as error:
-            raise RecordError(
-                f"{place} cannot be written: {error}; the rows that were stored before are intact, "
-                "and the others are kept until there is room"
-            ) from error
+            write_atomically(place / part_name(number), lambda file: _write_parquet(labelled, file))
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002
         """Returns 0: a folder keeps all ticks."""
         return 0
 
 
-def _sorted_links(links: pa.Table) -> pa.Table:
-    """Returns rows of links sorted by tick, entity and link, so that sums are reproducible."""
-    keys = [links[name].to_numpy() for name in ("link", "entity", "tick")]
-    return links.take(np.lexsort(keys))
+def _fill_a_part(rows: Mapping[str, pa.Table]) -> bool:
+    """Checks whether rows are as many as a part has, or would be with a further tick."""
+    ticks: int = rows["ticks"].num_rows
+    most: int = max(table.num_rows for table in rows.values())
+    return ticks >= PART_TICKS or most + most / ticks > MAX_BUFFERED_ROWS
+
+
+@contextmanager
+def _writing(place: Path) -> Iterator[None]:
+    """Turns errors of the system into ssduck's while a folder is written."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordError(
+            f"{place} cannot be written: {error}; the rows that were stored before are intact, "
+            "and the others are kept until there is room"
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -223,6 +235,7 @@ class ParquetRecording:
         self._recorder.mass_changes.warn(self._world)
         self.flush()
         self._folder.finish()
+        self._recorder.stop_flushing()
         self._world.remove_recorder(self._recorder)
         self._recorders.remove(self._recorder)
 
@@ -246,13 +259,13 @@ def _begin_episode(
         path.mkdir(parents=True, exist_ok=True)
         _check_name_length(path, world)
         if not (path / ABOUT).exists():
-            if any(file.name != _temporary_path(path / ABOUT).name for file in path.iterdir()):
+            if any(file.name != temporary_path(path / ABOUT).name for file in path.iterdir()):
                 raise RecordError(
                     f"{path} has something else in it, and is no record of ssduck: give a new "
                     "folder, or an empty one"
                 )
             about = {"format": FORMAT, "version": VERSION, "units": UNITS}
-            _write_atomically(path / ABOUT, lambda file: _write_json(about, file))
+            write_atomically(path / ABOUT, lambda file: _write_json(about, file))
         check_about(path)
         (path / "episodes").mkdir(exist_ok=True)
         return _claim_episode(path, world, tables, recording)
@@ -273,7 +286,7 @@ def _check_name_length(path: Path, world: str) -> None:
         with suppress(OSError, ValueError):
             maximum = os.pathconf(path, "PC_NAME_MAX")
     # The longest file name of an episode, with as many digits as its number may have.
-    room = maximum - len(os.fsencode(_temporary_path(FolderRun(path, "", 10**6).about_file).name))
+    room = maximum - len(os.fsencode(temporary_path(FolderRun(path, "", 10**6).about_file).name))
     length = len(os.fsencode(world))
     if length > room:
         raise RecordError(
@@ -302,38 +315,8 @@ def _claim_episode(
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "recording": {"every": recording.every, "entities": recording.entities},
     }
-    _write_atomically(run.about_file, lambda file: _write_json(about, file))
+    write_atomically(run.about_file, lambda file: _write_json(about, file))
     return run
-
-
-def _temporary_path(place: Path) -> Path:
-    """Returns the path of a file until it is complete."""
-    return place.with_name(f".{place.name}.unfinished")
-
-
-def _write_atomically(place: Path, write: Callable[[Path], None]) -> None:
-    """Writes a file under a temporary name, and renames it when it is on the disk."""
-    temporary = _temporary_path(place)
-    try:
-        write(temporary)
-        with temporary.open("rb+") as file:
-            os.fsync(file.fileno())
-        temporary.replace(place)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    _sync_folder(place.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Writes the names in a folder to the disk, where the system supports it."""
-    if os.name != "posix":
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _write_json(content: Mapping[str, Any], file: Path) -> None:

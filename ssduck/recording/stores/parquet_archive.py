@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,8 @@ from ssduck.errors import RecordError
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
-from ssduck.recording.stores.history_sql import all_columns, near_pair_rows
+from ssduck.recording.stores.complete_rows import complete_rows
+from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import MODELS, RECORDED, TABLES, Column
 
@@ -33,6 +36,7 @@ class ParquetArchive(TickArchive):
 
     Attributes:
         ticks: the numbers and times of the stored ticks.
+        visible_rows: the rows of the log, which DuckDB reads from memory, by table.
 
     Raises:
         RecordError: a file is missing or damaged, or nothing was stored.
@@ -44,18 +48,30 @@ class ParquetArchive(TickArchive):
         self._run = run
         self._connection = connection
         self._starts, self.ticks = run.ticks()
-        # Fails now if files are missing, rather than in a later query.
-        self._files = {table: run.files(table) for table in run.tables}
+        # Fails now if files are missing, or DuckDB cannot read them, rather than in a later query.
+        _exact_path(run.path)
+        # The working directory may change.
+        self._files = {t: [file.absolute() for file in run.files(t)] for t in run.tables}
+        self._models = {table: run.read(f"models/{table}") for table in MODELS}
+        entities = self._models["entities"]
+        self._linked = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
+        self._log = _logged_rows(run, self._models)
+        self.visible_rows = (self._log,) if self._log else ()
 
     def model_rows(self) -> dict[str, pa.Table]:
         """Returns the stored rows of each model, by the name of its table."""
-        return {table: self._run.read(f"models/{table}") for table in MODELS}
+        return self._models
 
-    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:  # noqa: ARG002
+    def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
         """Returns the SELECT of the view of a table's history; None if it is not recorded."""
         if table not in self._files:
             return None
-        return self._select_all(self._files[table], TABLES[table].columns)
+        columns = TABLES[table].columns
+        parts = [self._select_all(self._files[table], columns)] if self._files[table] else []
+        names = column_list(column.name for column in columns)
+        views = () if buffer_views is None else buffer_views(table)
+        parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
+        return " UNION ALL ".join(parts)
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
@@ -69,31 +85,89 @@ class ParquetArchive(TickArchive):
         return self._select_columns(files, {column.name: column.sql for column in columns})
 
     def _select_columns(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
-        geometries = _scan(self._run.files("models/geometries"))
-        missing = default_values(self.unrecorded_run, geometries)
-        return all_columns(_scan(files), columns, _columns_in(files), missing)
+        present, missing = _columns_in(files), {}
+        if not columns.keys() <= set(present):
+            geometries = _scan(self._run.files("models/geometries"))
+            missing = default_values(self.unrecorded_run, geometries)
+        return all_columns(_scan(files), columns, present, missing)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
-        files = self._files[table][begin:end]
-        if not files:
-            files, first, last = self._files[table][:1], 0, -1
-        condition = "tick BETWEEN ? AND ?"
+        types = _arrow_types(table)
+        parts = [_rows_of_ticks(file, types, first, last) for file in self._files[table][begin:end]]
+        if self._log:
+            logged = self._log[table].arrow.select(types.names).cast(types)
+            parts.append(_between(logged, first, last))
+        rows = pa.concat_tables([types.empty_table(), *parts])
         if table == "links":  # the rows of bodies with one link repeat the pose of the body
-            entities = _scan(self._run.files("models/entities"))
-            condition += f" AND entity IN (SELECT id FROM {entities} WHERE links > 1)"  # noqa: S608
-        rows = self._select_columns(files, RECORDED[table].tick_columns.sql)
-        return self._connection.rows(f"{rows} WHERE {condition}", (first, last))
+            rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
+        return rows
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
-        return near_pair_rows(self._connection, self.select("entities", None), request, buffered)
+        stored = self.select("entities", None) or None
+        logged = self._log["entities"].arrow if self._log else buffered
+        return near_pair_rows(self._connection, stored, request, logged)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Closes the connection; keeps the folder."""
         self._connection.close()
+
+
+@dataclass(frozen=True)
+class _LoggedRows:
+    """The rows of the log of a table, which remain as they are."""
+
+    arrow: pa.Table
+    version: int = 1
+
+
+def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _LoggedRows]:
+    """Returns the rows of the log of an episode with all columns, by table."""
+    return {
+        table: _LoggedRows(complete_rows(table, rows, run.log["entities"], models))
+        for table, rows in run.log.items()
+    }
+
+
+@cache
+def _arrow_types(table: str) -> pa.Schema:
+    """Returns the columns of a table that a record stores with each tick."""
+    columns = RECORDED[table].tick_columns
+    return pa.schema(
+        [
+            *((name, pa.int64()) for name in columns.integers),
+            *((name, pa.float64()) for name in columns.doubles),
+            *((name, pa.bool_()) for name in columns.booleans),
+        ]
+    )
+
+
+def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Table:
+    """Returns the rows of a part at the ticks from first to last, with NULL for missing columns.
+
+    Raises:
+        RecordError: the file is damaged or missing.
+    """
+    try:
+        part = pq.ParquetFile(file)
+        present = set(part.schema_arrow.names)
+        rows = part.read(columns=[name for name in types.names if name in present])
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    rows = _between(rows, first, last)
+    missing = [types.field(name) for name in types.names if name not in present]
+    for field in missing:
+        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+    return rows.select(types.names).cast(types)
+
+
+def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
+    """Returns the rows at the ticks from first to last."""
+    ticks = rows["tick"].to_numpy()
+    return rows.filter(pa.array((ticks >= first) & (ticks <= last)))
 
 
 def _columns_in(files: Sequence[Path]) -> list[str]:

@@ -7,6 +7,7 @@
       links/… joints/… shapes/… contacts/… sensings/… ticks/…
       frames/…                                                the poses of links, without `links`
       models/entities/world=kitchen/episode=0/part-000000.parquet    the models of the entities
+      log/world=kitchen/episode=0/part-000001-0000.arrow    rows of a part to come (`part_log`)
 
 DuckDB, polars and pandas read a folder such as `run/entities` as it is: its rows are those of the
 table at each tick, and the names of the folders make the columns of the world and the episode.
@@ -35,7 +36,8 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError, warn
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
-from ssduck.schema import RECORDABLE
+from ssduck.recording.stores.part_log import following_rows, is_log, read_log
+from ssduck.schema import RECORDABLE, TABLES
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -49,6 +51,7 @@ UNITS = {
     "quaternion": "w, x, y, z",
 }
 ABOUT = "ssduck.json"
+LOG = "log"
 _PART = re.compile(r"part-(\d{6,})\.parquet")
 _EPISODE = re.compile(r"(.+)-(\d+)\.json")
 # The bytes that begin and end a Parquet file.
@@ -108,10 +111,37 @@ class FolderRun:
         recording: dict[str, Any] = self._about["recording"]
         return recording
 
-    @cached_property
+    @property
     def parts(self) -> list[int]:
         """The numbers of the complete parts."""
-        return _part_numbers(self.place("ticks"))
+        return self._parts_and_log[0]
+
+    @property
+    def log(self) -> dict[str, pa.Table]:
+        """The rows of the part that is not complete, by table; nothing if there are none.
+
+        They have the columns that differ from tick to tick.
+
+        Raises:
+            RecordError: a file of the log is missing or damaged.
+        """
+        return self._parts_and_log[1]
+
+    @cached_property
+    def _parts_and_log(self) -> tuple[list[int], dict[str, pa.Table]]:
+        files = read_log(self.place(LOG), self.key or "")
+        # In this order: the files of a log are removed when their part is complete.
+        parts = _part_numbers(self.place("ticks"))
+        log = following_rows(files, max(parts, default=-1) + 1)
+        if log and set(log) != set(self.tables):
+            raise RecordError(f"{self.place(LOG)} is damaged: it lacks tables")
+        return parts, log
+
+    @property
+    def key(self) -> str | None:
+        """The random text that identifies the episode in its files; None for an older record."""
+        key: str | None = self._about.get("key")
+        return key
 
     def _parts_of(self, table: str) -> list[int]:
         """Returns the numbers of the parts of a table, without gaps from 0 on.
@@ -143,7 +173,7 @@ class FolderRun:
     @property
     def has_ticks(self) -> bool:
         """Whether anything was stored."""
-        return bool(self.parts)
+        return bool(_part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
 
     def files(self, table: str) -> list[Path]:
         """Returns the files of a table, of complete parts only.
@@ -190,12 +220,14 @@ class FolderRun:
         return pa.concat_tables([_read(file) for file in files])
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
-        """Returns the first tick of each part, and all ticks.
+        """Returns the first tick of each part, then of the log if it has rows, and all ticks.
 
         Raises:
             RecordError: a file is damaged, or nothing was stored.
         """
         parts = [_read(file) for file in self.files("ticks")]
+        if self.log:
+            parts.append(self.log["ticks"].select(TABLES["ticks"].names))
         if not parts:
             raise RecordError(f"{self.place('ticks')} has no complete part: nothing was stored")
         rows = pa.concat_tables(parts)
@@ -212,9 +244,8 @@ class FolderRun:
         Raises:
             RecordError: a file is damaged.
         """
-        ticks = (
-            self.ticks()[1] if FolderRun(self.path, self.world, self.number).parts else TickBuffer()
-        )
+        run = FolderRun(self.path, self.world, self.number)  # as it is now
+        ticks = run.ticks()[1] if run.has_ticks else TickBuffer()
         entities = self.recording.get("entities")
         return Episode.of(
             self.path,
@@ -240,7 +271,7 @@ def part_name(number: int) -> str:
     return f"part-{number:06d}.parquet"
 
 
-def label_of(key: str, table: str, number: int) -> bytes:
+def label_of(key: str, table: str, number: int | str) -> bytes:
     """Returns the label of a part of a table, of the episode with a key."""
     return json.dumps({"episode": key, "table": table, "part": number}).encode()
 

@@ -13,15 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
-from ssduck.geometry.batch import PredicateKind
+from ssduck.geometry.pair_batch import QuestionKind
 from ssduck.geometry.queries import ShapeQueries
 
 # The largest distance of two shapes of a world that touch by their margins alone, metres.
 MARGINS_UDF = "narrow margins"
 MARGINS = f'"{MARGINS_UDF}"($world)'
 ZERO = "0.0::DOUBLE"
+
+# What the two sides of a pair are, in either order.
+PairKind: TypeAlias = Literal["entities", "links", "links and entities"]
 
 # The pairs that the narrow phase compares, as the manual and EXPLAIN state them.
 MEETING_BOXES = "on pairs whose boxes meet"
@@ -63,6 +66,8 @@ class GeometryQuery:
         is_at_least_box_distance: whether the result is at least the distance of the two boxes.
         needs_whole_tick: whether the answer depends on all entities of the tick.
         uses_margins: whether the collision margins of shapes count.
+        over_ticks: the question that it is about two entities at many recorded ticks, if all ticks
+            can be decided at once.
     """
 
     function: Callable[..., Any]
@@ -76,6 +81,17 @@ class GeometryQuery:
     is_at_least_box_distance: bool = False
     needs_whole_tick: bool = False
     uses_margins: bool = False
+    over_ticks: QuestionKind | None = None
+
+    @property
+    def is_predicate(self) -> bool:
+        """Whether it is a `PairPredicate`, which depends on a distance or a depth."""
+        return self.over_ticks in ("colliding", "within", "touching")
+
+    @property
+    def needs_single_pair(self) -> bool:
+        """Whether it is decided over many ticks only for two entities, not for all near ones."""
+        return self.over_ticks in ("clearance", "resting")
 
     @property
     def is_zero_beyond_boxes(self) -> bool:
@@ -127,31 +143,29 @@ class PairSearch:
         function: a method of `ShapeQueries` that yields pairs as numbers.
         is_exact: whether the relation holds of all pairs of the search, and need not be checked.
         takes_distance: whether the pairs depend on a distance, or a depth.
-        predicate: the same search over many recorded ticks at once, if there is one.
         uses_margins: whether the collision margins of shapes count.
+        finds_links: whether it also finds pairs of links, and of links and entities.
     """
 
     function: Callable[..., list[int]]
     is_exact: bool = True
     takes_distance: bool = True
-    predicate: PredicateKind | None = None
     uses_margins: bool = False
+    finds_links: bool = True
 
     @property
     def name(self) -> str:
         """The name of the function in SQL."""
         return udf_name(self.function)
 
-    @property
-    def name_over_ticks(self) -> str:
-        """The name of the function over many recorded ticks, if there is one."""
-        return f"then {self.predicate}"
 
-
-COLLIDING = PairSearch(ShapeQueries.all_colliding, predicate="colliding")
-WITHIN = PairSearch(ShapeQueries.all_within, predicate="within")
-TOUCHING = PairSearch(ShapeQueries.all_touching, predicate="touching", uses_margins=True)
-RESTING = PairSearch(ShapeQueries.all_resting, takes_distance=False, uses_margins=True)
+COLLIDING = PairSearch(ShapeQueries.all_colliding)
+WITHIN = PairSearch(ShapeQueries.all_within)
+TOUCHING = PairSearch(ShapeQueries.all_touching, uses_margins=True)
+# What rests on a link depends on which links stand beside the rest of their entities.
+RESTING = PairSearch(
+    ShapeQueries.all_resting, takes_distance=False, uses_margins=True, finds_links=False
+)
 STACKED = PairSearch(ShapeQueries.all_on, takes_distance=False, uses_margins=True)
 BOXES_MEETING = PairSearch(ShapeQueries.all_meeting, is_exact=False)
 # The boxes are grown by the collision margins of their shapes.
@@ -186,10 +200,13 @@ class CandidatePairs:
 class GeometryUdf:
     """A function of the shapes of a tick, as DuckDB calls it: with the name of a world first.
 
+    A function that finds all pairs then takes the kind of the pairs.
+
     Attributes:
         name: its name in SQL.
         function: a method of `ShapeQueries`.
-        entities: how many entities it takes; each is given as its tick and its id.
+        entities: how many entities it takes; each is given as its tick and its id. 0 for a
+            function that finds all pairs.
         numbers: how many numbers it takes after them.
         result: DuckDB's type of the result.
         needs_whole_tick: whether the answer depends on all entities of the tick.
@@ -207,7 +224,14 @@ class GeometryUdf:
     @property
     def parameters(self) -> tuple[str, ...]:
         """DuckDB's types of the parameters."""
-        return ("VARCHAR", *["BIGINT"] * (2 * self.entities), *["DOUBLE"] * self.numbers)
+        kind = () if self.entities else ("VARCHAR",)
+        ids = ["BIGINT"] * (2 * self.entities)
+        return ("VARCHAR", *kind, *ids, *["DOUBLE"] * self.numbers)
+
+
+def name_over_ticks(kind: QuestionKind) -> str:
+    """Returns the SQL name of the function that answers a question over many recorded ticks."""
+    return f"then {kind}"
 
 
 def udf_name(function: Callable[..., Any]) -> str:

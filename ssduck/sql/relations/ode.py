@@ -136,7 +136,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
     shape_relation(
         "collision",
         "boolean",
-        GeometryQuery(ShapeQueries.collides, (DEEP,)),
+        GeometryQuery(ShapeQueries.collides, (DEEP,), over_ticks="colliding"),
         "Checks if a and b collide; the same as collides(a, b).",
         is_symmetric=True,
         candidate_pairs=CandidatePairs(COLLIDING, DEEP),

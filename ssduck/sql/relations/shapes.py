@@ -111,6 +111,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             (DEEP,),
             arguments_with_options=("depth",),
             bound_with_options=_CHECKED_DEPTH,
+            over_ticks="colliding",
         ),
         "Checks if shapes of a and b penetrate each other by more than depth, 1e-6 m by "
         "default. A body at rest penetrates its support by about 1e-5 m, or stays away from it "
@@ -123,7 +124,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     shape_relation(
         "penetration",
         "double",
-        GeometryQuery(ShapeQueries.penetration, otherwise=ZERO),
+        GeometryQuery(ShapeQueries.penetration, otherwise=ZERO, over_ticks="penetration"),
         "Returns the largest penetration of the shapes of a and b, the length of the shortest "
         "translation that separates them; 0 if they are apart.",
         unit="m",
@@ -138,6 +139,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             otherwise=ZERO,
             pairs=EVERY_PAIR,
             is_at_least_box_distance=True,
+            over_ticks="clearance",
         ),
         "Returns the smallest distance between the surfaces of a and b; 0 if they meet. It is "
         "computed for every pair, while near(a, b, d), and WHERE clearance(a, b) < d in "
@@ -157,6 +159,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             bound_with_options=f"(eps) + {MARGINS}",
             pairs="on pairs whose boxes are at most eps and the largest margins apart",
             uses_margins=True,
+            over_ticks="touching",
         ),
         "Checks if the clearance of shapes of a and b is at most eps, 1 mm by default, plus the "
         "collision margins of the two shapes. The simulator keeps bodies at rest apart by their "
@@ -170,7 +173,11 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "near",
         "boolean",
         GeometryQuery(
-            ShapeQueries.near, ("d",), bound="d", pairs="on pairs whose boxes are at most d apart"
+            ShapeQueries.near,
+            ("d",),
+            bound="d",
+            pairs="on pairs whose boxes are at most d apart",
+            over_ticks="within",
         ),
         "Checks if the clearance of a and b is at most d.",
         parameters=(*A_B, Parameter("d", "double", "a distance, m")),
@@ -200,6 +207,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             bound=f"0.001 + {MARGINS}",
             pairs="on pairs whose boxes are at most 1 mm and the largest margins apart",
             uses_margins=True,
+            over_ticks="on",
         ),
         "Checks if b stands on a: they touch (see touching, with eps 1 mm), a contact normal is "
         "within 30 degrees of up, and the centre of the box of b is above the convex hull of "
@@ -216,6 +224,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             pairs="on pairs whose boxes are at most 1 mm and the largest margins apart",
             needs_whole_tick=True,
             uses_margins=True,
+            over_ticks="supports",
         ),
         "Checks if a carries b, alone or with others, wherever the centre of b is: they touch "
         "(see touching, with eps 1 mm), and a contact normal from a to b is within 30 degrees "
@@ -232,6 +241,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             pairs="on all pairs of the tick whose boxes are at most 1 cm apart, once",
             needs_whole_tick=True,
             uses_margins=True,
+            over_ticks="resting",
         ),
         "Checks if b is on a, or on something that rests on a: a cup on a plate on a table "
         "rests on the table. All pairs of a tick are computed at once.",

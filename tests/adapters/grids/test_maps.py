@@ -247,6 +247,16 @@ def test_help_tells_the_forms():
 
 
 @sampled("row_by_row", [False, True], every=2)
+def test_a_plane_without_numbers_is_an_error(row_by_row):
+    world = ssduck.World.load(find_scene("kitchen"))
+    with ssduck.Interpreter(row_by_row=row_by_row, recording=None) as ss:
+        ss.add_variable("kitchen", world)
+        with pytest.raises(ArgumentError, match="no column has a number to sum"):
+            ss.eval("SELECT obj FROM kitchen AS plane('XY', [-5,-5], [10,10,1]);")
+    world.close()
+
+
+@sampled("row_by_row", [False, True], every=2)
 def test_an_opened_record_has_the_same_grids(tmp_path, row_by_row):
     queries = [
         "SELECT obj FROM kitchen AS map(0.22, 0.05);",

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import ssduck
 from ssduck.adapters.grid_values import OccupancyGrid, PlaneGrid, SensorGrid, VoxelGrid
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, UnsupportedError
 from tests.support.cases import sampled
 from tests.support.grids import ALL, BALL, TINY, Boxes, centres
 
@@ -331,6 +331,8 @@ def test_plot(grid):
 
 
 def test_plot_without_matplotlib(grid, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(ArgumentError, match=r"pip install 'ssduck\[plot\]'"):
+    for name in [name for name in sys.modules if name.startswith("matplotlib")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(UnsupportedError, match=r"pip install 'ssduck\[plot\]'"):
         grid.plot()

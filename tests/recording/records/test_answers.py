@@ -170,7 +170,8 @@ def test_a_newer_episode_that_holds_nothing_does_not_hide_an_older_one(tmp_path,
     with ssduck.Interpreter(recording=None) as ss:
         live_lab(ss, client, ticks=3)
         ss.export(tmp_path / "run")
-        writing = ss.record_to(tmp_path / "run")
+        full_buffers_only = ssduck.Recording(flush_every=None)
+        writing = ss.record_to(tmp_path / "run", recording=full_buffers_only)
         assert writing.episode.ticks == 0
         assert writing.episode.last_tick is None
         (tmp_path / "run" / "episodes" / "lab-2.json").touch()  # about to begin

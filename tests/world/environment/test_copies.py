@@ -383,7 +383,9 @@ def test_a_joint_beyond_its_limit_is_saved_where_it_is(client, write, tmp_path):
 
 def test_nothing_is_saved_over(kitchen, tmp_path):
     (tmp_path / "mine").write_text("mine", encoding="utf-8")
-    with pytest.raises(SceneError, match="not empty"):
+    with pytest.raises(
+        SceneError, match=r"^\S+ is not empty: a scene is saved into a folder of its own$"
+    ):
         kitchen.save(tmp_path)
     with pytest.raises(SceneError, match="mine"):
         kitchen.save(tmp_path / "mine")

@@ -1,0 +1,418 @@
+"""Decides questions about many pairs of entities at once, each pair at a tick of its own.
+
+The rules of `ssduck.geometry.batch` prove most answers: shapes are farther apart than a bound. What
+remains is computed by the narrow phase, shape by shape, so that the results are those of a single
+pair to the last bit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.batch import (
+    PairPredicate,
+    PredicateKind,
+    TickShapes,
+    comparable_pairs,
+    matching_pairs,
+    proven_verdicts,
+)
+from ssduck.geometry.broad_phase import Pairs
+from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
+from ssduck.geometry.gjk import ABOVE
+from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE, NarrowPhase
+from ssduck.geometry.poses import rotate
+
+QuestionKind: TypeAlias = Literal[
+    PredicateKind, "clearance", "penetration", "on", "supports", "resting"
+]
+
+# After so many rounds, the clearances that are left are computed one by one.
+MAX_ROUNDS = 16
+# Rows with at most so many pairs of shapes left are computed one by one.
+FEW_PAIRS = 3
+# The horizontal directions in which a footprint is bounded, (m, 3), counterclockwise.
+_ANGLES = np.arange(16) * (2.0 * math.pi / 16)
+_DIRECTIONS = np.stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(16)), axis=1)
+# A point that is farther outside of a footprint is surely outside, m; the rounding errors are less.
+_SURELY_OUTSIDE = 1e-6
+# A point that is farther inside is surely inside, m.
+_SURELY_INSIDE = 1e-9
+# A half-space whose normal is nearer to level has a footprint that depends on the place.
+_LEVEL = 1e-6
+# The number of heights that are computed at a time.
+_MAX_HEIGHTS = 1 << 22
+
+
+@dataclass(frozen=True)
+class PairQuestion:
+    """A question about two entities at a tick.
+
+    Attributes:
+        kind: the kind of a `PairPredicate`; or else a method of `ShapeQueries`, which is `rests_on`
+            for "resting".
+        distance: that of the predicate, m.
+    """
+
+    kind: QuestionKind
+    distance: float = 0.0
+
+    @property
+    def predicate(self) -> PairPredicate | None:
+        """The predicate, if it is one."""
+        match self.kind:
+            case "colliding" | "within" | "touching" as kind:
+                return PairPredicate(kind, self.distance)
+        return None
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the order of the entities does not matter."""
+        return self.kind not in ("on", "supports", "resting")
+
+    @property
+    def is_number(self) -> bool:
+        """Whether the answer is a number, and not True or False."""
+        return self.kind in ("clearance", "penetration")
+
+    @property
+    def uses_margins(self) -> bool:
+        """Whether the collision margins of shapes count."""
+        return self.kind in ("touching", "on", "supports", "resting")
+
+    @property
+    def max_gap(self) -> float:
+        """The largest gap of two boxes, without margins, at which the answer is not trivial, m."""
+        match self.kind:
+            case "within" | "touching":
+                return self.distance
+            case "on" | "supports":
+                return TOUCHING_DISTANCE
+            case "clearance" | "resting":
+                return math.inf
+        return 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """The answers to a question about n pairs.
+
+    Attributes:
+        values: (n,), numbers; 1 for True, 0 for False, NaN for unknown.
+        is_open: (n,), whether the shapes of the two entities do not decide the answer.
+    """
+
+    values: Array
+    is_open: Flags
+
+
+class PairBatch:
+    """The shapes of n pairs of entities; those of pair k are the entities k and n + k.
+
+    Args:
+        scene: the shapes, without boxes.
+        shapes: the pairs of shapes of the pairs, by pair.
+        count: the number n of pairs.
+        narrow: the narrow phase of the same shapes, without boxes.
+        starts: (2 n + 1,): the shapes of entity e are `starts[e]` to `starts[e + 1] - 1`.
+    """
+
+    def __init__(
+        self, scene: TickShapes, shapes: Pairs, count: int, narrow: NarrowPhase, starts: Indices
+    ) -> None:
+        self._scene, self._narrow, self._starts = scene, narrow, starts
+        self._count = count
+        self._all_shapes = shapes
+        self._first, self._second = comparable_pairs(scene, shapes)
+        self._rows = scene.table.entities[self._first]
+
+    def answers(self, question: PairQuestion) -> Answers:
+        """Returns the answers to a question.
+
+        Of the entities, the one with the lower number is the first argument.
+        """
+        is_open = np.zeros(self._count, dtype=bool)
+        predicate = question.predicate
+        if predicate is not None:
+            values = self._matching(predicate)
+        elif question.kind == "clearance":
+            values = self._clearances()
+        elif question.kind == "penetration":
+            values = self._penetrations()
+        elif question.kind == "resting":
+            values, is_open = np.zeros(self._count), ~is_open
+        else:
+            values, is_open = self._standing(needs_centre=question.kind == "on")
+        are_known = self._are_known
+        is_unknown = ~are_known
+        if question.kind == "clearance":
+            is_unknown &= self._have_shapes
+        values[is_unknown] = np.nan
+        return Answers(values, is_open & are_known)
+
+    @property
+    def compared_count(self) -> int:
+        """The number of pairs whose shapes are compared."""
+        return int(np.count_nonzero(np.bincount(self._rows)))
+
+    @property
+    def _have_shapes(self) -> Flags:
+        """Whether both entities of each pair have shapes with points, (n,)."""
+        table, count = self._scene.table, self._count
+        have = np.bincount(table.entities[table.has_points], minlength=2 * count) > 0
+        both: Flags = have[:count] & have[count:]
+        return both
+
+    @property
+    def _are_known(self) -> Flags:
+        """Whether all poses and shapes of both entities of each pair are known, (n,)."""
+        known = np.ones(2 * self._count, dtype=bool)
+        known[self._scene.table.entities[~self._scene.is_known]] = False
+        both: Flags = known[: self._count] & known[self._count :]
+        return both
+
+    def _bounds(self) -> Array:
+        """Returns the largest distances of touching shapes, for each pair of shapes."""
+        touching = PairPredicate("touching", TOUCHING_DISTANCE)
+        return touching.bounds(self._scene.table, self._first, self._second)
+
+    def _matching(self, predicate: PairPredicate) -> Array:
+        def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
+            return self._narrow.satisfies(s, t, predicate)
+
+        result = matching_pairs(self._scene, predicate, satisfies, self._all_shapes)
+        values = np.zeros(self._count)
+        values[result.sides[0]] = 1.0
+        return values
+
+    # -- distances --------------------------------------------------------------------------
+
+    def _distance(self, pair: int) -> float:
+        """Returns the distance of a pair of shapes, m; 0 if they overlap."""
+        result = self._narrow.shape_distance(int(self._first[pair]), int(self._second[pair]))
+        return 0.0 if result is None else max(0.0, result.distance)
+
+    def _clearances(self) -> Array:
+        """Returns the distances of the nearest shapes of each pair, m.
+
+        The shapes that are nearest in one row are mostly nearest in the others. Their distance
+        there bounds the clearance, so that the others are mostly proved to be farther apart.
+        """
+        best = np.full(self._count, math.inf)
+        pairs = np.arange(len(self._rows))
+        places = self._places()
+        for _ in range(MAX_ROUNDS):
+            if not len(pairs):
+                return best
+            row = self._rows[pairs[0]]
+            end = int(np.searchsorted(self._rows[pairs], row, side="right"))
+            best[row], nearest = self._nearest(pairs[:end])
+            pairs = pairs[end:]
+            is_probe = places[pairs] == places[nearest]
+            for pair in pairs[is_probe].tolist():
+                best[self._rows[pair]] = self._distance(pair)
+            pairs = self._nearer_than(best, pairs[~is_probe])
+            counts = np.bincount(self._rows[pairs], minlength=self._count)[self._rows[pairs]]
+            is_few = (counts <= FEW_PAIRS) & (best[self._rows[pairs]] < math.inf)
+            for pair in pairs[is_few].tolist():
+                row = self._rows[pair]
+                best[row] = min(best[row], self._distance(pair))
+            pairs = pairs[~is_few]
+        for row, members in _groups(self._rows[pairs], pairs):
+            best[row] = min(best[row], self._nearest(members)[0])
+        return best
+
+    def _places(self) -> Array:
+        """Returns numbers that are equal for pairs of corresponding shapes of different rows."""
+        first = self._first - self._starts[self._rows]
+        second = self._second - self._starts[self._count + self._rows]
+        places: Array = first * (1 << 32) + second
+        return places
+
+    def _nearest(self, pairs: Indices) -> tuple[float, int]:
+        """Returns the least distance among pairs of shapes of one row, and the pair."""
+        scene, best, nearest = self._scene, math.inf, int(pairs[0])
+        first, second = self._first[pairs], self._second[pairs]
+        with np.errstate(over="ignore", invalid="ignore"):
+            offsets = scene.centres[first] - scene.centres[second]
+            radii = scene.table.bounding_radius[first] + scene.table.bounding_radius[second]
+            pairs = pairs[np.argsort(np.sqrt((offsets * offsets).sum(axis=1)) - radii)]
+        while len(pairs):
+            distance = self._distance(int(pairs[0]))
+            if distance < best:
+                best, nearest = distance, int(pairs[0])
+            bounds = np.full(self._count, math.inf)
+            bounds[self._rows[nearest]] = best
+            pairs = self._nearer_than(bounds, pairs[1:])
+        return best, nearest
+
+    def _nearer_than(self, best: Array, pairs: Indices) -> Indices:
+        """Returns the pairs of shapes that may be nearer than the best distance of their row."""
+        bounds = best[self._rows[pairs]]
+        pairs, bounds = pairs[bounds > 0.0], bounds[bounds > 0.0]
+        is_bounded = bounds < math.inf
+        bounded = pairs[is_bounded]
+        first, second = self._first[bounded], self._second[bounded]
+        is_near = proven_verdicts(self._scene, first, second, bounds[is_bounded]) != ABOVE
+        kept: Indices = np.concatenate((pairs[~is_bounded], bounded[is_near]))
+        kept.sort()
+        return kept
+
+    def _penetrations(self) -> Array:
+        """Returns the depths of the deepest shapes of each pair, m; 0 if all are apart."""
+        depths = np.zeros(self._count)
+        first, second = self._first, self._second
+        verdicts = proven_verdicts(self._scene, first, second, np.zeros(len(first)))
+        for pair in np.flatnonzero(verdicts != ABOVE).tolist():
+            result = self._narrow.shape_signed_distance(int(first[pair]), int(second[pair]))
+            row = self._rows[pair]
+            depths[row] = max(depths[row], -result.distance)
+        return depths
+
+    # -- standing ---------------------------------------------------------------------------
+
+    def _standing(self, *, needs_centre: bool) -> tuple[Array, Flags]:
+        """Returns whether contact normals of touching shapes carry the second entity of each pair.
+
+        Args:
+            needs_centre: whether it has to be over the footprint of the first one.
+
+        Returns:
+            1 or 0 for each pair, and the pairs that are open.
+        """
+        values, is_open = np.zeros(self._count), np.zeros(self._count, dtype=bool)
+        bounds = self._bounds()
+        verdicts = proven_verdicts(self._scene, self._first, self._second, bounds)
+        near = np.flatnonzero((verdicts != ABOVE) & (bounds >= 0.0))
+        if needs_centre:
+            rows = np.unique(self._rows[near])
+            is_over, is_outside = self._over_footprints(rows)
+            is_open[rows] = ~(is_over | is_outside)
+            wanted = np.zeros(self._count, dtype=bool)
+            wanted[rows] = is_over
+            near = near[wanted[self._rows[near]]]
+        places = self._places()
+        last = -1
+        for row, pairs in _groups(self._rows[near], near):
+            # What carried it at the tick before probably does so still.
+            ordered = sorted(pairs.tolist(), key=lambda pair: places[pair] != last)
+            normals = []
+            for pair in ordered:
+                rise = self._rise(pair, float(bounds[pair]))
+                if rise is None:
+                    continue
+                if rise >= MIN_UP:
+                    values[row], last = 1.0, places[pair]
+                    break
+                normals.append(rise)
+            else:  # steep normals carry together with others
+                is_open[row] = not needs_centre and any(rise >= MIN_RISING for rise in normals)
+        return values, is_open
+
+    def _rise(self, pair: int, bound: float) -> float | None:
+        """Returns the height of the contact normal of two shapes; None if they do not touch."""
+        s, t = int(self._first[pair]), int(self._second[pair])
+        result = self._narrow.shape_signed_distance(s, t)
+        if result.distance > bound or result.normal is None:
+            return None
+        return -result.normal[2]
+
+    def _over_footprints(self, rows: Indices) -> tuple[Flags, Flags]:
+        """Returns whether the centres of the second entities are surely over the first ones.
+
+        Returns:
+            Whether each is surely over the footprint; whether it is surely outside.
+        """
+        scene, table = self._scene, self._scene.table
+        centres, is_bounded = self._box_centres(self._count + rows)
+        heights, supports = self._footprints(rows)
+        outside = (centres @ _DIRECTIONS[:, :2].T - heights).max(axis=1) > _SURELY_OUTSIDE
+        edges = np.roll(supports, -1, axis=1) - supports
+        lengths = np.sqrt((edges * edges).sum(axis=2))
+        offsets = centres[:, None] - supports
+        with np.errstate(invalid="ignore", divide="ignore"):
+            depths = (edges[..., 0] * offsets[..., 1] - edges[..., 1] * offsets[..., 0]) / lengths
+            inside = np.where(lengths > 0.0, depths, math.inf).min(axis=1) > _SURELY_INSIDE
+        inside &= (lengths > 0.0).sum(axis=1) >= 3
+        planes = np.flatnonzero(table.is_plane & scene.is_known)
+        owners = table.entities[planes]
+        normals = rotate(scene.matrices[planes], table.normal[planes])
+        is_level = np.zeros(2 * self._count, dtype=bool)
+        is_level[owners[np.abs(normals[:, 2]) <= _LEVEL]] = True
+        is_plane = np.zeros(2 * self._count, dtype=bool)
+        is_plane[owners] = True
+        inside |= is_plane[rows] & ~is_level[rows]
+        outside &= ~is_plane[rows]
+        return inside & is_bounded, outside & is_bounded
+
+    def _box_centres(self, entities: Indices) -> tuple[Array, Flags]:
+        """Returns the centres (n, 2) of the boxes of entities, and whether they are finite."""
+        scene, table, cores = self._scene, self._scene.table, self._scene.table.cores
+        shapes, owners = self._shapes_of(entities)
+        low = np.full((len(entities), 2), math.inf)
+        high = np.full((len(entities), 2), -math.inf)
+        for axis in (0, 1):
+            for sign, ends, choose in ((-1.0, low, np.minimum), (1.0, high, np.maximum)):
+                directions = np.zeros((3, len(shapes)))
+                directions[axis] = sign
+                reach = scene.placed_cores.support_points(shapes, directions)[axis]
+                places = scene.centres[shapes, axis] + reach + sign * cores.radius[shapes]
+                choose.at(ends[:, axis], owners, places)
+        is_bounded = np.ones(len(entities), dtype=bool)
+        is_bounded[owners[table.is_plane[shapes]]] = False
+        with np.errstate(invalid="ignore"):
+            centres = (low + high) / 2
+        return centres, is_bounded & np.isfinite(centres).all(axis=1)
+
+    def _footprints(self, rows: Indices) -> tuple[Array, Array]:
+        """Returns the extents (n, m) of first entities in `_DIRECTIONS`, and the points (n, m, 2).
+
+        As in `ssduck.geometry.containment`, polyhedra stand for round shapes.
+        """
+        scene, count = self._scene, len(_DIRECTIONS)
+        heights = np.full((len(rows), count), -math.inf)
+        supports = np.zeros((len(rows), count, 2))
+        shapes, owners = self._shapes_of(rows)
+        for solid, members in _groups(scene.table.solid_indices[shapes], np.arange(len(shapes))):
+            points = scene.table.solids[solid].points
+            if not len(points):
+                continue
+            step = max(1, _MAX_HEIGHTS // (count * len(points)))
+            for start in range(0, len(members), step):
+                some = members[start : start + step]
+                matrices = scene.matrices[shapes[some]]
+                local = np.einsum("nji,mj->nmi", matrices, _DIRECTIONS)
+                farthest = points[(local @ points.T).argmax(axis=2)]
+                placed = np.einsum("nij,nmj->nmi", matrices, farthest)
+                placed += scene.positions[shapes[some], None]
+                reached = np.einsum("nmi,mi->nm", placed, _DIRECTIONS)
+                for index, owner in enumerate(owners[some].tolist()):
+                    is_farther = reached[index] > heights[owner]
+                    heights[owner, is_farther] = reached[index, is_farther]
+                    supports[owner, is_farther] = placed[index, is_farther, :2]
+        return heights, supports
+
+    def _shapes_of(self, entities: Indices) -> tuple[Indices, Indices]:
+        """Returns the shapes of entities that have points, and the place of each one's entity."""
+        counts = self._starts[entities + 1] - self._starts[entities]
+        owners = np.repeat(np.arange(len(entities)), counts)
+        offsets = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+        shapes = self._starts[entities][owners] + offsets
+        has_points = self._scene.table.has_points[shapes]
+        return shapes[has_points], owners[has_points]
+
+
+def _groups(keys: Indices, values: Indices) -> Iterator[tuple[int, Indices]]:
+    """Yields the distinct keys, ascending, each with its values."""
+    order = np.argsort(keys, kind="stable")
+    keys, values = keys[order], values[order]
+    ends = [*np.flatnonzero(np.diff(keys, prepend=-1)).tolist(), len(keys)]
+    for start, end in pairwise(ends):
+        yield int(keys[start]), values[start:end]

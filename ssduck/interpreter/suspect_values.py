@@ -1,0 +1,405 @@
+"""Finds comparisons and columns of a query that are valid, but mean something else in SQL.
+
+A number that is compared with a text, a missing value for which `!=` holds, a column of the first
+row of a group, a number as the age of `least` and `greatest`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+from typing import Literal as OneOf
+
+from ssduck.errors import ArgumentError, SelectScriptError, SourceSpan
+from ssduck.formatting import argument_in_words
+from ssduck.language.aggregates import over_rows
+from ssduck.language.analysis import free_aliases
+from ssduck.language.operator_chains import conjuncts
+from ssduck.language.tree import (
+    Binary,
+    Call,
+    Index,
+    ListLiteral,
+    Literal,
+    Name,
+    Node,
+    OperatorChain,
+    QualifiedName,
+    Query,
+    Source,
+    This,
+    TimeIndex,
+    Unary,
+)
+from ssduck.recording.replay.past import Past
+from ssduck.world.links import Links
+from ssduck.world.world import World
+
+Kind = OneOf["number", "text", "boolean", "entity", "list"]
+# The largest number of rows of a variable that are looked at.
+MAX_ROWS = 1000
+_WORDS: dict[Kind, str] = {
+    "number": "a number",
+    "text": "a text",
+    "boolean": "True or False",
+    "entity": "an entity",
+    "list": "a list",
+}
+_KIND_OF_TYPE: dict[type, Kind] = {int: "number", float: "number", str: "text", bool: "boolean"}
+# Two names of one relation.
+_SYNONYMS = {"name": "id", "kind": "type"}
+# Keys that only one entity has.
+_UNIQUE = frozenset(("id", "obj", "this"))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A column that is compared with literals.
+
+    Attributes:
+        source: the source of its row.
+        column: its name.
+        is_bare: whether a variable of that name comes first.
+        literals: what it is compared with.
+        other: the column that it is compared with.
+        holds_of_missing: whether the comparison holds of a missing value.
+        span: the place of the comparison.
+    """
+
+    source: Source
+    column: str
+    is_bare: bool
+    literals: tuple[Literal, ...]
+    holds_of_missing: bool
+    span: SourceSpan
+    other: Comparison | None = None
+
+
+@dataclass(frozen=True)
+class Suspects:
+    """The parts of a statement to look at.
+
+    Attributes:
+        comparisons: the comparisons of columns.
+        ages: the calls of `least` and `greatest` with an age.
+        first_rows: the columns of the first row of a group, with their names if they are bare.
+        queries: the nested queries that SELECT has as lists of dicts.
+    """
+
+    comparisons: tuple[Comparison, ...] = ()
+    ages: tuple[Call, ...] = ()
+    first_rows: tuple[tuple[str, SourceSpan], ...] = ()
+    queries: tuple[Query, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.comparisons or self.ages or self.first_rows or self.queries)
+
+
+def suspects_of(statement: Node) -> Suspects:
+    """Returns the parts of a statement to look at."""
+    queries = [part for part in statement.walk() if isinstance(part, Query)]
+    return Suspects(
+        tuple(site for query in queries for site in _comparisons(query)),
+        tuple(call for query in queries for item in query.items for call in _ages(item)),
+        tuple(site for query in queries for site in _first_rows(query)),
+        tuple(table for query in queries for table in _tables(query)),
+    )
+
+
+def _tables(query: Query) -> Iterator[Query]:
+    """Yields the nested queries of one column that SELECT has as lists of dicts."""
+    for node in map(_unnamed, query.items):
+        if not isinstance(node, Query) or node.adapter is not None or node.recursion is not None:
+            continue
+        if len(node.items) == 1:
+            yield node
+
+
+# -- comparisons --------------------------------------------------------------------------------
+
+
+def _comparisons(query: Query) -> Iterator[Comparison]:
+    present = {
+        name
+        for node in conjuncts(query.where)
+        if isinstance(node, Unary) and node.operator == "NOT"
+        for name in _columns_of_null_test(node.operand)
+    }
+    for part in (*query.items, query.where, query.having):
+        if part is not None:
+            yield from _in_condition(part, query, present, negated=False)
+
+
+def _columns_of_null_test(node: Node) -> Iterator[str]:
+    if isinstance(node, Unary) and node.operator == "IS NULL":
+        column = _column(node.operand)
+        if column is not None:
+            yield column[1]
+
+
+def _in_condition(
+    node: Node, query: Query, present: set[str], *, negated: bool
+) -> Iterator[Comparison]:
+    match node:
+        case Query():
+            return
+        case Unary(operator="NOT", operand=operand):
+            yield from _in_condition(operand, query, present, negated=not negated)
+            return
+        case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
+            holds = (negated != (operator == "!=")) and operator != "IN"
+            holds = holds or (operator == "IN" and negated)
+            sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
+            for side, other in sides:
+                site = _site(side, query, _literals(other, operator), node.span)
+                if site is not None and (site.literals or holds):
+                    is_missing = holds and site.column not in present
+                    yield replace(site, holds_of_missing=is_missing)
+            if operator != "IN":
+                first, second = (_site(side, query, (), node.span) for side in (left, right))
+                if first is not None and second is not None:
+                    yield replace(first, other=second)
+            return
+        case Binary(operator="AND" | "OR") | OperatorChain(operators=("AND" | "OR", *_)):
+            pass
+        case _:
+            negated = False
+    for child in node.children():
+        yield from _in_condition(child, query, present, negated=negated)
+
+
+def _site(
+    node: Node, query: Query, literals: tuple[Literal, ...], span: SourceSpan
+) -> Comparison | None:
+    """Returns the place of a column in a comparison; None for another value."""
+    column = _column(node)
+    if column is None:
+        return None
+    alias, name, is_bare = column
+    source = _source(query, alias)
+    if source is None:
+        return None
+    return Comparison(source, name, is_bare, literals, holds_of_missing=False, span=span)
+
+
+def _column(node: Node) -> tuple[str | None, str, bool] | None:
+    """Returns the alias and the name of a column, and whether a variable may hide it."""
+    match node:
+        case Name(name=name):
+            return None, name, True
+        case QualifiedName(alias=alias, key=name):
+            return alias, name, False
+        case Call(name=name, arguments=(This(alias=alias),)):
+            return alias, name, False
+        case Index(base=This(alias=alias), indices=(Literal(value=str() as name),)):
+            return alias, name, False
+    return None
+
+
+def _literals(node: Node, operator: str) -> tuple[Literal, ...]:
+    items = (node,) if operator != "IN" else node.items if isinstance(node, ListLiteral) else ()
+    return tuple(item for item in items if isinstance(item, Literal))
+
+
+def _source(query: Query, alias: str | None) -> Source | None:
+    if alias is None:
+        return query.sources[0] if len(query.sources) == 1 else None
+    return next((source for source in query.sources if source.alias == alias), None)
+
+
+# -- aggregates -----------------------------------------------------------------------------------
+
+
+def _first_rows(query: Query) -> Iterator[tuple[str, SourceSpan]]:
+    """Yields the columns beside an aggregate of a group that are of the group's first row."""
+    if not query.group or query.recursion is not None or not any(map(over_rows, query.items)):
+        return
+    columns = [_unnamed(item) for item in query.items]
+    names = {name: value for name, value in map(_named, query.items) if name}
+    keys = {_printed(key, query) for key in query.group}
+    keys |= {_printed(value, query) for name, value in names.items() if name in keys}
+    if keys & _UNIQUE:
+        return
+    for value in columns:
+        is_of_row = isinstance(value, Name) or bool(free_aliases(value))
+        if is_of_row and not over_rows(value) and not _is_of_keys(value, keys, query):
+            yield value.name if isinstance(value, Name) else "", value.span
+
+
+def _unnamed(item: Node) -> Node:
+    """Returns the value of a column that AS or `to` names."""
+    is_named = isinstance(item, Call) and item.name == "to" and item.arguments
+    return item.arguments[0] if is_named else item  # type: ignore[attr-defined]
+
+
+def _named(item: Node) -> tuple[str, Node]:
+    match item:
+        case Call(name="to", arguments=(value, Literal(value=str() as name))):
+            return name, value
+    return "", item
+
+
+def _is_of_keys(node: Node, keys: set[str], query: Query) -> bool:
+    """Checks whether a value follows from the keys of its group."""
+    if _printed(node, query) in keys:
+        return True
+    column = _column(node)
+    if column is not None:
+        return not keys.isdisjoint((f"{column[0]}.id", f"{column[0]}.this"))
+    if isinstance(node, Query | This):
+        return False
+    return all(_is_of_keys(child, keys, query) for child in node.children())
+
+
+def _printed(node: Node, query: Query) -> str:
+    """Returns a column as one word, `a.z`; another value as its outline."""
+    is_only = len(query.sources) == 1
+    if isinstance(node, This):
+        return "this" if is_only or node.alias is None else f"{node.alias}.this"
+    column = _column(node)
+    if column is None:
+        return node.outline()
+    alias, name, _ = column
+    name = _SYNONYMS.get(name, name)
+    return name if is_only or alias is None else f"{alias}.{name}"
+
+
+def _ages(node: Node) -> Iterator[Call]:
+    """Yields the calls of `least` and `greatest` with an age that counts from the beginning."""
+    for part in node.walk():
+        match part:
+            case Call(name="least" | "greatest", arguments=(_, age)) if not (
+                isinstance(age, Unary) and age.operator == "-"
+            ):
+                yield part
+
+
+# -- what is a mistake ----------------------------------------------------------------------------
+
+
+def mistakes_in(
+    suspects: Suspects,
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> Iterator[SelectScriptError]:
+    """Yields the probable mistakes among the parts of a statement.
+
+    Args:
+        suspects: the parts.
+        variable: a function that returns the value of a variable; None if there is none.
+        type_of_relation: a function that returns the type of a relation's result; None if a name
+            is no relation.
+    """
+    for site in suspects.comparisons:
+        if _is_hidden(site, variable):
+            continue
+        if site.other is not None:
+            if not _is_hidden(site.other, variable):
+                yield from _different_columns(site, site.other, variable, type_of_relation)
+            continue
+        yield from _mistakes_at(site, variable, type_of_relation)
+    for call in suspects.ages:
+        lesser = "min" if call.name == "least" else "max"
+        yield ArgumentError(
+            f"the second argument of {call.name} is an age: {call.name} is over the recorded ticks "
+            f"at that time, or of the last seconds if it is negative; of two numbers write "
+            f"{lesser}([a, b])",
+            span=call.span,
+        )
+    for query in suspects.queries:
+        yield ArgumentError(
+            "the nested query is a list of dicts here; write AS value for its value, or AS list",
+            span=query.span,
+        )
+    for name, span in suspects.first_rows:
+        if not name or variable(name) is None:
+            message = "this is of the first row of each group; group by it, too, or aggregate it"
+            yield ArgumentError(message, span=span)
+
+
+def _is_hidden(site: Comparison, variable: Callable[[str], Any]) -> bool:
+    return site.is_bare and variable(site.column) is not None
+
+
+def _different_columns(
+    site: Comparison,
+    other: Comparison,
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> Iterator[SelectScriptError]:
+    """Yields the mistake that two columns of entities can never be equal."""
+    first = _kind_of_relation(site, variable, type_of_relation)
+    second = _kind_of_relation(other, variable, type_of_relation)
+    if first is None or second is None or {first, second} == {"boolean", "number"}:
+        return
+    if first != second:
+        yield ArgumentError(
+            f"{site.column} is {_WORDS[first]} and {other.column} is {_WORDS[second]}; they are "
+            f"never equal, and a text is written in quotes: '{other.column}'",
+            span=site.span,
+        )
+
+
+def _mistakes_at(
+    site: Comparison,
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> Iterator[SelectScriptError]:
+    cells = _cells(site, variable)
+    if cells is None:
+        kind = _kind_of_relation(site, variable, type_of_relation)
+        kinds = set() if kind is None else {kind}
+    else:
+        types = set(map(type, cells))
+        if site.holds_of_missing and type(None) in types:
+            yield ArgumentError(
+                f"{site.column} is nothing in some rows, and this holds of them; "
+                f"write AND {site.column} IS NOT NULL to leave them out",
+                span=site.span,
+            )
+        types.discard(type(None))
+        kinds = {_KIND_OF_TYPE[kind] for kind in types} if types <= _KIND_OF_TYPE.keys() else set()
+    for literal in site.literals if kinds else ():
+        other = _KIND_OF_TYPE[type(literal.value)]
+        is_truth_value = kinds == {"boolean"} and literal.value in (0, 1)
+        if other not in kinds and not is_truth_value:
+            words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
+            yield ArgumentError(
+                f"{site.column} is {words}, and never equals {argument_in_words(literal.value)}",
+                span=literal.span,
+            )
+
+
+def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None:
+    """Returns the values of a column of the dicts in a variable; None if it holds none."""
+    value = site.source.value
+    rows = variable(value.name) if isinstance(value, Name) else None
+    if not isinstance(rows, list) or not rows:
+        return None
+    dicts = [row for row in rows[:MAX_ROWS] if isinstance(row, dict)]
+    return [row[site.column] for row in dicts if site.column in row] if dicts else None
+
+
+def _kind_of_relation(
+    site: Comparison,
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> Kind | None:
+    """Returns what the values of a column of entities are; None if it is not known."""
+    value = site.source.value
+    if not isinstance(value, Name | TimeIndex | Call):
+        return None
+    if isinstance(value, Name) and not isinstance(variable(value.name), World | Past | Links):
+        return None
+    return _KIND_OF_RESULT.get(type_of_relation(site.column) or "")
+
+
+_KIND_OF_RESULT: Mapping[str, Kind] = {
+    "double": "number",
+    "integer": "number",
+    "string": "text",
+    "boolean": "boolean",
+    "entity": "entity",
+    "list": "list",
+}

@@ -1,0 +1,283 @@
+"""Finds the triggers whose programs are formulas over the rows of one world's entities.
+
+A *formula* is a query whose condition and columns are SQL expressions over one row: no other
+source, no geometry, no function of a user, nothing left to Python. `ssduck.interpreter.triggers.
+batch` evaluates the formulas of many triggers together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from sqlglot import exp
+
+from ssduck.adapters.registry import Adapter
+from ssduck.adapters.values import VALUES
+from ssduck.database.values import to_sql
+from ssduck.errors import SelectScriptError
+from ssduck.interpreter.execution import Execution
+from ssduck.interpreter.output import AsClause, as_clause_of
+from ssduck.interpreter.program import CompiledProgram
+from ssduck.interpreter.query_runner import PlannedQuery
+from ssduck.interpreter.triggers.array_expressions import (
+    NUMERIC_COLUMNS,
+    ArrayExpression,
+    NotArraysError,
+    Number,
+    array_expression,
+)
+from ssduck.language.clauses import Selected
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
+from ssduck.language.value_keys import node_key
+from ssduck.schema import MASSES
+from ssduck.sql.from_clause import world_table
+from ssduck.sql.plan import Plan
+from ssduck.sql.sql_values import with_values
+from ssduck.world.entities import Entity
+from ssduck.world.world import World
+
+# The alias of the rows in the expressions of all formulas.
+ROWS = "entities"
+
+# The parts of a SELECT that a formula may have.
+_CLAUSES = frozenset(("expressions", "from_", "where", "order", "limit", "offset"))
+# What one expression over a row does not contain.
+_NO_FORMULA = (exp.Anonymous, exp.AggFunc, exp.Window, exp.Select, exp.Subquery, exp.Unnest)
+_CONSTANT_NODES = (Name, Literal, Unary, Binary)
+
+
+@dataclass(frozen=True, eq=False)
+class SqlExpression:
+    """An expression that DuckDB evaluates.
+
+    Attributes:
+        sql: the expression.
+        text: its text, which identifies it.
+        is_condition: whether it is a condition on a row.
+    """
+
+    sql: exp.Expr
+    text: str
+    is_condition: bool = False
+
+
+# An expression as numpy evaluates it, or as DuckDB does.
+Part: TypeAlias = ArrayExpression | SqlExpression
+
+
+@dataclass(eq=False)
+class Formula:
+    """A query over the entities of one world, of which each row is decided by itself.
+
+    Attributes:
+        world: the world.
+        schema: the schema of its tables.
+        condition: the condition on a row; None if there is none.
+        columns: the values of a row.
+        types: the types of the parameters in the expressions, by name.
+        constants: the values of parameters that are the same at each tick.
+        entity_columns: the entity and the column that are the value of the other parameters.
+        tables: what is read from the simulator beside the entities.
+        window: the rows that LIMIT and OFFSET leave.
+        sql_parts: the expressions that DuckDB evaluates.
+        are_fixed: whether the values of each column stay the same until the table is replaced.
+    """
+
+    world: World
+    schema: str
+    condition: Part | None
+    columns: list[Part]
+    types: dict[str, Number]
+    constants: dict[str, float]
+    entity_columns: dict[str, tuple[Entity, str]]
+    tables: frozenset[str]
+    window: slice
+    _query: Query
+    _planned: PlannedQuery
+    _form: AsClause
+    _execution: Execution
+    sql_parts: list[SqlExpression] = field(init=False)
+    are_fixed: list[bool] = field(init=False)
+
+    def __post_init__(self) -> None:
+        parts = (self.condition, *self.columns)
+        self.sql_parts = [part for part in parts if isinstance(part, SqlExpression)]
+        self.are_fixed = [isinstance(p, ArrayExpression) and p.is_fixed for p in self.columns]
+
+    def value(self, rows: list[tuple[Any, ...]]) -> Any:
+        """Returns the result of the program for the rows that its SQL would return.
+
+        Raises:
+            SelectScriptError: the program fails for these rows.
+        """
+        execution, planned = self._execution, self._planned
+
+        def run(_: Query, __: Frame, check: Callable[[Any], None]) -> Selected:
+            check(planned.columns)
+            return planned.output_rows(rows)
+
+        with execution.lock:
+            execution.begin_program()
+            execution.meter.check_rows(len(rows))
+            return self._form.value(self._query, Frame(execution), run)
+
+
+class FormulaPlanner:
+    """Makes formulas of programs.
+
+    Args:
+        execution: runs programs.
+        query_of: returns the query to run for a query and its result form.
+    """
+
+    def __init__(self, execution: Execution, query_of: Callable[[Query, Adapter], Query]) -> None:
+        self._execution = execution
+        self._query_of = query_of
+
+    def formula(self, program: CompiledProgram) -> Formula | None:
+        """Returns the formula that a program is; None if it is none."""
+        execution = self._execution
+        with execution.lock:
+            try:
+                query = _only_query(execution, program)
+                if query is None:
+                    return None
+                frame = Frame(execution)
+                form = as_clause_of(query, frame)
+                if form.adapter not in VALUES:
+                    return None
+                adapted = self._query_of(query, form.adapter)
+                planned = execution.planner.planned(adapted, frame)
+                if planned is None or not _is_formula(planned.plan):
+                    return None
+                return self._of_plan(adapted, planned, form, frame)
+            except (SelectScriptError, _NoFormulaError):
+                return None  # evaluated by itself, it raises the error
+
+    def _of_plan(
+        self, query: Query, planned: PlannedQuery, form: AsClause, frame: Frame
+    ) -> Formula:
+        """Returns the formula of a plan.
+
+        Raises:
+            _NoFormulaError: it is none.
+        """
+        plan = planned.plan
+        (source,), (source_type,) = query.sources, plan.source_types
+        world = frame.value(source.value) if isinstance(source.value, Name) else None
+        if not isinstance(world, World):
+            raise _NoFormulaError
+        tables = self._execution.tables_read(query)
+        if not tables <= {MASSES}:
+            raise _NoFormulaError
+        names, texts = {}, {}
+        types: dict[str, Number] = {}
+        constants: dict[str, float] = {}
+        entity_columns = {}
+        for binding in plan.bindings:
+            node = binding.node
+            if node is None or not _is_constant(node):
+                raise _NoFormulaError
+            value = frame.value(node)
+            key = f"{binding.sql_type.type} {node_key(node)} {binding.column or ''}"
+            names[binding.name] = key
+            if binding.column:
+                is_live = isinstance(value, Entity) and value.world is world
+                if not is_live or value.moment is not None or binding.column not in NUMERIC_COLUMNS:
+                    raise _NoFormulaError
+                entity_columns[key] = (value, binding.column)
+            elif binding.name in plan.numbers:
+                constants[key] = to_sql(value)
+            else:
+                texts[binding.name] = to_sql(value)
+                continue
+            types[key] = plan.numbers[binding.name]
+        select = plan.select.transform(with_values(texts)) if texts else plan.select.copy()
+        assert isinstance(select, exp.Select)
+        for parameter in list(select.find_all(exp.Parameter)):
+            parameter.set("this", exp.var(names[parameter.name]))
+        for column in list(select.find_all(exp.Column)):
+            column.set("table", exp.to_identifier(ROWS))
+        where = select.args.get("where")
+        return Formula(
+            world,
+            str(source_type.schema),
+            None if where is None else _part(where.this, types, is_condition=True),
+            [_part(column, types) for column in select.expressions],
+            types,
+            constants,
+            entity_columns,
+            tables,
+            _window(select),
+            query,
+            planned,
+            form,
+            self._execution,
+        )
+
+
+class _NoFormulaError(Exception):
+    """A program that is no formula."""
+
+
+def _only_query(execution: Execution, program: CompiledProgram) -> Query | None:
+    """Returns the query that a program is, if its result form has no arguments."""
+    tree = execution.read(program.tree)
+    match tree.statements:
+        case [Query(recursion=None) as query] if not tree.explain:
+            clause = query.adapter
+            return query if clause is None or not (clause.arguments or clause.named) else None
+    return None
+
+
+def _is_formula(plan: Plan) -> bool:
+    """Checks whether the SQL of a plan decides each row of one world by itself."""
+    if plan.outputs is None or plan.may_fail or plan.paths or plan.signatures:
+        return False
+    if any(plan.deferred.values()):
+        return False
+    if len(plan.source_types) != 1:
+        return False
+    (source,) = plan.source_types
+    is_world = source.schema is not None and source.sql_type is None and source.has_values
+    if not is_world or source.past_kind or source.table != "entities":
+        return False
+    select = plan.select
+    if any(value for name, value in select.args.items() if name not in _CLAUSES):
+        return False
+    order = select.args.get("order")
+    if order is not None:
+        name = select.args["from_"].this.alias
+        expected = exp.Order(expressions=list(world_table(str(source.schema), name).position))
+        if order.sql() != expected.sql():
+            return False
+    return not any(isinstance(part, _NO_FORMULA) for part in _walked(select))
+
+
+def _walked(select: exp.Select) -> Iterator[exp.Expr]:
+    """Yields all parts of a SELECT, without itself."""
+    parts: Iterable[exp.Expr] = select.walk()
+    return (part for part in parts if part is not select)
+
+
+def _is_constant(node: Node) -> bool:
+    """Checks whether a part depends on the values of variables only."""
+    return all(isinstance(part, _CONSTANT_NODES) for part in node.walk())
+
+
+def _part(sql: exp.Expr, types: dict[str, Number], *, is_condition: bool = False) -> Part:
+    """Returns an expression for numpy if it can evaluate it, else for DuckDB."""
+    try:
+        return array_expression(sql, types)
+    except NotArraysError:
+        return SqlExpression(sql, sql.sql("duckdb"), is_condition)
+
+
+def _window(select: exp.Select) -> slice:
+    """Returns the rows that LIMIT and OFFSET leave."""
+    limit, offset = (select.args.get(name) for name in ("limit", "offset"))
+    start = 0 if offset is None else int(offset.expression.name)
+    return slice(start, None if limit is None else start + int(limit.expression.name))

@@ -1,0 +1,188 @@
+"""The log of a recorded folder: the rows that are not enough for a part yet.
+
+    log/world=kitchen/episode=0/part-000003-0000.arrow    the first rows of part 3, of all tables
+
+Each file has the rows of some ticks, in a stream of Arrow's format for each table. It is written
+under a temporary name and renamed when it is on the disk. When the part is complete, the files of
+its rows are removed. So files of a part that exists do not count.
+
+A reader takes the rows into memory: the files may be gone at the next moment.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+
+from ssduck.errors import RecordError
+from ssduck.recording.stores.atomic_files import write_atomically
+
+_FILE = re.compile(r"part-(\d{6,})-(\d{4,})\.arrow")
+# The keys of metadata: the label of a file, and the name of a table.
+_LABEL, _TABLE = b"ssduck log", b"table"
+# A reader that finds a file gone looks again, so many times.
+_ATTEMPTS = 100
+
+
+class PartLog:
+    """The log of an episode that is being recorded.
+
+    Args:
+        place: the folder of its files.
+        key: the text that identifies the episode.
+    """
+
+    def __init__(self, place: Path, key: str) -> None:
+        self.place = place
+        self._key = key
+        self._batches: list[Mapping[str, pa.Table]] = []
+        self._files: list[Path] = []
+
+    def __len__(self) -> int:
+        return len(self._batches)
+
+    def with_rows(self, rows: Mapping[str, pa.Table]) -> Mapping[str, pa.Table]:
+        """Returns the rows of the log and further ones, by table."""
+        if not self._batches:
+            return rows
+        batches = [*self._batches, rows] if rows else self._batches
+        return {
+            table: pa.concat_tables([batch[table] for batch in batches])
+            for table in self._batches[0]
+        }
+
+    def append(self, part: int, rows: Mapping[str, pa.Table]) -> None:
+        """Stores rows of a part, all or nothing.
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        self.place.mkdir(parents=True, exist_ok=True)
+        file = self.place / _file_name(part, len(self._batches))
+        label = _label(self._key, file.name)
+        write_atomically(file, lambda path: _write(path, rows, label))
+        self._batches.append(rows)
+        self._files.append(file)
+
+    def clear(self) -> None:
+        """Removes the rows, which a part has now.
+
+        Raises:
+            OSError: a file cannot be removed.
+        """
+        self._batches = []
+        while self._files:
+            self._files[-1].unlink(missing_ok=True)
+            self._files.pop()
+
+
+@dataclass(frozen=True)
+class LogFile:
+    """A file of a log, which was read.
+
+    Attributes:
+        path: where it was.
+        part: the number of the part that gets its rows.
+        rows: the rows of each table.
+    """
+
+    path: Path
+    part: int
+    rows: dict[str, pa.Table]
+
+
+def read_log(place: Path, key: str) -> list[LogFile]:
+    """Returns the files of a log, in order.
+
+    Args:
+        place: the folder of the files.
+        key: the text that identifies the episode.
+
+    Raises:
+        RecordError: a file is damaged, of another episode, or missing before others.
+    """
+    for _ in range(_ATTEMPTS):
+        try:
+            files = [LogFile(file, _numbers(file)[0], _read(file, key)) for file in _files(place)]
+        except FileNotFoundError:  # its part was completed meanwhile
+            continue
+        return files
+    raise RecordError(f"{place} changes faster than it can be read")
+
+
+def is_log(place: Path) -> bool:
+    """Checks whether a folder has files of a log."""
+    return bool(_files(place))
+
+
+def following_rows(files: Sequence[LogFile], part: int) -> dict[str, pa.Table]:
+    """Returns the rows of a part that is incomplete, by table; nothing if there are none.
+
+    Raises:
+        RecordError: a file is missing before others.
+    """
+    chosen = [file for file in files if file.part == part]
+    for number, file in enumerate(chosen):
+        if _numbers(file.path)[1] != number:
+            missing = file.path.with_name(_file_name(part, number))
+            raise RecordError(
+                f"{missing} is missing, and files after it are there: put it back, or remove those"
+            )
+    tables = chosen[0].rows if chosen else {}
+    return {table: pa.concat_tables([file.rows[table] for file in chosen]) for table in tables}
+
+
+def _file_name(part: int, number: int) -> str:
+    return f"part-{part:06d}-{number:04d}.arrow"
+
+
+def _numbers(file: Path) -> tuple[int, int]:
+    """Returns the number of the part of a file, and its own."""
+    match = _FILE.fullmatch(file.name)
+    assert match is not None
+    return int(match.group(1)), int(match.group(2))
+
+
+def _files(place: Path) -> list[Path]:
+    if not place.is_dir():
+        return []
+    return sorted((file for file in place.iterdir() if _FILE.fullmatch(file.name)), key=_numbers)
+
+
+def _label(key: str, name: str) -> bytes:
+    return json.dumps({"episode": key, "file": name}).encode()
+
+
+def _write(path: Path, rows: Mapping[str, pa.Table], label: bytes) -> None:
+    options = pa.ipc.IpcWriteOptions(compression="lz4")
+    with path.open("wb") as sink:
+        for table, added in rows.items():
+            labelled = added.replace_schema_metadata({_LABEL: label, _TABLE: table})
+            with pa.ipc.new_stream(sink, labelled.schema, options=options) as writer:
+                writer.write_table(labelled)
+
+
+def _read(file: Path, key: str) -> dict[str, pa.Table]:
+    content = pa.BufferReader(file.read_bytes())
+    tables = {}
+    try:
+        while content.tell() < content.size():
+            rows = pa.ipc.open_stream(content).read_all()
+            metadata = rows.schema.metadata or {}
+            if metadata[_LABEL] != _label(key, file.name):
+                raise RecordError(
+                    f"{file} is another file of a log, or of another record: it was renamed, or "
+                    "copied there; remove it"
+                )
+            tables[metadata[_TABLE].decode()] = rows.replace_schema_metadata()
+    except (pa.ArrowException, OSError, KeyError) as error:
+        raise RecordError(
+            f"{file} cannot be read: it is damaged: {error}; remove it and those after it to open "
+            "the ticks before them"
+        ) from error
+    return tables

@@ -1,0 +1,209 @@
+"""Opening a record does little: views and functions are made when a statement names them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.database import connection as connections
+from ssduck.database.connection import Connection
+from ssduck.database.instances import MAX_WAITING, InstancePool
+from ssduck.errors import SqlError
+from ssduck.schema import HISTORIES, MODELS, TABLES
+
+BODIES = 5
+TICKS = 20
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small record in a folder."""
+    place = tmp_path_factory.mktemp("small") / "run"
+    client = pybullet.connect(pybullet.DIRECT)
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1, 0.1, 0.1], physicsClientId=client
+    )
+    names = {
+        pybullet.createMultiBody(
+            1, box, basePosition=[0.3 * n, 0, 1 + n], physicsClientId=client
+        ): f"box_{n}"
+        for n in range(BODIES)
+    }
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client, names=names))
+        with ss.record_to(place, recording=Recording(tables=("entities", "contacts"))):
+            for _ in range(TICKS - 1):
+                world.step()
+    pybullet.disconnect(client)
+    return place
+
+
+@pytest.fixture
+def pool(monkeypatch: pytest.MonkeyPatch) -> InstancePool:
+    """A pool of databases of the test's own."""
+    own = InstancePool()
+    monkeypatch.setattr(connections, "POOL", own)
+    return own
+
+
+class Count:
+    """Counts the statements that run, and has their texts."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.statements: list[str] = []
+        execute = Connection._execute
+
+        def counted(own: Connection, sql: str, *arguments: object, **options: object) -> object:
+            self.statements.append(sql)
+            return execute(own, sql, *arguments, **options)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(Connection, "_execute", counted)
+
+    def take(self) -> list[str]:
+        """Returns the statements since the last call."""
+        statements, self.statements = self.statements, []
+        return statements
+
+
+def _views(ss: ssduck.Interpreter) -> set[str]:
+    sql = "SELECT view_name FROM duckdb_views() WHERE schema_name = 'lab'"
+    return {name for (name,) in ss._database.connection.internal_rows(sql)}
+
+
+def _functions(ss: ssduck.Interpreter) -> set[str]:
+    return set(ss._database.connection._functions)
+
+
+def test_a_program_makes_what_it_names(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    count = Count(monkeypatch)
+    with ssduck.open(run) as ss:
+        # The settings, the schema, and the search path.
+        assert len([sql for sql in count.take() if not sql.startswith("SET ")]) == 2
+        assert (_views(ss), _functions(ss)) == (set(), set())
+        count.take()
+        assert len(ss.eval("SELECT id FROM lab{} WHERE z > 2.5 AS list;")) == 3 * TICKS
+        created = [sql for sql in count.take() if sql.startswith("CREATE")]
+        assert len(created) == 1
+        assert _views(ss) == {"entities_history"}
+        count.take()
+        ss.eval("SELECT id FROM lab{} WHERE z > 2.5 AS list;")
+        assert not [sql for sql in count.take() if sql.startswith("CREATE")]
+        ss.add_variable("box_0", ss.call_variable("lab")["box_0"])
+        assert _functions(ss) == set()
+        gaps = ss.eval("SELECT clearance(this, box_0) FROM lab AS list;")
+        assert len([gap for gap in gaps if gap > 0.5]) == BODIES - 1
+        assert "entities" in _views(ss)
+        assert len(_functions(ss)) == 1
+        assert not _views(ss) & {"links", "joints", "shapes", "links_history", "shapes_model"}
+
+
+def test_a_users_statement_finds_everything(run: Path) -> None:
+    with ssduck.open(run) as ss:
+        ss.sql("SELECT 1")
+        names = {*TABLES, *(t.history_view for t in HISTORIES.values())}
+        assert _views(ss) == names | {table.model_view for table in MODELS.values()}
+        shown = ss.sql("SELECT table_name FROM information_schema.tables").fetchall()
+        assert {name for (name,) in shown} >= names
+        ((count,),) = ss.sql("SELECT count(*) FROM entities_history").fetchall()
+        assert count == BODIES * TICKS
+        ((links,),) = ss.sql("SELECT count(*) FROM lab.links").fetchall()
+        assert links == BODIES
+
+
+def test_a_program_and_a_statement_agree_in_any_order(run: Path) -> None:
+    program = "SELECT id FROM lab{} WHERE above(box_0, this) AS list;"
+    sql = "SELECT b.name FROM entities_history a, entities_history b WHERE above(a, b) "
+    sql += "AND a.tick = b.tick AND a.name = 'box_0' ORDER BY b.tick, b.id"
+    answers = []
+    for first in (program, sql):
+        with ssduck.open(run) as ss:
+            ss.add_variable("box_0", ss.call_variable("lab")["box_0"])
+            other = sql if first is program else program
+            for text in (first, other):
+                values = ss.eval(text) if text is program else ss.sql(text).fetchall()
+                answers.append([v if text is program else v[0] for v in values])
+    assert all(answer == answers[0] for answer in answers)
+
+
+def test_a_recording_that_begins_anew_has_new_views(client: int) -> None:
+    pybullet.createMultiBody(1, physicsClientId=client)
+    with ssduck.Interpreter(recording=Recording(tables=("entities",))) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client))
+        world.step()
+        count = "SELECT tick(this) FROM lab{} AS list;"
+        assert ss.eval(count) == [1, 2]
+        ss.record("lab", Recording(tables=("entities",)))
+        world.step()
+        assert ss.eval(count) == [2, 3]
+        assert ss.sql("SELECT tick FROM lab.entities_history ORDER BY 1").fetchall() == [(2,), (3,)]
+
+
+# -- databases that are used again ----------------------------------------------------------------
+
+
+def test_a_database_is_used_again(run: Path, pool: InstancePool) -> None:
+    instances = []
+    for _ in range(3):
+        with ssduck.open(run) as ss:
+            instances.append(ss._database.connection._instance)
+            assert _views(ss) == _functions(ss) == set()
+            ss.add_function("twice", lambda value: 2 * value)
+            found = ss.eval("SELECT twice(z) FROM lab{} WHERE id(this) == 'box_1' AS list;")
+            assert len(found) == TICKS
+        with pytest.raises(SqlError, match="the interpreter is closed"):
+            ss.sql("SELECT 1")
+    assert all(instance is instances[0] for instance in instances)
+    pool.close()
+
+
+def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -> None:
+    with ssduck.open(run) as ss:
+        ss.sql("CREATE TABLE main.mine AS SELECT 1")
+        ss.sql("SET threads = 2")
+    with ssduck.open(run) as ss:
+        tables = ss.sql("SELECT table_name FROM information_schema.tables").fetchall()
+        assert ("mine",) not in tables
+        assert ss.sql("SELECT current_setting('threads')").fetchall() == [(1,)]
+    assert not pool._waiting
+
+
+def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> None:
+    strict = ssduck.Interpreter(limits=ssduck.Limits.strict())
+    strict.eval("SELECT this FROM [1, 2] AS list;")
+    strict.close()
+    with ssduck.open(run) as ss:
+        ((allowed,),) = ss.sql("SELECT current_setting('enable_external_access')").fetchall()
+        assert allowed
+    assert not pool._waiting
+
+
+def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool) -> None:
+    for _ in range(2):
+        with ssduck.Interpreter(recording=Recording()) as ss:
+            ss.add_variable("lab", ssduck.World.attach(client))
+            assert len(ss.past("lab").ticks) == 1
+    assert not pool._waiting
+
+
+def test_few_databases_wait(run: Path, pool: InstancePool) -> None:
+    opened = [ssduck.open(run) for _ in range(MAX_WAITING + 2)]
+    for ss in opened:
+        ss.close()
+    assert len(pool._waiting) == MAX_WAITING
+    pool.close()
+
+
+def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> None:
+    path = tmp_path / "run.duckdb"
+    for _ in range(2):
+        with ssduck.Interpreter(str(path)) as ss:
+            ss.add_variable("lab", ssduck.World.attach(client))
+        for _ in range(2):  # nothing keeps it from being recorded into again
+            with ssduck.open(path) as ss:
+                assert len(ss.eval("SELECT tick(this) FROM lab{} AS list;")) == 0
+                assert ss.past("lab").ticks == [1]
+    pool.close()

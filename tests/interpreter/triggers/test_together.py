@@ -1,0 +1,325 @@
+"""Triggers that are evaluated together give what they give one by one."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.interpreter.triggers.batch import FormulaBatches
+from ssduck.world.handles import Handle
+from tests.support.triggering import state
+
+# Formulas for numpy, formulas for DuckDB, and programs that are evaluated by themselves.
+PROGRAMS = [
+    "SELECT name FROM sim WHERE z(this) < 1.5 AS list;",
+    "SELECT name FROM sim WHERE z(this) < limit AS list;",
+    "SELECT name, x, z FROM sim WHERE z > limit OR NOT x < 0.25;",
+    "SELECT z FROM sim WHERE id(this) == 'b1' AS value;",
+    "SELECT z > limit FROM sim WHERE name == who AS value;",
+    "SELECT position FROM sim WHERE kind == 'kinbody' AND z + 2 * x < 3 AS list;",
+    "SELECT this FROM sim WHERE isKinbody(this) AND z BETWEEN 0.5 AND 2 AS list;",
+    "SELECT name FROM sim WHERE above(it, this) AS list;",
+    "SELECT name FROM sim WHERE below(it, this) AND x < limit AS list;",
+    "SELECT x, name FROM sim WHERE z in [0, 1, 2] OR name in ['b0', 'b2'] LIMIT 2;",
+    "SELECT name FROM sim WHERE z < 2 LIMIT 2 OFFSET 1 AS list;",
+    "SELECT -z FROM sim AS list;",
+    "SELECT name FROM sim WHERE distance(it, this) < 1.5 AS list;",
+    "SELECT distance(it, this), name FROM sim WHERE distance(it, this) < limit;",
+    "SELECT volume(this), name FROM sim WHERE volume(this) < 1;",
+    "SELECT mass(this) FROM sim WHERE mass(this) > 0.5 AS list;",
+    "SELECT name FROM sim WHERE name LIKE 'b%' AND distance(this, [0, 0, 1]) < 1 AS list;",
+    "count(SELECT this FROM sim WHERE z < 1 AS list);",
+    "SELECT COUNT(*) FROM sim WHERE z < 1 AS value;",
+    "SELECT name FROM sim ORDER BY z AS list;",
+    "SELECT MAX(z) FROM sim AS value;",
+    "SELECT name FROM sim WHERE z > 1 / limit AS list;",
+    "SELECT name FROM sim WHERE odd(this) AS list;",
+    "SELECT a.name, b.name FROM a=sim, b=sim WHERE a.z < b.z AS list;",
+    "getTime();",
+    "limit;",
+    "SELECT name FROM sim WHERE z < 1 AS list(1);",
+    "seen = 1; SELECT z FROM sim AS list;",
+]
+OPTIONS = [{}, {"rows": True}, {"when": "rising"}, {"when": "falling"}, {"debounce": 2 / 240}]
+NUMBERS = st.sampled_from([0, 0.0, 0.5, 1, 1.5, -1.0, 100])
+
+
+def scene(client):
+    """Boxes and balls that fall onto a plate and against each other."""
+    pybullet.setGravity(0, 0, -10, physicsClientId=client)
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.2, 0.15, 0.1], physicsClientId=client
+    )
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    plate = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[2, 2, 0.05], physicsClientId=client
+    )
+    pybullet.createMultiBody(0, plate, physicsClientId=client)
+    names = {0: "plate"}
+    for number in range(4):
+        body = pybullet.createMultiBody(
+            number / 2,
+            box if number % 2 else ball,
+            basePosition=[number * 0.3, 0, 0.3 + number / 4],
+            physicsClientId=client,
+        )
+        pybullet.resetBaseVelocity(body, [1 - number, 0, 0], physicsClientId=client)
+        names[body] = f"b{number}"
+    return ssduck.World.attach(client, names=names)
+
+
+class Session:
+    """An interpreter with the scene, which writes down all that its triggers call."""
+
+    def __init__(self, *, together):
+        self.client = pybullet.connect(pybullet.DIRECT)
+        self.ss = ssduck.Interpreter()
+        if not together:
+            self.ss._triggers._batches = None
+        self.world = self.ss.add_variable("sim", scene(self.client))
+        self.ss.add_variable("limit", 1)
+        self.ss.add_variable("who", "b1")
+        self.ss.add_variable("it", self.world["b2"])
+        self.ss.add_function("odd", lambda entity: entity.id % 2 == 1)
+        self.calls = []
+        self.added = 0
+
+    def close(self):
+        self.ss.close()
+        pybullet.disconnect(self.client)
+
+    def do(self, action, *values):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                getattr(self, action)(*values)
+            except ssduck.SelectScriptError as error:
+                self.calls.append(("error", action, str(error)))
+        self.calls += [("warning", str(warning.message)) for warning in caught]
+
+    def add(self, program, options, interval, reaction):
+        name = f"t{self.added}"
+        self.added += 1
+
+        def callback(result):
+            self.calls.append((name, round(self.world.time, 9), plain(result)))
+            if reaction is not None:
+                self.do(*reaction)
+
+        self.ss.add_trigger(name, program, interval, callback, **options)
+
+    def step(self, count):
+        self.world.step(count)
+
+    def bind(self, name, value):
+        self.ss.add_variable(name, value)
+
+    def follow(self, name):
+        self.ss.add_variable("it", self.world[name])
+
+    def remove_body(self, number):
+        pybullet.removeBody(number, physicsClientId=self.client)
+
+    def add_body(self, x):
+        pybullet.createMultiBody(1, 0, basePosition=[x, 0, 2], physicsClientId=self.client)
+
+    def move(self, name, height):
+        self.world[name].move([0, 0, height])
+
+    def change(self, verb, number):
+        names = [trigger.name for trigger in self.ss.triggers()]
+        if names:
+            getattr(self.ss, verb)(names[number % len(names)])
+
+    def override(self, limit):
+        self.ss.add_function("z", lambda entity: entity.position[2] + limit)
+
+    def restore(self):
+        self.ss.del_function("z")
+
+    def states(self):
+        return [
+            (s.name, s.evaluations, s.firings, s.failures, s.paused, plain(s.result), str(s.error))
+            for s in self.ss.triggers()
+        ]
+
+
+def plain(value):
+    """A text of a value that tells 0.0 from -0.0, and the entities of two worlds do not differ."""
+    if isinstance(value, ssduck.Changed):
+        return plain([value.added, value.removed])
+    if isinstance(value, Handle):
+        return f"<{value.name}>"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(plain, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {plain(part)}' for key, part in value.items())}}}"
+    return repr(value)
+
+
+BODIES = st.sampled_from(["plate", "b0", "b1", "b2", "b3"])
+CHANGES = st.one_of(
+    st.tuples(st.just("bind"), st.just("limit"), NUMBERS),
+    st.tuples(st.just("bind"), st.just("who"), st.sampled_from(["b0", "b1", "nobody", 3])),
+    st.tuples(st.just("follow"), BODIES),
+    st.tuples(st.just("remove_body"), st.integers(1, 4)),
+    st.tuples(st.just("add_body"), st.floats(-1, 1)),
+    st.tuples(st.just("move"), BODIES, st.sampled_from([0.5, 1.0, 3.0])),
+    st.tuples(
+        st.just("change"),
+        st.sampled_from(["pause_trigger", "resume_trigger", "del_trigger"]),
+        st.integers(0, 9),
+    ),
+    st.tuples(st.just("override"), st.sampled_from([0.0, 0.5])),
+    st.tuples(st.just("restore")),
+    st.tuples(st.just("step"), st.just(1)),
+)
+ADDED = st.tuples(
+    st.just("add"),
+    st.sampled_from(PROGRAMS),
+    st.sampled_from(OPTIONS),
+    st.sampled_from([0, 0, 0, 1 / 120, 0.0125]),
+    st.none() | st.none() | CHANGES,
+)
+STEPS = st.tuples(st.just("step"), st.integers(1, 4))
+ACTIONS = st.lists(st.one_of(ADDED, STEPS, CHANGES, STEPS), min_size=2, max_size=14)
+
+
+def outcome(actions, *, together):
+    session = Session(together=together)
+    try:
+        for action in actions:
+            session.do(*action)
+        session.do("step", 3)
+        return session.calls, session.states()
+    finally:
+        session.close()
+
+
+@pytest.mark.slow
+@settings(max_examples=150)
+@given(st.lists(ADDED, min_size=3, max_size=8), ACTIONS)
+def test_together_as_one_by_one(added, actions):
+    """The same calls in the same order, with the same results, errors, warnings and states."""
+    assert outcome([*added, *actions], together=True) == outcome([*added, *actions], together=False)
+
+
+def test_all_programs_together_as_one_by_one():
+    actions = [("add", program, {}, 0, None) for program in PROGRAMS]
+    actions += [
+        ("step", 3),
+        ("bind", "limit", 0.5),
+        ("step", 2),
+        ("follow", "b0"),
+        ("step", 2),
+        ("remove_body", 2),
+        ("step", 2),
+        ("add_body", 0.5),
+        ("step", 20),
+        ("override", 0.5),
+        ("step", 3),
+        ("bind", "limit", 0),
+        ("step", 2),
+    ]
+    calls, states = outcome(actions, together=True)
+    assert (calls, states) == outcome(actions, together=False)
+    assert sum(call[0].startswith("t") for call in calls) > 200
+
+
+# -- what it costs -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def boxes(ss, client):
+    world = ss.add_variable("sim", scene(client))
+    ss.add_variable("it", world["b2"])
+    return world
+
+
+def add_all(ss, program, count=100):
+    for number in range(count):
+        ss.add_trigger(f"t{number}", program.format(number / 40), 0, lambda _: None)
+
+
+def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
+    add_all(ss, "SELECT name, z FROM sim WHERE z(this) < {} AND above(it, this);")
+    boxes.step()  # numpy evaluates what was evaluated once by itself
+    told.clear()
+    boxes.step(20)
+    assert told == []
+    assert state(ss, "t99").evaluations == 22
+
+
+def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
+    add_all(ss, "SELECT name, z FROM sim WHERE distance(it, this) < {};")
+    boxes.step(2)
+    told.clear()
+    boxes.step(20)
+    assert len(told) == 20
+    assert len(set(told)) == 1
+    assert state(ss, "t99").evaluations == 23
+
+
+def test_a_statement_serves_triggers_that_are_due_at_different_ticks(ss, boxes, told):
+    program = "SELECT name FROM sim WHERE distance(it, this) < {} AS list;"
+    for number in range(40):
+        interval = (1 + number % 5) / 240
+        ss.add_trigger(f"t{number}", program.format(number / 40), interval, lambda _: None)
+    boxes.step(20)
+    told.clear()
+    boxes.step(60)
+    assert len(told) <= 60
+
+
+def test_a_removed_trigger_leaves_the_statement_of_the_others(ss, boxes, told):
+    add_all(ss, "SELECT name, z FROM sim WHERE distance(it, this) < {};", 10)
+    boxes.step(2)
+    told.clear()
+    for number in range(8):
+        ss.del_trigger(f"t{number}")
+        boxes.step()
+    assert len(told) == 8
+    assert not any(statement.startswith("PREPARE") for statement in told)
+
+
+def test_each_result_is_that_of_the_program(ss, boxes):
+    """At every tick the last result of each trigger is what its program gives then."""
+    ss.add_variable("limit", 1)
+    ss.add_variable("who", "b1")
+    ss.add_function("odd", lambda entity: entity.id % 2 == 1)
+    programs = [p for p in PROGRAMS if "list(1)" not in p]
+    for number, program in enumerate(programs):
+        ss.add_trigger(str(number), program, 0, lambda _: None)
+    for _ in range(30):
+        boxes.step()
+        for trigger in ss.triggers():
+            assert plain(trigger.result) == plain(ss.eval(trigger.program))
+
+
+def test_a_number_that_is_not_known(ss, boxes, client, monkeypatch):
+    """Where a pose is not a number, SQL has NULL; the triggers are evaluated by themselves."""
+    got = []
+    ss.add_trigger("t", "SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;", 0, got.append)
+    boxes.step()
+    used = []
+    evaluate = FormulaBatches.outcomes
+    monkeypatch.setattr(
+        FormulaBatches,
+        "outcomes",
+        lambda *args: used.append(len(result := evaluate(*args))) or result,
+    )
+    boxes.step()
+    pybullet.resetBasePositionAndOrientation(
+        4, [0, 0, math.nan], [0, 0, 0, 1], physicsClientId=client
+    )
+    with pytest.warns(UserWarning, match="b3"):
+        boxes.tick(steps=0)
+    assert used == [1, 0]
+    assert got[-1] == ss.eval("SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;")
+    assert "b3" not in got[-1]

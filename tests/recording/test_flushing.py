@@ -1,0 +1,332 @@
+"""Ticks are on the disk in time: the first at once, the others after `flush_every` at the latest."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import ArgumentError, RecordError
+from ssduck.recording import flush_timer
+from ssduck.recording import recorder as recorders
+from ssduck.recording.recorder import Recorder
+from ssduck.recording.stores import parquet
+from tests.support.cases import sampled
+from tests.support.timing import HANGS
+
+BALLS = 3
+# So long that no tick is stored by time in a test.
+NEVER = 1e6
+TABLES = ("entities", "links", "contacts")
+
+
+@pytest.fixture
+def world(client: int) -> ssduck.World:
+    """A world of an arm of two links and falling balls, one of which touches the arm."""
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    for place in range(BALLS - 1):
+        pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
+    pybullet.createMultiBody(
+        1,
+        ball,
+        basePosition=[0, 0, 1.15],
+        linkMasses=[1],
+        linkCollisionShapeIndices=[ball],
+        linkVisualShapeIndices=[-1],
+        linkPositions=[[0, 0, 0.3]],
+        linkOrientations=[[0, 0, 0, 1]],
+        linkInertialFramePositions=[[0, 0, 0]],
+        linkInertialFrameOrientations=[[0, 0, 0, 1]],
+        linkParentIndices=[0],
+        linkJointTypes=[pybullet.JOINT_REVOLUTE],
+        linkJointAxis=[[1, 0, 0]],
+        physicsClientId=client,
+    )
+    return ssduck.World.attach(client, name="lab")
+
+
+class Clock:
+    """The time that recorders see, which goes on when a test says so; the timer is off."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 1000.0
+        monkeypatch.setattr(recorders, "monotonic", lambda: self.now)
+        monkeypatch.setattr(flush_timer, "start_watching", lambda _: None)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+def _log(run: Path) -> list[str]:
+    return sorted(file.name for file in run.glob("log/world=lab/episode=0/*"))
+
+
+def _parts(run: Path) -> list[str]:
+    return sorted(file.name for file in run.glob("ticks/world=lab/episode=0/*"))
+
+
+def _until(is_so: Callable[[], bool]) -> None:
+    began = time.monotonic()
+    while not is_so():
+        assert time.monotonic() < began + HANGS
+        time.sleep(0.01)
+
+
+def _started(ss: ssduck.Interpreter, world: ssduck.World, run: Path, **options: object) -> Recorder:
+    """Starts to record a world to a folder, and returns the recorder."""
+    ss.add_variable("lab", world)
+    ss.record_to(run, recording=Recording(tables=TABLES, **options))  # type: ignore[arg-type]
+    (recorder,) = ss._database._recorders.running
+    return recorder
+
+
+def _tick(recorder: Recorder, world: ssduck.World, count: int = 1) -> None:
+    for _ in range(count):
+        world.step()
+        recorder.wait()
+
+
+def _contents(ss: ssduck.Interpreter) -> dict[str, list[tuple[object, ...]]]:
+    """Returns the rows of all tables."""
+    tables = (*TABLES, "ticks")
+    return {
+        table: ss.sql(f"SELECT * FROM {table}_history ORDER BY ALL").fetchall() for table in tables
+    }
+
+
+def test_ticks_of_a_folder_are_in_the_log_in_time(
+    world: ssduck.World, clock: Clock, tmp_path: Path
+) -> None:
+    run = tmp_path / "run"
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, run, flush_every=2.0)
+        recorder.wait()
+        assert _log(run) == ["part-000000-0000.arrow"]  # the first tick, at once
+        _tick(recorder, world, 3)
+        clock.now += 0.99
+        _tick(recorder, world)
+        assert len(_log(run)) == 1
+        clock.now += 0.02  # half of the time after the first of these
+        _tick(recorder, world)
+        assert _log(run) == ["part-000000-0000.arrow", "part-000000-0001.arrow"]
+        with ssduck.open(run) as copy:
+            assert copy.past("lab").ticks == list(range(1, 7))
+        _tick(recorder, world)
+        with ssduck.open(run) as copy:
+            assert copy.past("lab").ticks == list(range(1, 7))
+        assert _parts(run) == []
+    assert _log(run) == []
+    with ssduck.open(run) as copy:
+        assert copy.past("lab").ticks == list(range(1, 8))
+
+
+def test_ticks_of_a_file_are_committed_in_time(
+    world: ssduck.World, clock: Clock, tmp_path: Path
+) -> None:
+    recording = Recording(flush_every=2.0)
+    with ssduck.Interpreter(str(tmp_path / "run.duckdb"), recording=recording) as ss:
+        ss.add_variable("lab", world)
+        (recorder,) = ss._database._recorders.running
+        recorder.wait()
+        counts = []
+        for seconds in (0.0, 0.0, 1.01, 0.0, 0.99):
+            clock.now += seconds
+            _tick(recorder, world)
+            counts.append(recorder._store.fetch("ticks", 0, 100).num_rows)  # type: ignore[attr-defined]
+        assert counts == [1, 1, 4, 4, 4]
+        assert ss.past("lab").ticks == list(range(1, 7))
+
+
+def test_a_log_has_what_parts_have(world: ssduck.World, clock: Clock, tmp_path: Path) -> None:
+    """The rows of the log, those of parts, and those in memory are the same."""
+    run = tmp_path / "run"
+    with ssduck.Interpreter(recording=Recording(tables=TABLES)) as ss:
+        ss.add_variable("lab", world)
+        writing = ss.record_to(run, recording=Recording(tables=TABLES))
+        recorder = ss._database._recorders.running[-1]
+        _tick(recorder, world, 2)
+        writing.flush()  # a part
+        for _ in range(4):
+            clock.now += 0.6
+            _tick(recorder, world, 2)
+        assert (_parts(run), len(_log(run))) == (["part-000000.parquet"], 3)
+        live = _contents(ss)
+        stored = shutil.copytree(run, tmp_path / "copy")
+        with ssduck.open(stored) as copy:
+            # The last tick waits for a flush.
+            rows = _contents(copy)
+            last = copy.past("lab").ticks[-1]
+            for one in (ss, copy):
+                one.add_variable("other", one.call_variable("lab")["body_1"])
+            near = "SELECT tick(this) FROM lab{} WHERE touching(this, other) AS list;"
+            assert copy.eval(near) == [tick for tick in ss.eval(near) if tick <= last]
+        assert last == world.snapshot.number - 1
+        for table, expected in live.items():
+            place = 0 if table == "ticks" else [*ssduck.schema.TABLES[table].names].index("tick")
+            assert rows[table] == [row for row in expected if row[place] <= last]
+        writing.close()
+        assert _contents(ssduck.open(run)) == _contents(ss) == live
+
+
+def test_a_world_that_stands_still_is_stored(world: ssduck.World, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, run, flush_every=0.1)
+        _tick(recorder, world)
+        _until(lambda: recorder.flush_at is None and not recorder._writer.is_busy)
+        with ssduck.open(run) as copy:
+            assert copy.past("lab").ticks == [1, 2]
+
+
+def test_the_timer_leaves_a_recorder_that_is_in_use(
+    world: ssduck.World, clock: Clock, tmp_path: Path
+) -> None:
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, tmp_path / "run", flush_every=NEVER)
+        _tick(recorder, world)
+        clock.now += NEVER
+        results: list[bool] = []
+
+        def try_in_thread() -> None:
+            thread = threading.Thread(target=lambda: results.append(recorder.try_to_flush()))
+            thread.start()
+            thread.join(HANGS)
+
+        with recorder.read_lock:
+            try_in_thread()
+        with recorder._lock:
+            try_in_thread()
+        assert results == [False, False]
+        assert recorder.buffers["ticks"].count == 1
+        try_in_thread()
+        recorder.wait()
+        assert results[-1]
+        assert recorder.buffers["ticks"].count == 0
+
+
+def test_a_log_becomes_a_part_when_it_is_long_enough(
+    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parquet, "PART_TICKS", 10)
+    run = tmp_path / "run"
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, run)
+        counts = []
+        for _ in range(8):
+            clock.now += 0.51
+            _tick(recorder, world, 3)
+            counts.append((len(_parts(run)), len(_log(run))))
+    # A flush at the tick after half a second: the first tick, and then three at a time.
+    assert counts == [(0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2), (1, 3), (2, 0)]
+    with ssduck.open(run) as copy:
+        assert copy.past("lab").ticks == list(range(1, 26))
+
+
+def test_what_the_disk_does_not_take_waits(
+    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, run)
+        _tick(recorder, world)
+
+        def fail(*_: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(parquet.PartLog, "append", fail)
+            clock.now += 1
+            _tick(recorder, world)
+            with pytest.raises(RecordError, match="No space left on device"):
+                world.step()
+        clock.now += 1
+        _tick(recorder, world)
+        with ssduck.open(run) as copy:
+            assert copy.past("lab").ticks == list(range(1, 6))
+
+
+def _remove_in_the_middle(log: Path) -> None:
+    (log / "part-000000-0001.arrow").unlink()
+
+
+def _cut_off(log: Path) -> None:
+    file = log / "part-000000-0001.arrow"
+    file.write_bytes(file.read_bytes()[:-100])
+
+
+def _swap(log: Path) -> None:
+    one, other = log / "part-000000-0000.arrow", log / "part-000000-0001.arrow"
+    one.rename(log / "between")
+    other.rename(one)
+    (log / "between").rename(other)
+
+
+@sampled(
+    ("damage", "told"),
+    [
+        (_remove_in_the_middle, "part-000000-0001.arrow is missing, and files after it are there"),
+        (_cut_off, "part-000000-0001.arrow cannot be read: it is damaged"),
+        (_swap, "part-000000-0000.arrow is another file of a log"),
+    ],
+    every=1,
+)
+def test_a_damaged_log_is_noticed(
+    world: ssduck.World,
+    clock: Clock,
+    tmp_path: Path,
+    damage: Callable[[Path], None],
+    told: str,
+) -> None:
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, tmp_path / "run")
+        for _ in range(3):
+            clock.now += 0.6
+            _tick(recorder, world, 2)
+        run = Path(shutil.copytree(tmp_path / "run", tmp_path / "copy"))
+        assert len(_log(run)) == 3
+    damage(run / "log" / "world=lab" / "episode=0")
+    with pytest.raises(RecordError, match=told):
+        ssduck.open(run)
+
+
+def test_a_log_whose_part_is_complete_does_not_count(
+    world: ssduck.World, clock: Clock, tmp_path: Path
+) -> None:
+    """A recorder that is killed after it wrote a part leaves the files of its rows."""
+    run = tmp_path / "run"
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, run)
+        clock.now += 0.6
+        _tick(recorder, world, 2)
+        left = shutil.copytree(run / "log", tmp_path / "log")
+    shutil.copytree(left, run / "log", dirs_exist_ok=True)
+    assert _log(run)
+    with ssduck.open(run) as copy:
+        assert copy.past("lab").ticks == [1, 2, 3]
+        rows = copy.sql("SELECT tick, count(*) FROM entities_history GROUP BY ALL").fetchall()
+        assert sorted(rows) == [(tick, BALLS) for tick in (1, 2, 3)]
+
+
+def test_full_buffers_only(world: ssduck.World, clock: Clock, tmp_path: Path) -> None:
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, tmp_path / "run", flush_every=None)
+        for _ in range(5):
+            clock.now += 1e6
+            _tick(recorder, world)
+        assert recorder.buffers["ticks"].count == 6
+        assert _log(tmp_path / "run") == []
+
+
+@pytest.mark.parametrize("value", [0, -1.0, float("nan"), True, "1"])
+def test_an_invalid_time(value: object) -> None:
+    with pytest.raises((ArgumentError, TypeError, ValueError), match="flush_every"):
+        Recording(flush_every=value)  # type: ignore[arg-type]
