@@ -27,7 +27,7 @@ import pyarrow as pa
 import pybullet
 
 import ssduck
-from benchmarks import opening
+from benchmarks import opening, realtime
 from benchmarks.ticks import kitchen
 from benchmarks.timing import Way, minima, print_table, text_in_microseconds, text_of
 from ssduck import Recording
@@ -466,7 +466,7 @@ def _read(sql: str) -> list[Any]:
 # -- the run ------------------------------------------------------------------------------------
 
 
-PARTS = ("cost", "step", "bytes", "over", "near", "opened", "opening")
+PARTS = ("cost", "step", "bytes", "over", "near", "opened", "opening", "realtime")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -505,4 +505,6 @@ def main(arguments: Sequence[str]) -> int:
         print_table(OPENED, opened(1e3 * options.gigabytes, options.rounds))
     if "opening" in options.only:
         print_table(opening.HEADER, opening.rows())
+    if "realtime" in options.only:
+        print_table(realtime.HEADER, realtime.rows())
     return 0

@@ -1,4 +1,4 @@
-"""The limits of a program: time, rows, memory, depth, files and `eval`."""
+"""The limits of a program: time, rows, memory, depth, files, `eval` and progress."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ class Limits:
         eval: whether programs may call `eval('text')`.
         files: whether SQL may read and write files, load extensions and change settings, and
             result forms may write files.
+        progress: whether programs that take longer than a second show their progress on a terminal
+            (on standard error) or in a notebook.
 
     Raises:
         ArgumentError: a limit has an invalid value.
@@ -40,6 +42,7 @@ class Limits:
     depth: int = 1000
     eval: bool = True
     files: bool = True
+    progress: bool = True
 
     def __post_init__(self) -> None:
         for name in ("seconds", "rows", "memory", "depth"):
@@ -52,7 +55,7 @@ class Limits:
             else:
                 value = validation.integer_above_0(value, f"{rule}, and a whole number")
             object.__setattr__(self, name, value)
-        for name in ("eval", "files"):
+        for name in ("eval", "files", "progress"):
             object.__setattr__(
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
@@ -81,11 +84,15 @@ class UsageMeter:
 
     Args:
         limits: the limits of the program.
+
+    Attributes:
+        start: when the program started, by the monotonic clock, s.
     """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._deadline = None if limits.seconds is None else time.monotonic() + limits.seconds
+        self.start = time.monotonic()
+        self._deadline = None if limits.seconds is None else self.start + limits.seconds
         self._steps = 0
 
     def step(self) -> None:

@@ -18,7 +18,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
-from ssduck.database.instances import MEMORY, POOL
+from ssduck.database.instances import MEMORY, POOL, create_file
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -79,6 +79,8 @@ class Connection:
     ) -> None:
         self._path = path if path == MEMORY else _absolute_path(path, is_written=True)
         try:
+            if self.is_file:
+                create_file(self._path)
             self._instance = duckdb.connect(self._path) if self.is_file else POOL.take()
             self._connection = self._instance.cursor()
         except duckdb.Error as error:
@@ -107,6 +109,8 @@ class Connection:
         # setting it is an error.
         if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
             self.run("SET enable_progress_bar = false")
+        # The footers of a record of many parts are read once.
+        self.run("SET parquet_metadata_cache = true")
         # The name of an unknown table is an error, not a Python variable of the caller.
         self.run("SET python_enable_replacements = false")
         if self.is_file:

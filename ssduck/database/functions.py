@@ -5,6 +5,7 @@ They refer to worlds by the names of their schemas: a reference to the database 
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import accumulate, product
@@ -154,7 +155,7 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
         # As Arrow columns: converting lists would take as long as comparing the pairs.
         connection.offer_function(
             name_over_ticks(kind),
-            partial(_pairs_over_ticks, worlds, kind),
+            partial(_pairs_over_ticks, worlds, weakref.ref(connection), kind),
             ("VARCHAR", *["BIGINT"] * 4, "DOUBLE"),
             "STRUCT(tick BIGINT, a BIGINT, b BIGINT, value DOUBLE)[]",
             type=PythonUDFType.ARROW,
@@ -289,7 +290,10 @@ def _lenient_joint_value(
 
 
 def _pairs_over_ticks(
-    worlds: Mapping[str, BoundWorld], kind: QuestionKind, *arguments: pa.ChunkedArray
+    worlds: Mapping[str, BoundWorld],
+    connection: weakref.ref[Connection],
+    kind: QuestionKind,
+    *arguments: pa.ChunkedArray,
 ) -> pa.ListArray:
     """Returns the answers to a question over ranges of ticks, given as columns.
 
@@ -305,7 +309,10 @@ def _pairs_over_ticks(
         question = PairQuestion(kind, depth(distance) if kind == "colliding" else distance)
         if question.uses_margins:
             worlds[world].warn_of_changed_margins(first)
-        answers = PairQueries(history.record).answers(PairRequest(first, last, a, b, 0.0), question)
+        own = connection()
+        assert own is not None, "a statement of the connection is running"
+        queries = PairQueries(history.record, own.meter)
+        answers = queries.answers(PairRequest(first, last, a, b, 0.0), question)
         rows = slice(None) if question.is_number else np.flatnonzero(answers.values != 0.0)
         columns = answers.ticks[rows], answers.first[rows], answers.second[rows]
         values = pa.array(answers.values[rows], mask=np.isnan(answers.values[rows]))

@@ -9,10 +9,17 @@ from __future__ import annotations
 import atexit
 import os
 import threading
+from contextlib import suppress
+from pathlib import Path
 
 import duckdb
+from sqlglot import exp
 
 MEMORY = ":memory:"
+# The format of files: the one of DuckDB's version with long-term support, which later versions read
+# too; and small blocks, since each column of each table of an episode takes one at least.
+_FORMAT = "STORAGE_VERSION 'v1.4.0', BLOCK_SIZE 16384"
+_NEW_FILE = '"new file"'
 # The largest number of databases that wait for an interpreter.
 MAX_WAITING = 2
 
@@ -53,6 +60,21 @@ class InstancePool:
             waiting, self._waiting = self._waiting, []
         for connection in waiting:
             connection.close()
+
+
+def create_file(path: str) -> None:
+    """Creates a DuckDB file unless there is one, in the format of this module."""
+    file = Path(path)
+    with suppress(OSError, duckdb.Error):  # connecting to it fails, too, and says why
+        if file.exists() and file.stat().st_size:
+            return
+        literal = exp.Literal.string(path).sql("duckdb")
+        connection = POOL.take()
+        try:
+            connection.execute(f"ATTACH {literal} AS {_NEW_FILE} ({_FORMAT})")
+            connection.execute(f"DETACH {_NEW_FILE}")
+        finally:
+            POOL.give_back(connection)
 
 
 POOL = InstancePool()

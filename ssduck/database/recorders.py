@@ -14,6 +14,7 @@ from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording, check_names, with_size_limit
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
+from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording, ParquetStore
 from ssduck.world.world import World
 
@@ -72,7 +73,7 @@ class Recorders:
     def _free_schema(self, world: str) -> str:
         rows = self._connection.internal_rows("SELECT schema_name FROM duckdb_schemas()")
         used = {name.casefold() for (name,) in rows}
-        names = (f"{world}_record_{number}" for number in count())
+        names = (f"{world}{RUN_SCHEMA}{number}" for number in count())
         return next(name for name in names if name.casefold() not in used)
 
     def stop(self, bound: BoundWorld) -> None:

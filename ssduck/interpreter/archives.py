@@ -22,7 +22,7 @@ from ssduck.recording.static_tables import geometries_of, members_of, run_of
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.recording.stores.model_tables import ABOUT, VERSION
+from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION
 from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from ssduck.schema import RECORDABLE
@@ -39,6 +39,10 @@ class RecordedRun(Protocol):
     @property
     def number(self) -> int:
         """The number of the episode, from 0."""
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it is said what is recorded."""
 
     @property
     def has_ticks(self) -> bool:
@@ -61,7 +65,8 @@ def episodes(path: str | Path) -> list[Episode]:
     """
     database = Database(":memory:", None)
     try:
-        return [run.episode for run in recorded_runs(expand_path(path), database)]
+        runs = recorded_runs(expand_path(path), database)
+        return [run.episode for run in runs if run.has_begun]
     finally:
         database.close()
 
@@ -100,9 +105,11 @@ def select_runs(
             suggestions=nearest(world, names),
         )
     candidates = [run for run in runs if world in (None, run.world)]
-    selected = [
-        run for run in candidates if run.has_ticks if number is None or run.number == number
-    ]
+    selected: dict[str, RecordedRun] = {}
+    for run in reversed(candidates):  # the others are not looked at
+        is_wanted = number is None or run.number == number
+        if is_wanted and run.world not in selected and run.has_ticks:
+            selected[run.world] = run
     if not selected and number is None:
         raise RecordError(
             f"no tick of {candidates[-1].world!r} was stored before the recording ended"
@@ -114,7 +121,7 @@ def select_runs(
         raise RecordError(
             f"no episode {number} has ticks; episodes with ticks: {available or 'none'}"
         )
-    return list({run.world: run for run in selected}.values())
+    return list(reversed(selected.values()))
 
 
 def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
@@ -166,7 +173,6 @@ class StoredRun:
         schema: the schema of the run.
         world: the name of the world.
         number: the number of the episode, from 0.
-        description: the description of the run in the file.
         reader: a connection that can read it.
     """
 
@@ -175,8 +181,18 @@ class StoredRun:
     schema: str
     world: str
     number: int
-    description: dict[str, Any]
     reader: StoreConnection
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        """The description of the run in the file.
+
+        Raises:
+            RecordError: it is damaged, or of a newer version.
+        """
+        table = ".".join(map(quoted, (self.catalog, self.schema, ABOUT)))
+        rows = self.reader.fetchall(f"SELECT about FROM {table}")  # noqa: S608
+        return _description(self.path, self.schema, rows)
 
     def history(self, reader: StoreConnection) -> DuckDBStore:
         """Returns the store of the run."""
@@ -186,7 +202,12 @@ class StoredRun:
     @property
     def has_ticks(self) -> bool:
         """Whether ticks were stored."""
-        return self.episode.ticks > 0
+        return self.history(self.reader).has_ticks
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether it is said what is recorded, as it is from the beginning."""
+        return True
 
     @cached_property
     def episode(self) -> Episode:
@@ -212,13 +233,10 @@ def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[Sto
     )
     runs = []
     for (schema,) in schemas:
-        table = ".".join(map(quoted, (catalog, schema, ABOUT)))
-        rows = reader.fetchall(f"SELECT about FROM {table}")  # noqa: S608
-        description = _description(path, schema, rows)
-        number = int(schema.rpartition("_")[2])
-        runs.append(
-            StoredRun(path, catalog, schema, description["world"], number, description, reader)
-        )
+        world, _, number = schema.rpartition(RUN_SCHEMA)
+        if not number.isdecimal():
+            raise RecordError(f"{path} is damaged: the schema {schema!r} is of no episode")
+        runs.append(StoredRun(path, catalog, schema, world, int(number), reader))
     if not runs:
         raise RecordError(f"nothing is recorded in the DuckDB file {path}")
     return sorted(runs, key=lambda run: (run.world, run.number))

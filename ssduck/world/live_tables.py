@@ -7,7 +7,7 @@ DuckDB, see the next tick without further calls.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from itertools import count
 from typing import Any
 
@@ -150,6 +150,16 @@ class LiveTable:
     def doubles(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns of doubles, (columns, rows)."""
         return self.block[self._row[first] : self._row[last] + 1]
+
+    @property
+    def names_of_doubles(self) -> list[str]:
+        """The columns in the rows of `block`, in order."""
+        return list(self._row)
+
+    @property
+    def names_of_numbers(self) -> Collection[str]:
+        """The columns of numbers that have a buffer."""
+        return self._numbers.keys()
 
     def block_rows(self, names: Sequence[str]) -> slice | Indices:
         """Returns the rows of `block` that hold columns; a slice if they are adjacent."""

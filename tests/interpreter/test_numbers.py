@@ -189,6 +189,7 @@ CALLS = {
     "Interpreter.export(end)": ("time", True, lambda t, v: t.ss.export(t.path, end=v)),
     "Interpreter.add_trigger(interval)": ("seconds", False, lambda t, v: trigger(t, interval=v)),
     "Interpreter.add_trigger(debounce)": ("seconds", False, lambda t, v: trigger(t, debounce=v)),
+    "Interpreter.add_trigger(threshold)": ("seconds", False, lambda t, v: trigger(t, threshold=v)),
     "Interpreter.add_trigger(rows)": ("bool", False, lambda t, v: trigger(t, rows=v)),
     "Interpreter.add_trigger(queue)": ("above 0", True, lambda t, v: trigger(t, queue=v)),
     "Result.fetchmany(size)": ("count", False, lambda t, v: t.ss.sql("SELECT 1").fetchmany(v)),

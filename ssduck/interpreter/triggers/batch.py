@@ -16,6 +16,7 @@ from ssduck.database.database import Database
 from ssduck.database.statement import Statement
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.triggers.array_expressions import (
+    ArrayExpression,
     NotArraysError,
     Number,
     TickArrays,
@@ -39,14 +40,15 @@ class Outcome(NamedTuple):
     Attributes:
         tick: the number of the tick.
         mask: whether each entity fulfils the condition.
-        fixed: the columns that stay the same until the table is replaced, for all entities.
-        changing: the other columns, for the entities that fulfil the condition.
+        arrays: the columns of the entities.
+        changing: the columns that may differ at the next tick, for the entities that fulfil the
+            condition.
         fingerprint: a key that is the same at two ticks only if all rows are, bit for bit.
     """
 
     tick: int
     mask: npt.NDArray[np.bool_]
-    fixed: list[npt.NDArray[Any]]
+    arrays: TickArrays
     changing: list[Values]
     fingerprint: tuple[Any, ...]
 
@@ -54,9 +56,12 @@ class Outcome(NamedTuple):
         """Returns the rows that the formula's SQL would return."""
         if not formula.columns:
             return [()] * int(self.mask.sum())
-        fixed, changing = iter(self.fixed), iter(self.changing)
+        changing = iter(self.changing)
         columns = [
-            next(fixed)[self.mask] if is_fixed else next(changing) for is_fixed in formula.are_fixed
+            part.values(self.arrays)[self.mask]
+            if isinstance(part, ArrayExpression) and part.is_fixed
+            else next(changing)
+            for part in formula.columns
         ]
         lists = [column if isinstance(column, list) else column.tolist() for column in columns]
         return list(zip(*lists, strict=True))[formula.window]
@@ -177,16 +182,11 @@ class _FormulaBatch:
             mask = np.ones(arrays.table.count, dtype=np.bool_)
         else:
             mask = self._values(formula.condition, arrays, fetched)
-        fixed: list[npt.NDArray[Any]] = []
-        changing = []
-        for part, is_fixed in zip(formula.columns, formula.are_fixed, strict=True):
-            values = self._values(part, arrays, fetched)
-            if is_fixed:
-                fixed.append(values)
-            else:
-                changing.append(_selected(values, mask))
+        changing = [
+            _selected(self._values(part, arrays, fetched), mask) for part in formula.changing
+        ]
         fingerprint = (arrays.table.version, mask.tobytes(), *map(_bits, changing))
-        return Outcome(tick, mask, fixed, changing, fingerprint)
+        return Outcome(tick, mask, arrays, changing, fingerprint)
 
     def _values(self, part: Part, arrays: TickArrays, fetched: list[list[Any]] | None) -> Any:
         """Returns the values of an expression for all entities; of a condition, an array."""

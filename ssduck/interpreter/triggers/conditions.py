@@ -41,6 +41,7 @@ class TriggerConfig:
     debounce: float = 0.0
     rows: bool = False
     queue: int | None = None
+    threshold: float = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:
@@ -50,6 +51,10 @@ class TriggerConfig:
         for name in ("interval", "debounce"):
             seconds = validation.duration(getattr(self, name), f"add_trigger: {name}")
             object.__setattr__(self, name, seconds)
+        threshold = validation.finite_number(self.threshold, "add_trigger: threshold", "metres")
+        if threshold < 0:
+            raise ArgumentError(f"add_trigger: threshold: {threshold:g} is less than 0")
+        object.__setattr__(self, "threshold", threshold)
         if self.when not in get_args(When):
             raise ArgumentError(
                 f"add_trigger: when: {short_repr(self.when)} is none of 'change', 'rising', "

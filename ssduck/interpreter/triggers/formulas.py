@@ -83,7 +83,7 @@ class Formula:
         tables: what is read from the simulator beside the entities.
         window: the rows that LIMIT and OFFSET leave.
         sql_parts: the expressions that DuckDB evaluates.
-        are_fixed: whether the values of each column stay the same until the table is replaced.
+        changing: the columns that do not stay the same until the table is replaced.
     """
 
     world: World
@@ -100,12 +100,16 @@ class Formula:
     _form: AsClause
     _execution: Execution
     sql_parts: list[SqlExpression] = field(init=False)
-    are_fixed: list[bool] = field(init=False)
+    changing: list[Part] = field(init=False)
 
     def __post_init__(self) -> None:
         parts = (self.condition, *self.columns)
         self.sql_parts = [part for part in parts if isinstance(part, SqlExpression)]
-        self.are_fixed = [isinstance(p, ArrayExpression) and p.is_fixed for p in self.columns]
+        self.changing = [
+            part
+            for part in self.columns
+            if not (isinstance(part, ArrayExpression) and part.is_fixed)
+        ]
 
     def value(self, rows: list[tuple[Any, ...]]) -> Any:
         """Returns the result of the program for the rows that its SQL would return.
@@ -156,6 +160,23 @@ class FormulaPlanner:
                 return self._of_plan(adapted, planned, form, frame)
             except (SelectScriptError, _NoFormulaError):
                 return None  # evaluated by itself, it raises the error
+
+    def tables(self, program: CompiledProgram) -> frozenset[str] | None:
+        """Returns the tables on which alone a result depends; None if these are not known."""
+        execution = self._execution
+        with execution.lock:
+            try:
+                query = _only_query(execution, program)
+                if query is None or any(part is not query for part in _queries(query)):
+                    return None
+                frame = Frame(execution)
+                form = as_clause_of(query, frame)
+                planned = execution.planner.planned(self._query_of(query, form.adapter), frame)
+            except SelectScriptError:
+                return None
+            if planned is None or form.adapter not in VALUES or not _is_of_tables(planned.plan):
+                return None
+            return execution.tables_read(query) | {"entities"}
 
     def _of_plan(
         self, query: Query, planned: PlannedQuery, form: AsClause, frame: Frame
@@ -231,6 +252,21 @@ def _only_query(execution: Execution, program: CompiledProgram) -> Query | None:
             clause = query.adapter
             return query if clause is None or not (clause.arguments or clause.named) else None
     return None
+
+
+def _queries(query: Query) -> Iterator[Query]:
+    """Yields a query and those in it."""
+    return (part for part in query.walk() if isinstance(part, Query))
+
+
+def _is_of_tables(plan: Plan) -> bool:
+    """Checks whether SQL alone decides a result, by present rows of worlds."""
+    if plan.outputs is None or plan.signatures or plan.tables or any(plan.deferred.values()):
+        return False
+    return all(
+        source.schema is not None and source.sql_type is None and not source.past_kind
+        for source in plan.source_types
+    )
 
 
 def _is_formula(plan: Plan) -> bool:

@@ -13,9 +13,11 @@ from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
 from ssduck.interpreter.triggers.batch import FormulaBatches, Outcome
 from ssduck.interpreter.triggers.formulas import Formula, FormulaPlanner
+from ssduck.interpreter.triggers.table_state import TableState
 from ssduck.interpreter.triggers.trigger import Trigger
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import ATOMS
+from ssduck.schema import TABLES
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
@@ -47,6 +49,10 @@ def are_fixed(values: Sequence[Any]) -> bool:
         type(value) in ATOMS or type(value) is object or isinstance(value, World | Handle)
         for value in values
     )
+
+
+# The names that read what differs from tick to tick though nothing moves.
+_TIME_NAMES = frozenset(("tick", "time"))
 
 
 class TriggerBatches:
@@ -105,15 +111,53 @@ class TriggerBatches:
             batched.stamp = stamp
         return True
 
-    def _formula(self, trigger: Trigger) -> Formula | None:
-        """Returns the formula of a trigger; None if it is none."""
+    def note_tables(self, trigger: Trigger, dependencies: Any) -> None:
+        """Notes the numbers on which the result of a trigger depends, after its evaluation.
+
+        Args:
+            trigger: the trigger.
+            dependencies: the variables and ticks on which the result depends.
+        """
+        batched = trigger.batched
+        batched.state = None
+        if batched.key is None or dependencies is None:
+            return
+        ((world, tick),) = dependencies[1]
+        if batched.tables_key is not batched.key:
+            batched.tables_key = batched.key
+            batched.tables = None
+            if self._is_known(trigger) and not _TIME_NAMES.intersection(trigger.names):
+                batched.tables = self._planner.tables(trigger.program)
+        with world.lock:
+            snapshot = world.snapshot
+            names = TABLES.keys() & (batched.tables or ())
+            is_read = all(name == "entities" or snapshot.has(name) for name in names)
+            is_same = snapshot.layout is batched.key[0] and snapshot.number == tick
+            if names and is_read and is_same:
+                batched.state = TableState(snapshot, names)
+
+    def has_same_tables(self, trigger: Trigger, worlds: Sequence[World]) -> bool:
+        """Checks whether no number has changed by more than the threshold since the last result."""
+        state, tables = trigger.batched.state, trigger.batched.tables
+        if state is None or tables is None or len(worlds) != 1:
+            return False
+        (world,) = worlds
+        if not self.is_current(trigger, world):
+            return False
+        with suppress(SelectScriptError), world.pinned(tables):  # evaluated, it raises the error
+            return state.is_same(world.snapshot, trigger.config.threshold)
+        return False
+
+    def _is_known(self, trigger: Trigger) -> bool:
+        """Checks whether only variables of fixed values and the language's functions are read."""
         names, values = self._execution, trigger.batched.key
         assert values is not None
-        if not are_fixed(values[1:]):
-            return None
-        if any(names.is_users(names.resolved_name(name)) for name in trigger.names):
-            return None
-        return self._planner.formula(trigger.program)
+        is_users = any(names.is_users(names.resolved_name(name)) for name in trigger.names)
+        return are_fixed(values[1:]) and not is_users
+
+    def _formula(self, trigger: Trigger) -> Formula | None:
+        """Returns the formula of a trigger; None if it is none."""
+        return self._planner.formula(trigger.program) if self._is_known(trigger) else None
 
     def outcomes(self, world: World, formulas: dict[Trigger, Formula]) -> dict[Formula, Outcome]:
         """Returns the rows of formulas at the tick of their world."""
@@ -162,7 +206,10 @@ class TickBatch:
             return None
         if self.is_doubtful and not self._batches.is_current(trigger, self._world):
             return None
+        threshold = trigger.config.threshold
         if outcome.fingerprint == trigger.batched.fingerprint:
+            return _UNCHANGED
+        if threshold and self._batches.has_same_tables(trigger, [self._world]):
             return _UNCHANGED
         try:
             result = formula.value(outcome.rows(formula))
@@ -170,6 +217,8 @@ class TickBatch:
             return None
         trigger.batched.fingerprint = outcome.fingerprint
         trigger.dependencies = None
+        if threshold:
+            self._batches.note_tables(trigger, ((), [(self._world, outcome.tick)]))
         return BatchedResult(is_new=True, value=result)
 
     def _due_formulas(self) -> dict[Trigger, Formula]:

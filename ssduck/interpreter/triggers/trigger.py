@@ -17,6 +17,7 @@ from ssduck.interpreter.triggers.callback_queue import CallbackQueue
 from ssduck.interpreter.triggers.conditions import Debouncer, TriggerConfig
 from ssduck.interpreter.triggers.diff import copy_of
 from ssduck.interpreter.triggers.formulas import Formula
+from ssduck.interpreter.triggers.table_state import TableState
 from ssduck.language.analysis import IMPURE, calls_of, variables_of
 from ssduck.language.tree import Program, Query, UnresolvedName
 from ssduck.sql.table_use import tables_of
@@ -54,6 +55,9 @@ class Batched:
         formula_key: the key for which the formula was made.
         formula: the formula of its program; None if it is none.
         fingerprint: that of the rows of its last result; None if unknown.
+        tables_key: the key for which the tables were found.
+        tables: the tables on which alone its result depends; None if they are not known.
+        state: the numbers of these tables at its last evaluation; None if unknown.
     """
 
     key: tuple[Any, ...] | None = None
@@ -61,6 +65,9 @@ class Batched:
     formula_key: tuple[Any, ...] | None = None
     formula: Formula | None = None
     fingerprint: Any = None
+    tables_key: tuple[Any, ...] | None = None
+    tables: frozenset[str] | None = None
+    state: TableState | None = None
 
 
 class TriggerWarning(RuntimeWarning):

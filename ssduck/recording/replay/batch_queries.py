@@ -154,7 +154,12 @@ class EntityShapes:
         return positions, orientations, boxes
 
     def answers(
-        self, first: PairSide, second: PairSide, question: PairQuestion, calls: CallCounter
+        self,
+        first: PairSide,
+        second: PairSide,
+        question: PairQuestion,
+        calls: CallCounter,
+        advance: Callable[[int], object] = int,
     ) -> Answers:
         """Returns the answers to a question about n pairs of entities.
 
@@ -163,6 +168,7 @@ class EntityShapes:
             second: the second entity of each pair.
             question: the question.
             calls: counts comparisons.
+            advance: is called with the number of pairs that were answered since the last call.
         """
         values = np.zeros(len(first.ids))
         is_open = np.zeros(len(first.ids), dtype=bool)
@@ -179,6 +185,7 @@ class EntityShapes:
                 calls.pairs += batch.compared_count
             values[rows], is_open[rows] = answers.values, answers.is_open
             start = int(rows[-1]) + 1
+            advance(len(rows))
         return Answers(values, is_open)
 
     def _shape_counts(self, ids: Ids) -> Indices:

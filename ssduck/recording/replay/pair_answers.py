@@ -12,8 +12,10 @@ import pyarrow as pa
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.pair_batch import PairQuestion
+from ssduck.limits import UsageMeter
 from ssduck.recording.replay.answer_cache import Ticks
 from ssduck.recording.replay.batch_queries import Ids, LinkPosesOverTicks, PairSide
+from ssduck.recording.replay.progress import task
 from ssduck.recording.replay.record import Record
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import POSE
@@ -41,10 +43,12 @@ class PairQueries:
 
     Args:
         record: the record.
+        meter: checks the time limit, and shows the progress.
     """
 
-    def __init__(self, record: Record) -> None:
+    def __init__(self, record: Record, meter: UsageMeter) -> None:
         self._record = record
+        self._meter = meter
         self._cache = record.answer_cache
 
     def answers(
@@ -98,7 +102,10 @@ class PairQueries:
             )
             for side in "ab"
         )
-        answers = self._record.entity_shapes.answers(first, second, question, self._record.calls)
+        with task(self._meter, "comparing shapes at recorded ticks", len(ticks)) as advance:
+            answers = self._record.entity_shapes.answers(
+                first, second, question, self._record.calls, advance
+            )
         values, is_open = answers.values, answers.is_open
         if question.kind == "resting":
             for a, b, members in _rows_of_pairs(first.ids, second.ids, is_symmetric=False):
@@ -108,6 +115,7 @@ class PairQueries:
         for row in np.flatnonzero(is_open).tolist():
             place = int(ticks[row]), int(first.ids[row]), int(second.ids[row])
             values[row] = self._single(question, *place)
+            self._meter.check_time()
         return values
 
     def _single(self, question: PairQuestion, tick: int, a: int, b: int) -> float:

@@ -169,6 +169,12 @@ class DuckDBStore(TickStore, TickArchive):
 
     # -- reading ------------------------------------------------------------------------------
 
+    @property
+    def has_ticks(self) -> bool:
+        """Whether ticks are stored."""
+        rows = self._stored_rows("ticks")
+        return bool(self._connection.fetchall(f"SELECT tick FROM ({rows}) AS ticks LIMIT 1"))  # noqa: S608
+
     def ticks(self) -> TickBuffer:
         """Returns the numbers and times of the stored ticks."""
         stored = self._stored_rows("ticks")

@@ -20,6 +20,8 @@ from ssduck.world.layout import EntityInfo
 # The version of the format, and the table that has it.
 VERSION = 1
 ABOUT = "ssduck record"
+# What is between the name of the world and the number of the episode in the name of a schema.
+RUN_SCHEMA = "_record_"
 
 
 class ModelTables:

@@ -41,6 +41,7 @@ from ssduck.recording.stores.parquet_layout import (
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
+from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.schema import MODELS, recorded_tables
 from ssduck.world.layout import EntityInfo
 
@@ -78,6 +79,7 @@ class ParquetStore(TickStore):
         self._part_count = self._model_count = 0
         assert self.run.key is not None
         self._log = PartLog(self.run.place(LOG), self.run.key)
+        self._index = TickIndex(self.run.place(INDEX), self.run.key)
         self.last_tick: int | None = None
 
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
@@ -115,6 +117,7 @@ class ParquetStore(TickStore):
             self._set_last_tick(rows)
         with _writing(self._log.place):
             self._log.clear()
+            self._index.add(rows["ticks"])
 
     def complete(self) -> None:
         """Stores the rows of the log as a part."""
@@ -136,6 +139,7 @@ class ParquetStore(TickStore):
         """
         parts = {"ticks": self._part_count, "models": self._model_count}
         try:
+            self._index.write()
             about = json.loads(self.run.about_file.read_text("utf-8")) | {"parts": parts}
             write_atomically(self.run.about_file, lambda file: _write_json(about, file))
         except OSError as error:
@@ -144,7 +148,7 @@ class ParquetStore(TickStore):
     def discard(self) -> None:
         """Removes the files of the episode."""
         self.run.about_file.unlink(missing_ok=True)
-        for table in (*self.tables, LOG, *(f"models/{table}" for table in MODELS)):
+        for table in (*self.tables, LOG, INDEX, *(f"models/{table}" for table in MODELS)):
             shutil.rmtree(self.run.place(table), ignore_errors=True)
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:
@@ -299,8 +303,8 @@ def _check_name_length(path: Path, world: str) -> None:
 def _claim_episode(
     path: Path, world: str, tables: Collection[str], recording: Recording
 ) -> FolderRun:
-    """Creates the file of an episode under the first number that is free."""
-    for number in count():
+    """Creates the file of an episode under a number that is free, after those that are not."""
+    for number in count(_free_number(path, world)):
         run = FolderRun(path, world, number)
         try:
             with run.about_file.open("x", encoding="utf-8"):
@@ -317,6 +321,25 @@ def _claim_episode(
     }
     write_atomically(run.about_file, lambda file: _write_json(about, file))
     return run
+
+
+def _free_number(path: Path, world: str) -> int:
+    """Returns the number of an episode that is not there, after one that is.
+
+    It looks at few of them, so that beginning an episode does not take longer with each.
+    """
+    step = 1
+    while FolderRun(path, world, step - 1).about_file.exists():
+        step *= 2
+    # The number step // 2 - 1 is taken, if it is no less than 0, and step - 1 is free.
+    taken, free = step // 2 - 1, step - 1
+    while free - taken > 1:
+        middle = (taken + free) // 2
+        if FolderRun(path, world, middle).about_file.exists():
+            taken = middle
+        else:
+            free = middle
+    return free
 
 
 def _write_json(content: Mapping[str, Any], file: Path) -> None:

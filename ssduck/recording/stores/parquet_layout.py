@@ -7,6 +7,7 @@
       links/… joints/… shapes/… contacts/… sensings/… ticks/…
       frames/…                                                the poses of links, without `links`
       models/entities/world=kitchen/episode=0/part-000000.parquet    the models of the entities
+      index/world=kitchen/episode=0/ticks.parquet    the ticks of many parts (`tick_index`)
       log/world=kitchen/episode=0/part-000001-0000.arrow    rows of a part to come (`part_log`)
 
 DuckDB, polars and pandas read a folder such as `run/entities` as it is: its rows are those of the
@@ -37,7 +38,8 @@ from ssduck.errors import RecordError, warn
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
-from ssduck.schema import RECORDABLE, TABLES
+from ssduck.recording.stores.tick_index import INDEX, indexed_ticks
+from ssduck.schema import RECORDABLE
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -56,6 +58,8 @@ _PART = re.compile(r"part-(\d{6,})\.parquet")
 _EPISODE = re.compile(r"(.+)-(\d+)\.json")
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
+# The size that most footers do not exceed, bytes.
+_MOST_FOOTERS = 1 << 15
 
 
 @dataclass(frozen=True)
@@ -171,6 +175,11 @@ class FolderRun:
         return numbers
 
     @property
+    def has_begun(self) -> bool:
+        """Whether it is said what is recorded: the file is empty at the very beginning."""
+        return self.about_file.stat().st_size > 0
+
+    @property
     def has_ticks(self) -> bool:
         """Whether anything was stored."""
         return bool(_part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
@@ -182,9 +191,9 @@ class FolderRun:
             RecordError: a file is missing or damaged.
         """
         is_model = table.startswith("models/")
-        files = []
+        place, files = self.place(table), []
         for number in self._parts_of(table):
-            file = self.place(table) / part_name(number)
+            file = place / part_name(number)
             self._check(file, self.label(table, number), is_model=is_model)
             files.append(file)
         return files
@@ -196,14 +205,16 @@ class FolderRun:
 
     def _check(self, file: Path, label: bytes | None, *, is_model: bool) -> None:
         """Checks that the file of a part exists, is complete, and has the right label."""
-        if not file.is_file():
+        try:
+            footer = _footer(file)
+        except FileNotFoundError:
             problem = "is missing: the record was damaged, or only copied in part"
-        elif (footer := _footer(file)) is None:
-            problem = "is damaged: it is no complete Parquet file"
-        elif label is not None and label not in footer:
-            problem = "is another part, or of another record: it was renamed, or copied there"
         else:
-            return
+            if footer is not None and (label is None or label in footer):
+                return
+            problem = "is damaged: it is no complete Parquet file"
+            if footer is not None:
+                problem = "is another part, or of another record: it was renamed, or copied there"
         ticks = self.place("ticks") / file.name
         hint = "" if is_model else f"; remove {ticks} to open the parts before it"
         raise RecordError(f"{file} {problem}{hint}")
@@ -225,9 +236,11 @@ class FolderRun:
         Raises:
             RecordError: a file is damaged, or nothing was stored.
         """
-        parts = [_read(file) for file in self.files("ticks")]
+        files = self.files("ticks")
+        parts = indexed_ticks(self.place(INDEX), self.key or "", len(files))
+        parts += [_read(file).select(["tick", "time"]) for file in files[len(parts) :]]
         if self.log:
-            parts.append(self.log["ticks"].select(TABLES["ticks"].names))
+            parts.append(self.log["ticks"].select(["tick", "time"]))
         if not parts:
             raise RecordError(f"{self.place('ticks')} has no complete part: nothing was stored")
         rows = pa.concat_tables(parts)
@@ -279,15 +292,17 @@ def label_of(key: str, table: str, number: int | str) -> bytes:
 def _footer(file: Path) -> bytes | None:
     """Returns the footer of a Parquet file; None if the file does not end in one."""
     tail = 4 + len(_MAGIC)  # the length of the footer, and the magic
-    with file.open("rb") as stream:
+    with file.open("rb", buffering=0) as stream:
         size = stream.seek(0, 2)
         if size < tail + len(_MAGIC):
             return None
-        stream.seek(-tail, 2)
+        stream.seek(-min(size, _MOST_FOOTERS), 2)
         end = stream.read()
-        length = int.from_bytes(end[:4], "little") + tail
-        if end[4:] != _MAGIC or length > size:
+        length = int.from_bytes(end[-tail:-4], "little") + tail
+        if end[-4:] != _MAGIC or length > size:
             return None
+        if length <= len(end):
+            return end[-length:]
         stream.seek(-length, 2)
         return stream.read()
 
@@ -300,18 +315,17 @@ def _read(file: Path) -> pa.Table:
 
 
 def runs_in(path: Path) -> list[FolderRun]:
-    """Returns the runs that are recorded in a folder, sorted by world and number.
+    """Returns the runs in a folder, sorted by world and number; looks at none of their files.
 
     Raises:
         RecordError: the folder is no record, a damaged one, or one of a newer version.
     """
     check_about(path)
-    runs = []
-    for file in (path / "episodes").glob("*.json"):
-        match = _EPISODE.fullmatch(file.name)
-        if match and file.stat().st_size:  # an empty file is of an episode that did not begin
-            runs.append(FolderRun(path, match.group(1), int(match.group(2))))
-    return sorted(runs, key=lambda run: (run.world, run.number))
+    place = path / "episodes"
+    names = [file.name for file in place.iterdir()] if place.is_dir() else []
+    matches = map(_EPISODE.fullmatch, names)
+    keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
+    return [FolderRun(path, world, number) for world, number in keys]
 
 
 def check_about(folder: Path) -> None:

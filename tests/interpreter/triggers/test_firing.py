@@ -249,6 +249,8 @@ def test_numbers_of_any_kind(ss, sim, interval):
         ({"interval": "1"}, "interval: '1' is no time"),
         ({"interval": True}, "interval: True is no time"),
         ({"debounce": -1}, "debounce: -1 is no time"),
+        ({"threshold": -1}, "threshold: -1 is less than 0"),
+        ({"threshold": NAN}, "threshold: nan is no finite number of metres"),
         ({"when": "rise"}, "when: 'rise' is none of .*did you mean 'rising'"),
         ({"when": 1}, "when: 1 is none of"),
         ({"rows": 1}, "rows: 1 is not True or False"),

@@ -203,7 +203,7 @@ def outcome(actions, *, together):
 
 
 @pytest.mark.slow
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(st.lists(ADDED, min_size=3, max_size=8), ACTIONS)
 def test_together_as_one_by_one(added, actions):
     """The same calls in the same order, with the same results, errors, warnings and states."""
@@ -323,3 +323,90 @@ def test_a_number_that_is_not_known(ss, boxes, client, monkeypatch):
     assert used == [1, 0]
     assert got[-1] == ss.eval("SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;")
     assert "b3" not in got[-1]
+
+
+# -- tables that have not changed ----------------------------------------------------------------
+
+NEAR = "SELECT name FROM sim WHERE near(it, this, 0.5) AS list;"
+
+
+def moved(world, client, height):
+    """Moves a body, and takes a tick without a step."""
+    pybullet.resetBasePositionAndOrientation(
+        3, [0.6, 0, height], [0, 0, 0, 1], physicsClientId=client
+    )
+    world.tick(steps=0)
+
+
+@pytest.mark.parametrize(
+    "program", [NEAR, "SELECT z FROM sim WHERE name == 'b2' AS value;", "SELECT MAX(z) FROM sim;"]
+)
+def test_what_has_not_changed_is_not_evaluated_again(ss, boxes, client, told, program):
+    ss.add_trigger("t", program, 0, lambda _: None)
+    moved(boxes, client, 1.0)
+    moved(boxes, client, 1.0)
+    is_of_tables = "MAX" not in program  # Python takes the greatest
+    told.clear()
+    moved(boxes, client, 1.0)
+    moved(boxes, client, 1.0)
+    assert (told == []) == is_of_tables
+    assert state(ss, "t").evaluations == 5
+    moved(boxes, client, math.nextafter(1.0, 2.0))
+    assert told == [] if "name == " in program else told != []
+    assert state(ss, "t").result == ss.eval(program)
+
+
+@pytest.mark.parametrize("batched", [True, False])
+@pytest.mark.parametrize(
+    "program", [NEAR, "SELECT z FROM sim WHERE name == 'b2' AS value;", "SELECT z, x FROM sim;"]
+)
+def test_threshold(ss, boxes, client, monkeypatch, program, batched):
+    """Small changes do not add up: each is compared with the last evaluation."""
+    if not batched:
+        monkeypatch.setattr(FormulaBatches, "outcomes", lambda *_: {})
+    moved(boxes, client, 1.0)
+    calls = []
+    ss.add_trigger("t", program, 0, calls.append, threshold=0.01)
+    results = [state(ss, "t").result]
+    for height in (1.0, 1.004, 1.008, 1.012, 1.016, 1.0, 2.0):
+        moved(boxes, client, height)
+        results.append(state(ss, "t").result)
+    exact = []
+    for height in (1.0, 1.012, 1.0, 2.0):
+        moved(boxes, client, height)
+        exact.append(ss.eval(program))
+    start, higher, low, high = exact
+    assert results == [start, start, start, start, higher, higher, low, high]
+
+
+def test_a_threshold_is_in_radians(ss, boxes, client):
+    program = "SELECT orientation FROM sim WHERE name == 'b2' AS value;"
+    got = []
+    moved(boxes, client, 0.8)  # without velocity
+    ss.add_trigger("t", program, 0, got.append, threshold=0.1)
+    for angle in (0.09, 0.11):
+        turned = pybullet.getQuaternionFromEuler([angle, 0, 0])
+        pybullet.resetBasePositionAndOrientation(3, [0.6, 0, 0.8], turned, physicsClientId=client)
+        boxes.tick(steps=0)
+    assert [orientation[1] for orientation in got] == [0.0, pytest.approx(math.sin(0.055))]
+
+
+def test_a_threshold_does_not_hold_what_is_not_of_tables(ss, boxes):
+    """The time passes, variables are bound, functions change what they return."""
+    got = []
+    ss.add_variable("limit", 1)
+    for name, program in {
+        "time": "SELECT time FROM sim WHERE name == 'b2' AS value;",
+        "variable": "SELECT name FROM sim WHERE z < limit AS list;",
+        "function": "SELECT late(this) FROM sim LIMIT 1 AS value;",
+    }.items():
+        ss.add_function("late", lambda _: boxes.time)
+        ss.add_trigger(
+            name, program, 0, lambda value, name=name: got.append((name, value)), threshold=1e9
+        )
+    got.clear()
+    boxes.step()
+    assert [name for name, _ in got] == ["time", "function"]
+    ss.add_variable("limit", -1)
+    boxes.step()
+    assert [name for name, _ in got[2:]] == ["time", "variable", "function"]

@@ -16,6 +16,7 @@ import ssduck
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.geometry.poses import unit_quaternions
+from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.replay import answer_cache, batch_queries
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.stores.base import PairRequest
@@ -120,7 +121,7 @@ def _together(ss: ssduck.Interpreter, kind: str) -> dict[tuple[int, int, int], A
     found = {(tick, a, b): 0.0 for tick in past.ticks for a in ids for b in ids if a != b}
     for a, b in pairs:
         request = PairRequest(past.first, past.last, a, b, 0.0)
-        answers = PairQueries(record).answers(request, question)
+        answers = PairQueries(record, UsageMeter(Limits())).answers(request, question)
         columns = answers.ticks, answers.first, answers.second, answers.values
         for tick, p, q, value in zip(*map(np.ndarray.tolist, columns), strict=True):
             found[tick, p, q] = None if math.isnan(value) else value

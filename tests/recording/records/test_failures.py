@@ -113,6 +113,6 @@ def test_half_an_export_is_taken_back(tmp_path):
 @sampled("seed", range(6), every=6)
 def test_killed_recorders_leave_whole_records(seed):
     """The short form of `python -m tools.kill`."""
-    run = kill.Run(kill.KINDS["both"])
+    run = kill.Run(kill.KINDS["both"], slack=5.0)  # the machine may be busy
     run.add(seed)
     assert run.faults == {}

@@ -1,0 +1,147 @@
+"""Shows the progress of long programs: on terminals, and in notebooks."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from ssduck.limits import UsageMeter
+
+# A program shows its progress if it takes longer, s.
+DELAY = 1.0
+# The time between two updates of what is shown, s.
+INTERVAL = 0.1
+
+
+class Display(ABC):
+    """Something that shows how much of a task is done."""
+
+    @abstractmethod
+    def show(self, description: str, done: int, total: int) -> None:
+        """Shows that `done` of `total` parts are done."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Removes what was shown."""
+
+
+class TerminalDisplay(Display):
+    """A bar on a terminal, which disappears at the end.
+
+    Args:
+        console: the rich console of the terminal.
+    """
+
+    def __init__(self, console: Any) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeRemainingColumn as Remaining
+
+        text = TextColumn("{task.description}")
+        columns = text, BarColumn(), MofNCompleteColumn(), Remaining()
+        self._bar = Progress(*columns, console=console, transient=True, auto_refresh=False)
+        self._task = self._bar.add_task("", start=True)
+
+    def show(self, description: str, done: int, total: int) -> None:
+        """Shows the bar."""
+        self._bar.update(self._task, description=description, completed=done, total=total)
+        self._bar.start()
+        self._bar.refresh()
+
+    def close(self) -> None:
+        """Removes the bar."""
+        self._bar.stop()
+
+
+class NotebookDisplay(Display):
+    """A line of text below a notebook's cell."""
+
+    def __init__(self) -> None:
+        from IPython.display import display
+
+        self._handle: Any = display({"text/plain": ""}, raw=True, display_id=True)
+
+    def show(self, description: str, done: int, total: int) -> None:
+        """Replaces the line."""
+        text = f"{description}: {done:,} of {total:,} ({done / max(total, 1):.0%})"
+        self._handle.update({"text/plain": text}, raw=True)
+
+    def close(self) -> None:
+        """Empties the line."""
+        self._handle.update({"text/plain": ""}, raw=True)
+
+
+def find_display() -> Display | None:
+    """Returns the display of a terminal or a notebook; None where there is neither.
+
+    Progress is shown on standard error, if that is a terminal.
+    """
+    if "IPython" in sys.modules and _is_notebook():
+        return NotebookDisplay()
+    if sys.stderr is None or not sys.stderr.isatty():
+        return None
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    return TerminalDisplay(console) if console.is_terminal else None
+
+
+def _is_notebook() -> bool:
+    """Checks whether this is the kernel of a notebook."""
+    from IPython.core.getipython import get_ipython
+
+    shell = get_ipython()
+    return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
+
+
+@contextmanager
+def task(meter: UsageMeter, description: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Begins a task of a program, whose progress is shown if the program takes long.
+
+    Only the main thread shows anything, so that displays do not mix.
+
+    Args:
+        meter: checks the time limit; its limits say whether progress is shown.
+        description: what is done, in a few words.
+        total: the number of its parts.
+
+    Yields:
+        A function to call with the number of parts that were done since the last call. It raises
+        a LimitError if the time is up.
+    """
+    current = _Task(meter, description, total)
+    try:
+        yield current.advance
+    finally:
+        current.close()
+
+
+class _Task:
+    def __init__(self, meter: UsageMeter, description: str, total: int) -> None:
+        self._meter = meter
+        self._description, self._total, self._done = description, total, 0
+        self._next_update = meter.start + DELAY
+        is_main = threading.current_thread() is threading.main_thread()
+        self._is_shown = meter.limits.progress and is_main
+        self._display: Display | None = None
+
+    def advance(self, count: int) -> None:
+        self._meter.check_time()
+        self._done += count
+        now = time.monotonic()
+        if not self._is_shown or now < self._next_update:
+            return
+        if self._display is None:
+            self._display = find_display()
+            self._is_shown = self._display is not None
+        if self._display is not None:
+            self._display.show(self._description, self._done, self._total)
+        self._next_update = now + INTERVAL
+
+    def close(self) -> None:
+        if self._display is not None:
+            self._display.close()

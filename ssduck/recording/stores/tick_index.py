@@ -1,0 +1,107 @@
+"""The index of ticks of a recorded folder: a copy of the numbers and times of all its ticks.
+
+    index/world=kitchen/episode=0/ticks.parquet
+
+The ticks of a part are in a file of their own, and opening thousands of files takes seconds. So the
+recorder also writes the ticks of all parts so far to one file, now and then and at the end. A
+record without it, or with more parts than it knows, is complete nevertheless.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.recording.stores.atomic_files import write_atomically
+
+INDEX = "index"
+# The index is written after so many parts, and at the end if there are as many as a quarter.
+INDEXED_PARTS = 64
+MIN_PARTS = INDEXED_PARTS // 4
+_COLUMNS = ("tick", "time")
+_LABEL = b"ssduck index"
+
+
+class TickIndex:
+    """The index of an episode that is being recorded.
+
+    Args:
+        place: its folder.
+        key: the text that identifies the episode.
+    """
+
+    def __init__(self, place: Path, key: str) -> None:
+        self._file = _file_in(place)
+        self._key = key
+        self._parts: list[pa.Table] = []
+
+    def add(self, ticks: pa.Table) -> None:
+        """Adds the ticks of a part; writes the index if it is time.
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        part = pa.array(np.full(ticks.num_rows, len(self._parts)))
+        rows = pa.table([part, *(ticks[name] for name in _COLUMNS)], names=["part", *_COLUMNS])
+        self._parts.append(rows)
+        if len(self._parts) % INDEXED_PARTS == 0:
+            self.write()
+
+    def write(self) -> None:
+        """Writes the ticks so far, unless they are few.
+
+        Raises:
+            OSError: the folder cannot be written.
+        """
+        if len(self._parts) < MIN_PARTS:
+            return
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        rows = pa.concat_tables(self._parts).replace_schema_metadata({_LABEL: _label(self._key)})
+        write_atomically(
+            self._file, lambda file: pq.write_table(rows, file.absolute(), compression="zstd")
+        )
+
+
+def indexed_ticks(place: Path, key: str, parts: int) -> list[pa.Table]:
+    """Returns the numbers and times of the ticks of each part that an index knows, in order.
+
+    Args:
+        place: the folder of the index.
+        key: the text that identifies the episode.
+        parts: the number of parts that are there.
+    """
+    file = _file_in(place)
+    if not file.is_file():
+        return []
+    try:
+        rows = pq.ParquetFile(file.absolute()).read()
+    except (pa.ArrowException, OSError):  # the parts have what it has
+        return []
+    if (rows.schema.metadata or {}).get(_LABEL) != _label(key):
+        return []
+    return _by_part(rows, range(parts))
+
+
+def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
+    numbers = rows["part"].to_numpy()
+    starts = np.searchsorted(numbers, parts).tolist()
+    ends = np.searchsorted(numbers, parts, side="right").tolist()
+    ticks = rows.select(_COLUMNS).replace_schema_metadata()
+    return [
+        ticks.slice(start, end - start)
+        for start, end in zip(starts, ends, strict=True)
+        if end > start
+    ]
+
+
+def _file_in(place: Path) -> Path:
+    return place / "ticks.parquet"
+
+
+def _label(key: str) -> bytes:
+    return json.dumps({"episode": key}).encode()

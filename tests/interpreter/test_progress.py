@@ -1,0 +1,201 @@
+"""Long programs over recorded ticks: they show their progress, and can be interrupted."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import LimitError
+from ssduck.limits import Limits
+from ssduck.recording.replay import batch_queries, progress
+from ssduck.recording.replay.batch_queries import EntityShapes
+
+TICKS = 30
+ASKED = "holds(on(board, ball));"
+
+
+class Terminal(io.StringIO):
+    """A stream that says that it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def world() -> Iterator[ssduck.World]:
+    """A ball that falls on a board."""
+    client = pybullet.connect(pybullet.DIRECT)
+    own = {"physicsClientId": client}
+    pybullet.setGravity(0, 0, -9.81, **own)
+    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[1, 1, 0.1], **own)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **own)
+    names = {
+        pybullet.createMultiBody(0, board, **own): "board",
+        pybullet.createMultiBody(1, ball, -1, (0, 0, 0.21), **own): "ball",
+    }
+    yield ssduck.World.attach(client, names=names)
+    pybullet.disconnect(client)
+
+
+def _asking(world: ssduck.World, limits: Limits | None = None) -> ssduck.Interpreter:
+    ss = ssduck.Interpreter(limits=limits)
+    ss.add_variable("sim", world)
+    for name in ("board", "ball"):
+        ss.add_variable(name, world[name])
+    for _ in range(TICKS):
+        world.step()
+    return ss
+
+
+@pytest.fixture
+def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each tick is a batch, and every report is due."""
+    monkeypatch.setattr(batch_queries, "MAX_BATCH_SIZE", 1)
+    monkeypatch.setattr(progress, "DELAY", 0.0)
+    monkeypatch.setattr(progress, "INTERVAL", 0.0)
+
+
+def _shown(monkeypatch: pytest.MonkeyPatch, ss: ssduck.Interpreter, stream: io.StringIO) -> str:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", stream)
+    ss.eval(ASKED)
+    return stream.getvalue()
+
+
+def test_a_terminal_shows_how_many_are_done(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    with _asking(world) as ss:
+        shown = _shown(monkeypatch, ss, Terminal())
+        assert "comparing shapes at recorded ticks" in shown
+        numbers = [tuple(map(int, pair)) for pair in re.findall(r"(\d+)/(\d+)", shown)]
+        total = len(ss.past("sim").record.answer_cache)
+        assert 1 < total <= len(ss.past("sim").ticks)
+        assert set(numbers) == {(done, total) for done in range(1, total + 1)}
+        # What was answered is not compared again.
+        assert _shown(monkeypatch, ss, Terminal()) == ""
+
+
+def test_what_is_no_terminal_shows_nothing(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    with _asking(world) as ss:
+        assert _shown(monkeypatch, ss, io.StringIO()) == ""
+
+
+def test_it_can_be_switched_off(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    with _asking(world, Limits(progress=False)) as ss:
+        assert _shown(monkeypatch, ss, Terminal()) == ""
+
+
+def test_a_short_program_shows_nothing(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    monkeypatch.setattr(progress, "DELAY", 1e9)
+    with _asking(world) as ss:
+        assert _shown(monkeypatch, ss, Terminal()) == ""
+
+
+def test_other_threads_show_nothing(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    with _asking(world) as ss:
+        found: list[str] = []
+        other = threading.Thread(target=lambda: found.append(_shown(monkeypatch, ss, Terminal())))
+        other.start()
+        other.join()
+        assert found == [""]
+
+
+def test_a_notebook_shows_a_line(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    # A stand-in for the display of a kernel, which runs in no test.
+    display = ModuleType("IPython.display")
+    monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    lines: list[str] = []
+
+    class Handle:
+        def update(self, bundle: dict[str, str], *, raw: bool) -> None:
+            assert raw
+            lines.append(bundle["text/plain"])
+
+    def shown(bundle: dict[str, str], *, raw: bool, display_id: bool) -> Handle:
+        assert raw
+        assert display_id
+        lines.append(bundle["text/plain"])
+        return Handle()
+
+    monkeypatch.setattr(display, "display", shown, raising=False)
+    monkeypatch.setattr(progress, "_is_notebook", lambda: True)
+    with _asking(world) as ss:
+        ss.eval(ASKED)
+        total = len(ss.past("sim").record.answer_cache)
+    assert lines[0] == ""
+    assert lines[1].startswith(f"comparing shapes at recorded ticks: 1 of {total}")
+    assert lines[-2].endswith(f"{total} of {total} (100%)")
+    assert lines[-1] == ""
+
+
+def _at_batch(monkeypatch: pytest.MonkeyPatch, number: int, action: Any) -> list[int]:
+    """Has an action happen before a batch; the list has the sizes of the batches that began."""
+    begun: list[int] = []
+    place = EntityShapes._batch
+
+    def batch(self: EntityShapes, *arguments: Any) -> Any:
+        begun.append(len(arguments[2]))
+        if len(begun) == number:
+            action()
+        return place(self, *arguments)
+
+    monkeypatch.setattr(EntityShapes, "_batch", batch)
+    return begun
+
+
+def test_ctrl_c_leaves_all_as_it_was(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    with _asking(world) as ss:
+        ss.eval("times = 1;")
+        ticks, now = ss.past("sim").ticks, world.time
+        begun = _at_batch(monkeypatch, 5, lambda: os.kill(os.getpid(), signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            ss.eval(f"times = 2; times = {ASKED}")
+        assert len(begun) == 5
+        assert ss.eval("times;") == 1
+        assert world.time == now
+        assert ss.past("sim").ticks == ticks
+        monkeypatch.undo()
+        interrupted = ss.eval(ASKED)
+    with ssduck.Interpreter() as fresh:
+        fresh.add_variable("sim", world)
+    assert interrupted
+    assert interrupted[0][0] > 0.0
+
+
+def test_the_time_limit_ends_it_between_two_batches(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
+) -> None:
+    with _asking(world, Limits(seconds=1000)) as ss:
+
+        def expire() -> None:
+            ss._database.connection.meter._deadline = 0.0
+
+        begun = _at_batch(monkeypatch, 3, expire)
+        with pytest.raises(LimitError, match="1000 s"):
+            ss.eval(ASKED)
+        assert len(begun) == 3

@@ -1,0 +1,116 @@
+"""An episode's beginning and its opening look at few of the others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.errors import RecordError
+from ssduck.recording.stores.parquet_layout import FolderRun
+
+EPISODES = 100
+
+
+class Looks:
+    """Counts the files of `episodes` that are looked at, and the runs that are asked for ticks."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.files: list[str] = []
+        self.runs: list[int] = []
+        stat, has_ticks = Path.stat, FolderRun.has_ticks.fget
+        assert has_ticks is not None
+
+        def counted(own: Path, **options: bool) -> object:
+            if own.parent.name == "episodes":
+                self.files.append(own.name)
+            return stat(own, **options)
+
+        def asked(own: FolderRun) -> object:
+            self.runs.append(own.number)
+            return has_ticks(own)
+
+        monkeypatch.setattr(Path, "stat", counted)
+        monkeypatch.setattr(FolderRun, "has_ticks", property(asked))
+
+
+def _record(run: Path, client: int) -> None:
+    world = ssduck.World.attach(client, name="lab")
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", world)
+        ss.record_to(run, recording=Recording(tables=("entities",))).close()
+
+
+@pytest.fixture
+def run(tmp_path: Path, client: int) -> Path:
+    """A folder with an episode, and the descriptions of many more."""
+    place = tmp_path / "run"
+    _record(place, client)
+    about = json.loads((place / "episodes" / "lab-0.json").read_text())
+    for number in range(1, EPISODES):
+        text = json.dumps(about | {"episode": number})
+        (place / "episodes" / f"lab-{number}.json").write_text(text)
+    return place
+
+
+def test_an_episode_begins_after_a_few_looks(
+    run: Path, client: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = Looks(monkeypatch)
+    _record(run, client)
+    assert (run / "episodes" / f"lab-{EPISODES}.json").is_file()
+    assert 1 < len([name for name in set(looks.files) if name != f"lab-{EPISODES}.json"]) < 16
+    _record(run, client)
+    with ssduck.open(run) as ss:
+        assert ss.past("lab").ticks == [1]
+    assert [e.number for e in ssduck.episodes(run)] == list(range(EPISODES + 2))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 7, 8, 9])
+def test_the_next_number(tmp_path: Path, client: int, count: int) -> None:
+    for _ in range(count + 1):
+        _record(tmp_path / "run", client)
+    assert [e.number for e in ssduck.episodes(tmp_path / "run")] == list(range(count + 1))
+
+
+def test_the_last_episode_is_opened_at_once(
+    run: Path, client: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _record(run, client)
+    looks = Looks(monkeypatch)
+    ssduck.open(run).close()
+    assert looks.runs == [EPISODES]
+    assert set(looks.files) <= {f"lab-{EPISODES}.json"}
+    looks.runs.clear()
+    ssduck.open(run, episode=0).close()
+    assert looks.runs == [0]
+    with pytest.raises(
+        RecordError, match="no episode 5 has ticks; episodes with ticks: 0 of 'lab'"
+    ):
+        ssduck.open(run, episode=5)
+
+
+def test_the_last_episode_of_a_file_is_opened_at_once(
+    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.duckdb"
+    for _ in range(4):
+        with ssduck.Interpreter(str(path)) as ss:
+            ss.add_variable("lab", ssduck.World.attach(client))
+    from ssduck.interpreter import archives
+
+    read: list[str] = []
+    description = archives._description
+
+    def counted(path: Path, schema: str, rows: list[tuple[object, ...]]) -> dict[str, object]:
+        read.append(schema)
+        return description(path, schema, rows)
+
+    monkeypatch.setattr(archives, "_description", counted)
+    with ssduck.open(path) as ss:
+        assert ss.past("lab").ticks == [1]
+    assert set(read) == {"lab_record_3"}
+    assert [e.number for e in ssduck.episodes(path)] == [0, 1, 2, 3]

@@ -1,0 +1,147 @@
+"""A record of many parts: its ticks are read from one file, and a tick from one part."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pybullet
+import pytest
+
+import ssduck
+from ssduck import Recording
+from ssduck.database import recorders
+from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
+
+PARTS = 10
+PLACE = "world=lab/episode={}"
+
+
+@pytest.fixture
+def run(tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A record of two episodes of ten parts of two ticks."""
+    for module in (parquet, recorders):
+        monkeypatch.setattr(module, "PART_TICKS", 2)
+    monkeypatch.setattr(tick_index, "INDEXED_PARTS", 4)
+    monkeypatch.setattr(tick_index, "MIN_PARTS", 1)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, shape, physicsClientId=client)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+    place = tmp_path / "run"
+    recording = Recording(tables=("entities",), flush_every=None)
+    for _ in range(2):
+        world = ssduck.World.attach(client, name="lab")
+        with ssduck.Interpreter(recording=None) as ss:
+            ss.add_variable("lab", world)
+            with ss.record_to(place, recording=recording):
+                for _ in range(2 * PARTS - 1):
+                    world.step()
+    return place
+
+
+class Reads:
+    """Has the names of the files that are read: of ticks and models, and of rows."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.ticks: list[str] = []
+        self.rows: list[str] = []
+        read, rows_of = parquet_layout._read, parquet_archive._rows_of_ticks
+
+        def counted(file: Path) -> object:
+            if file.parts[-4] == "ticks":
+                self.ticks.append(file.name)
+            return read(file)
+
+        def rows(file: Path, *arguments: object) -> object:
+            self.rows.append(file.name)
+            return rows_of(file, *arguments)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(parquet_layout, "_read", counted)
+        monkeypatch.setattr(parquet_archive, "_rows_of_ticks", rows)
+
+
+def _index(run: Path, episode: int = 1) -> Path:
+    return run / "index" / PLACE.format(episode) / "ticks.parquet"
+
+
+def _ticks(run: Path) -> list[int]:
+    with ssduck.open(run) as ss:
+        ticks = ss.past("lab").ticks
+        assert ss.past("lab").times == pytest.approx([(tick - 1) / 240 for tick in ticks])
+        return ticks
+
+
+ALL = list(range(1, 2 * PARTS + 1))
+
+
+def test_ticks_are_read_from_one_file(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    reads = Reads(monkeypatch)
+    assert _ticks(run) == ALL
+    assert reads.ticks == []
+    assert pq.read_metadata(_index(run)).num_rows == len(ALL)
+
+
+def test_few_ticks_are_read_from_few_parts(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with ssduck.open(run) as ss:
+        record = ss._database.records["lab"]
+        reads = Reads(monkeypatch)
+        assert record.fetch("entities", 7, 8)["tick"].to_pylist() == [7, 8]
+        assert reads.rows == ["part-000003.parquet"]
+        assert record.fetch("entities", 8, 9)["tick"].to_pylist() == [8, 9]
+        assert reads.rows[1:] == ["part-000003.parquet", "part-000004.parquet"]
+
+
+def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recorder that is killed leaves an index of some of its parts."""
+    rows = pq.read_table(_index(run))
+    pq.write_table(rows.slice(0, 16), _index(run))  # with its metadata
+    reads = Reads(monkeypatch)
+    assert _ticks(run) == ALL
+    assert reads.ticks == ["part-000008.parquet", "part-000009.parquet"]
+
+
+def test_parts_that_are_removed_do_not_count(run: Path) -> None:
+    for part in (8, 9):
+        (run / "ticks" / PLACE.format(1) / f"part-{part:06d}.parquet").unlink()
+    with pytest.warns(UserWarning, match="ends after 8"):
+        assert _ticks(run) == ALL[:16]
+
+
+def _remove(run: Path) -> None:
+    _index(run).unlink()
+
+
+def _damage(run: Path) -> None:
+    content = bytearray(_index(run).read_bytes())
+    content[4:200] = bytes(196)
+    _index(run).write_bytes(content)
+
+
+def _cut_off(run: Path) -> None:
+    _index(run).write_bytes(_index(run).read_bytes()[:-50])
+
+
+def _take_another(run: Path) -> None:
+    shutil.copy(_index(run, 0), _index(run))
+
+
+@pytest.mark.parametrize("change", [_remove, _damage, _cut_off, _take_another])
+def test_a_record_needs_no_index(run: Path, change, monkeypatch: pytest.MonkeyPatch) -> None:
+    change(run)
+    reads = Reads(monkeypatch)
+    assert _ticks(run) == ALL
+    assert len(reads.ticks) == PARTS
+
+
+def test_few_parts_have_no_index(
+    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = ssduck.World.attach(client, name="lab")
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", world)
+        with ss.record_to(tmp_path / "run"):
+            world.step()
+    assert not (tmp_path / "run" / "index").exists()
+    with ssduck.open(tmp_path / "run") as ss:
+        assert len(ss.past("lab").ticks) == 2
