@@ -17,7 +17,7 @@ def ss():
 
 
 @pytest.mark.parametrize("condition", ["touching(a.this, b.this)", "on(a.this, b.this)"])
-@pytest.mark.parametrize("first, second", SOURCES)
+@pytest.mark.parametrize(("first", "second"), SOURCES)
 def test_at_once_is_one_by_one(ss, first, second, condition):
     selected = f"SELECT str(a.this), str(b.this) FROM a={first}, b={second} WHERE {condition}"
     at_once, one_by_one = (
