@@ -180,6 +180,11 @@ class TickShapes:
             moved: Array = self.positions + rotate(self.matrices, points)
         return moved
 
+    @property
+    def half_extents(self) -> Array:
+        """Half the sizes of boxes, (3, n); of other shapes, they have no meaning."""
+        return self.table.cores.half_extents
+
     @cached_property
     def centres(self) -> Array:
         """The centres of the spheres around the shapes, (n, 3)."""

@@ -3,19 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 
-if TYPE_CHECKING:
-    from ssduck.geometry.batch import TickShapes
-
 # The cross product of edges that are more parallel is no separating axis.
 _MIN_SINE = 1e-6
 # The other two axes of each axis.
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+class PlacedBoxes(Protocol):
+    """Boxes at poses; of other shapes, half the sizes have no meaning."""
+
+    @property
+    def half_extents(self) -> Array:
+        """Half the sizes, (3, n), metres."""
+
+    @property
+    def positions(self) -> Array:
+        """The centres, (n, 3)."""
+
+    @property
+    def matrices(self) -> Array:
+        """The rotation matrices, (n, 3, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,19 +76,19 @@ class _Relative:
         return offsets
 
 
-def _relative(tick: TickShapes, first: Indices, second: Indices) -> _Relative:
-    half_extents = tick.table.cores.half_extents
-    rotations_a, rotations_b = tick.matrices[first], tick.matrices[second]
+def _relative(boxes: PlacedBoxes, first: Indices, second: Indices) -> _Relative:
+    half_extents = boxes.half_extents
+    rotations_a, rotations_b = boxes.matrices[first], boxes.matrices[second]
     rotations = np.einsum("nji,njk->nik", rotations_a, rotations_b)
-    offsets = np.einsum("nji,nj->ni", rotations_a, tick.positions[second] - tick.positions[first])
+    offsets = np.einsum("nji,nj->ni", rotations_a, boxes.positions[second] - boxes.positions[first])
     return _Relative(
         half_extents[:, first].T, half_extents[:, second].T, rotations, np.abs(rotations), offsets
     )
 
 
-def box_depths(tick: TickShapes, first: Indices, second: Indices) -> Array:
+def box_depths(boxes: PlacedBoxes, first: Indices, second: Indices) -> Array:
     """Returns the depths of pairs of boxes, m: their least overlaps along 15 axes, signed."""
-    depths: Array = _overlaps(_relative(tick, first, second)).min(axis=1)
+    depths: Array = _overlaps(_relative(boxes, first, second)).min(axis=1)
     return depths
 
 
@@ -121,9 +134,9 @@ def _sines(pair: _Relative) -> Array:
     return sines
 
 
-def box_axes(tick: TickShapes, first: Indices, second: Indices) -> BoxAxes:
+def box_axes(boxes: PlacedBoxes, first: Indices, second: Indices) -> BoxAxes:
     """Returns the axes of pairs of boxes, with their overlaps."""
-    pair = _relative(tick, first, second)
+    pair = _relative(boxes, first, second)
     count, sines = len(first), _sines(pair)
     lengths = np.where(sines < _MIN_SINE, 1.0, sines)
     # Along the cross product of the edges: signed as `a_i x b_j`.
@@ -131,7 +144,7 @@ def box_axes(tick: TickShapes, first: Indices, second: Indices) -> BoxAxes:
     distances = np.concatenate(
         (pair.offsets, pair.along_faces_of_second, edge_distances.reshape(count, 9)), axis=1
     )
-    matrices_a, matrices_b = tick.matrices[first], tick.matrices[second]
+    matrices_a, matrices_b = boxes.matrices[first], boxes.matrices[second]
     crossed = np.cross(
         matrices_a.transpose(0, 2, 1)[:, :, None, :], matrices_b.transpose(0, 2, 1)[:, None, :, :]
     )
