@@ -99,10 +99,17 @@ def test_the_referee(one, other, apart, depth):
 
 
 def test_the_tables_of_recorded_time(capsys):
-    small = "--sizes 5 --ticks 8 --long 200 --near 20 --gigabytes 0.0005 --rounds 1"
+    small = "--sizes 5 --ticks 8 --long 200 --near 20 --window 8 --gigabytes 0.0005 --rounds 1"
     assert recorded.main(small.split()) == 0
     printed = capsys.readouterr().out
-    headers = (recorded.COST, recorded.BYTES, recorded.OVER, recorded.NEAR, recorded.OPENED)
+    headers = (
+        recorded.COST,
+        recorded.BYTES,
+        recorded.OVER,
+        recorded.NEAR,
+        recorded.WINDOW,
+        recorded.OPENED,
+    )
     for header in headers:
         assert f"| {' | '.join(header)} |" in printed
     assert printed.count("| 5 boxes |") == 2
