@@ -10,7 +10,16 @@ from __future__ import annotations
 import platform
 import sys
 
-from benchmarks import adapters, language, pairs, queries, recorded, ticks, triggers
+from benchmarks import (
+    adapters,
+    language,
+    pair_relations,
+    pairs,
+    queries,
+    recorded,
+    ticks,
+    triggers,
+)
 from benchmarks.timing import print_table
 
 TABLES = {
@@ -20,7 +29,7 @@ TABLES = {
     "language": language,
     "adapters": adapters,
 }
-LONG = {"pairs": pairs.main, "time": recorded.main}
+LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 
 def main() -> None:
