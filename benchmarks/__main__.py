@@ -11,7 +11,17 @@ from __future__ import annotations
 import platform
 import sys
 
-from benchmarks import adapters, language, pairs, queries, raw, recorded, ticks, triggers
+from benchmarks import (
+    adapters,
+    language,
+    pair_relations,
+    pairs,
+    queries,
+    raw,
+    recorded,
+    ticks,
+    triggers,
+)
 from benchmarks.timing import print_table
 
 TABLES = {
@@ -23,7 +33,7 @@ TABLES = {
 }
 # Tables that take minutes.
 LONG_TABLES = {"raw": raw}
-LONG = {"pairs": pairs.main, "time": recorded.main}
+LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 
 def main() -> None:

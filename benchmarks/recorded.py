@@ -1,9 +1,10 @@
 """Measures the cost of recording every tick of a world, and of queries about the history.
 
 `python -m benchmarks time [OPTION ...]` takes many minutes; `--only` selects tables, and `--help`
-lists the other options. It prints six tables: the time that recording adds to a tick, and to a
+lists the other options. It prints these tables: the time that recording adds to a tick, and to a
 step; the memory of a record; a relation over a long run, against the same SQL by hand; the narrow
-phase over a run, against FCL; and opening a record, against `read_parquet` of DuckDB.
+phase over a run, against FCL; relations of shapes over a window; and opening a record, against
+`read_parquet` of DuckDB.
 """
 
 from __future__ import annotations
@@ -414,6 +415,37 @@ def _by_fcl(poses: Array, result: int) -> dict[str, Callable[[], object]]:
     return {"bare": bare, "set": with_poses_set}
 
 
+WINDOW = ("a relation at each tick of a window", "ticks", "processor", "to touching", "again")
+RELATIONS = ("touching", "on", "clearance", "supports", "restsOn")
+
+
+def window(ticks: int, rounds: int) -> Iterator[tuple[str, ...]]:
+    """Yields the processor times of relations of the kitchen's table and a cup, in turns.
+
+    Each is asked of ticks about which nothing was asked before, and then again.
+    """
+    with ssduck.load("kitchen") as ss:
+        ss.call_variable("kitchen").step(ticks)
+        for name, entity in (("table", "table"), ("cup", "cup_905a")):
+            ss.add_variable(name, ss.call_variable("kitchen")[entity])
+        cache, count = ss.past("kitchen").record.answer_cache, len(ss.past("kitchen").ticks)
+        times: dict[tuple[str, bool], list[float]] = {}
+        for _ in range(rounds + 1):
+            for relation in RELATIONS:
+                cache.clear()
+                for is_first in (True, False):
+                    start = time.process_time()
+                    ss.eval(f"changes({relation}(table, cup));")
+                    elapsed = time.process_time() - start
+                    times.setdefault((relation, is_first), []).append(elapsed)
+    # Without the first round, in which shapes are prepared.
+    middle = {key: statistics.median(values[1:]) for key, values in times.items()}
+    for relation in RELATIONS:
+        first, again = middle[relation, True], middle[relation, False]
+        ratio = f"{first / middle[RELATIONS[0], True]:.2f}"
+        yield relation, f"{count:,}", text_of(first), ratio, text_of(again)
+
+
 # -- a record -----------------------------------------------------------------------------------
 
 OPENED = ("a record in a folder", "MB", "files", "ssduck", "by hand", "ratio")
@@ -466,7 +498,7 @@ def _read(sql: str) -> list[Any]:
 # -- the run ------------------------------------------------------------------------------------
 
 
-PARTS = ("cost", "step", "bytes", "over", "near", "opened", "opening", "realtime")
+PARTS = ("cost", "step", "bytes", "over", "near", "window", "opened", "opening", "realtime")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -487,6 +519,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--only", choices=PARTS, nargs="+", default=PARTS, help="the tables to print"
     )
+    parser.add_argument("--window", type=int, default=1440, help="the ticks of the window")
     parser.add_argument("--gigabytes", type=float, default=0.1, help="the size of the record")
     parser.add_argument("--rounds", type=int, default=7, help="how often each way is timed")
     options = parser.parse_args(arguments)
@@ -501,6 +534,8 @@ def main(arguments: Sequence[str]) -> int:
             print_table(OVER, over(ss, options.rounds))
     if "near" in options.only:
         print_table(NEAR, near(options.near, options.rounds))
+    if "window" in options.only:
+        print_table(WINDOW, window(options.window, options.rounds))
     if "opened" in options.only:
         print_table(OPENED, opened(1e3 * options.gigabytes, options.rounds))
     if "opening" in options.only:

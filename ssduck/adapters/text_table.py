@@ -22,8 +22,9 @@ if TYPE_CHECKING:
 
 MARK = "…"
 GAP = "   "
-# The least width to which a column of texts is reduced, in cells of a terminal.
+# The least widths to which a column of texts is elided and folded, in cells of a terminal.
 NARROWEST = 20
+_NARROWEST_FOLDED = 10
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ class TextColumn:
         """The least width when folded: no word is broken."""
         texts = (*self.head, *self.cells)
         words = texts if self.numeric else {word for text in texts for word in text.split()}
-        return max(min(self.natural_width, NARROWEST), max(map(_width, words), default=0))
+        least = min(self.natural_width, _NARROWEST_FOLDED)
+        return max(least, max(map(_width, words), default=0))
 
     @property
     def min_elided_width(self) -> int:

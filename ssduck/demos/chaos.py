@@ -185,6 +185,13 @@ def _in_body(vector: Array, orientation: Array) -> Array:
     return rotated
 
 
+# The two kinds of collisions in the chart, with their colours.
+_COLLISIONS = {
+    "collisions of two bodies": (230, 120, 30),
+    "of a body with a side": (130, 190, 210),
+}
+
+
 def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
     """Draws the scene above a bar chart of collisions of bodies, and with sides, by second."""
     width, chart_height = scene.width, 130
@@ -197,11 +204,14 @@ def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
     for number, (second, bodies, sides, _) in enumerate(rows):
         left = 20 + number * step
         right, top = left + 0.7 * step, float(baseline)
-        for count, colour in ((bodies, (230, 120, 30)), (sides, (130, 190, 210))):
+        for count, colour in zip((bodies, sides), _COLLISIONS.values(), strict=True):
             draw.rectangle((left, top - 80 * count / tallest, right, top), fill=colour)
             top -= 80 * count / tallest
         draw.text((left, baseline + 3), f"{second} s", fill=(20, 22, 26), font=font)
         draw.text((left, top - 15), f"{bodies} + {sides}", fill=(20, 22, 26), font=font)
-    caption = "collisions: of two bodies + of a body with a side"
-    draw.text((20, scene.height - 6), caption, fill=(20, 22, 26), font=font)
+    left, top = 20.0, scene.height - 6
+    for label, colour in _COLLISIONS.items():
+        draw.rectangle((left, top + 2, left + 9, top + 11), fill=colour)
+        draw.text((left + 15, top), label, fill=(20, 22, 26), font=font)
+        left += 39 + font.getlength(label)
     return picture

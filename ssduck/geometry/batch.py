@@ -22,11 +22,10 @@ from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.cores import ConvexCores, PlacedCores
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
 from ssduck.geometry.poses import rotate
+from ssduck.geometry.separating_axes import box_depths
 from ssduck.geometry.solids import Solid
 from ssduck.geometry.witnesses import KeptWitnesses
 
-# The cross product of edges that are more parallel is no separating axis.
-_MIN_SINE = 1e-6
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8
 _MAX_ENTITIES = 1 << 32
@@ -34,8 +33,6 @@ _MAX_ENTITIES = 1 << 32
 _MAX_PREDICATES = 16
 # The number of regrouped tables that are kept from tick to tick.
 _MAX_REGROUPED = 16
-# The other two axes of each axis.
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 PredicateKind: TypeAlias = Literal["colliding", "within", "touching"]
@@ -182,6 +179,11 @@ class TickShapes:
         with np.errstate(invalid="ignore"):
             moved: Array = self.positions + rotate(self.matrices, points)
         return moved
+
+    @property
+    def half_extents(self) -> Array:
+        """Half the sizes of boxes, (3, n); of other shapes, they have no meaning."""
+        return self.table.cores.half_extents
 
     @cached_property
     def centres(self) -> Array:
@@ -457,44 +459,3 @@ def _by_cores(
     core_verdicts[is_concave & (core_verdicts == BELOW)] = UNDECIDED
     verdicts[indices] = core_verdicts
     return verdicts
-
-
-def box_depths(tick: TickShapes, first: Indices, second: Indices) -> Array:
-    """Returns the depths of pairs of boxes, m: their least overlaps along 15 axes, signed."""
-    a, b = tick.table.cores.half_extents[:, first].T, tick.table.cores.half_extents[:, second].T
-    rotations_a, rotations_b = tick.matrices[first], tick.matrices[second]
-    # The second box in the frame of the first.
-    rotations = np.einsum("nji,njk->nik", rotations_a, rotations_b)
-    offsets = np.einsum("nji,nj->ni", rotations_a, tick.positions[second] - tick.positions[first])
-    magnitudes = np.abs(rotations)
-    faces_a = a + np.einsum("nij,nj->ni", magnitudes, b) - np.abs(offsets)
-    faces_b = (
-        b
-        + np.einsum("nij,ni->nj", magnitudes, a)
-        - np.abs(np.einsum("nij,ni->nj", rotations, offsets))
-    )
-    edges = _edge_overlaps(a, b, rotations, magnitudes, offsets).reshape(len(first), 9)
-    depths: Array = np.concatenate((faces_a, faces_b, edges), axis=1).min(axis=1)
-    return depths
-
-
-def _edge_overlaps(
-    a: Array, b: Array, rotations: Array, magnitudes: Array, offsets: Array
-) -> Array:
-    """Returns the overlaps along the cross products of edges, (n, 3, 3)."""
-    extents_a = (
-        a[:, _NEXT, None] * magnitudes[:, _LAST, :] + a[:, _LAST, None] * magnitudes[:, _NEXT, :]
-    )
-    extents_b = (
-        b[:, None, _NEXT] * magnitudes[:, :, _LAST] + b[:, None, _LAST] * magnitudes[:, :, _NEXT]
-    )
-    distances = (
-        offsets[:, _LAST, None] * rotations[:, _NEXT, :]
-        - offsets[:, _NEXT, None] * rotations[:, _LAST, :]
-    )
-    length = np.sqrt(np.maximum(1.0 - rotations * rotations, 0.0))
-    is_parallel = length < _MIN_SINE
-    overlaps: Array = (extents_a + extents_b - np.abs(distances)) / np.where(
-        is_parallel, 1.0, length
-    )
-    return np.where(is_parallel, np.inf, overlaps)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -18,6 +19,8 @@ from ssduck.geometry.surfaces import unique_points
 
 # Shapes that stick out of a hull by less are in it; those that stick into it by less are out, m.
 ROUNDING = 1e-9
+# A line that is nearer to the boundary of a polyhedron, m, may be inside or outside of it.
+CROSSING_ROOM = 1e-4
 # Polyhedra stick out of the round shapes that they stand for by at most this, relative to the
 # radius.
 ROUND_SHAPE_ERROR = 0.002
@@ -233,6 +236,47 @@ def _half_space_cube(hull: WorldHull, points: Array) -> Array:
 
 
 # -- on the ground -----------------------------------------------------------------------------
+
+
+class Footprint:
+    """The convex hull of the projections of some shapes on the ground.
+
+    Args:
+        shapes: the shapes.
+    """
+
+    def __init__(self, shapes: Sequence[PlacedSolid]) -> None:
+        self._shapes = shapes
+
+    @cached_property
+    def _corners(self) -> Array:
+        return footprint(self._shapes)
+
+    def contains(self, x: float, y: float) -> bool:
+        """Checks whether a point of the ground is in it, including its boundary."""
+        crossings = [_crosses_inside(shape, x, y) for shape in self._shapes]
+        if True in crossings or crossings == [False]:
+            return True in crossings
+        return is_over_footprint(self._shapes, self._corners, x, y)
+
+
+def _crosses_inside(shape: PlacedSolid, x: float, y: float) -> bool | None:
+    """Checks whether a vertical line crosses a convex polyhedron; None if it is near its boundary.
+
+    That is the rest of the line between the planes of all faces.
+    """
+    if shape.offsets is None or shape.solid.type not in ("box", "hull"):
+        return None
+    heights = shape.offsets - shape.normals[:, :2] @ (x, y)
+    slopes = shape.normals[:, 2]
+    rising, falling = slopes > ROUNDING, slopes < -ROUNDING
+    level = heights[~(rising | falling)].min(initial=math.inf)
+    for room, is_crossed in ((-CROSSING_ROOM, True), (CROSSING_ROOM, False)):
+        top = ((heights[rising] + room) / slopes[rising]).min(initial=math.inf)
+        bottom = ((heights[falling] + room) / slopes[falling]).max(initial=-math.inf)
+        if bool(bottom <= top and level + room >= 0.0) is is_crossed:
+            return is_crossed
+    return None
 
 
 def footprint(a: Sequence[PlacedSolid]) -> Array:

@@ -38,11 +38,11 @@ MAX_EXPANSIONS = 40
 MAX_POLYTOPE_POINTS = 400
 MAX_STEPS = 100
 _UP: Point = (0.0, 0.0, 1.0)
-_NEIGHBOUR_DIRECTIONS = np.array(
+NEIGHBOUR_DIRECTIONS = np.array(
     [[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z],
     dtype=np.float64,
 )
-_NEIGHBOUR_DIRECTIONS /= np.linalg.norm(_NEIGHBOUR_DIRECTIONS, axis=1)[:, None]
+NEIGHBOUR_DIRECTIONS /= np.linalg.norm(NEIGHBOUR_DIRECTIONS, axis=1)[:, None]
 
 
 @dataclass
@@ -371,7 +371,7 @@ def _candidate_directions(a: PlacedSolid, b: PlacedSolid) -> Array:
         has_length = length > 1e-6
         edges = edges[has_length] / length[has_length, None]
         return np.concatenate((b.normals, -a.normals, edges, -edges))
-    return np.concatenate((b.normals, -a.normals, _NEIGHBOUR_DIRECTIONS))
+    return np.concatenate((b.normals, -a.normals, NEIGHBOUR_DIRECTIONS))
 
 
 def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | None:

@@ -29,11 +29,10 @@ from ssduck.geometry.batch import (
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.containment import (
     Box,
+    Footprint,
     WorldHull,
-    footprint,
     fraction_inside,
     hull_bounds,
-    is_over_footprint,
     max_fraction_in_box,
     max_fraction_in_hull,
     world_hull,
@@ -90,7 +89,7 @@ class NarrowPhase:
         self._margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
         self._solids: list[Solid] = [solids[index] for index in indices]
         self._positions, self._orientations, self._boxes = positions, orientations, boxes
-        self._starts = list(starts)
+        self.starts = list(starts)
         self._placed_solids: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
         self._distances: dict[tuple[int, int], SignedDistance | None] = {}
@@ -102,9 +101,10 @@ class NarrowPhase:
         self._fractions_inside: dict[tuple[int, int], float | None] = {}
         self._hulls: dict[int, WorldHull | None] = {}
         self._hull_bounds: dict[int, Box] = {}
-        self._footprints: dict[int, Array] = {}
+        self._footprints: dict[int, Footprint] = {}
         self._results: dict[PairPredicate, PairResult] = {}
         self._compared: set[int] = set()
+        self._ticks: dict[ShapeTable, TickShapes] = {}
         # DuckDB calls from its own threads. Without the lock, pairs would be compared twice.
         self._lock = RLock()
 
@@ -142,10 +142,9 @@ class NarrowPhase:
         """
         with self._lock:
             if predicate not in self._results:
-                tick = self._tick_shapes(table)
-                satisfies = partial(self.satisfies, predicate=predicate)
+                decide = partial(self.satisfies, predicate=predicate)
                 kept = table.witnesses(predicate)
-                result = matching_pairs(tick, predicate, satisfies, kept=kept)
+                result = matching_pairs(self.tick_shapes(table), predicate, decide, kept=kept)
                 self.count_compared(result.compared.tolist())
                 self._results[predicate] = result
             return self._results[predicate]
@@ -160,9 +159,13 @@ class NarrowPhase:
             self._compared.update(pairs)
             self.calls.pairs += len(self._compared) - before
 
-    def _tick_shapes(self, table: ShapeTable) -> TickShapes:
-        known = of_known_entities(table, self._finite & table.is_known)
-        return TickShapes(table, known, self._boxes.T, self._positions, self._matrices)
+    def tick_shapes(self, table: ShapeTable) -> TickShapes:
+        """Returns the shapes in arrays; the table has their other properties."""
+        if table not in self._ticks:
+            known = of_known_entities(table, self._finite & table.is_known)
+            poses = self._positions, self._matrices
+            self._ticks[table] = TickShapes(table, known, self._boxes.T, *poses)
+        return self._ticks[table]
 
     def satisfies(self, s: int, t: int, predicate: PairPredicate) -> bool:
         """Checks whether a predicate holds for two shapes."""
@@ -194,8 +197,7 @@ class NarrowPhase:
         """Returns the sum of the collision margins of two shapes, m."""
         return self._margins[s] + self._margins[t]
 
-    def _margins_of(self, i: int, j: int) -> float:
-        """Returns the sum of the largest collision margins of two entities' shapes, m."""
+    def _margins_of(self, i: int, j: int) -> float:  # the largest of each
         return self.margin(i) + self.margin(j)
 
     def shapes_touching(self, i: int, j: int, distance: float) -> list[int]:
@@ -204,7 +206,7 @@ class NarrowPhase:
         with self._lock:
             near = self._near_shapes(i, j, distance + self._margins_of(i, j))
             touching = {s for s, t in near if self.satisfies(s, t, predicate)}
-        return sorted(s - self._starts[i] for s in touching)
+        return sorted(s - self.starts[i] for s in touching)
 
     def clearance(self, i: int, j: int, limit: float = math.inf) -> float | None:
         """Returns the distance of the nearest points, m; 0 if the entities overlap.
@@ -284,9 +286,7 @@ class NarrowPhase:
         x, y, _ = self.box_centre(b).tolist()
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
-        if a not in self._footprints:
-            self._footprints[a] = footprint(self.shapes_of(a))
-        return is_over_footprint(self.shapes_of(a), self._footprints[a], x, y)
+        return self._footprints.setdefault(a, Footprint(self.shapes_of(a))).contains(x, y)
 
     def inside(self, a: int, b: int) -> float | None:
         """Returns the fraction of b's volume inside the convex hull of a; None if b has no volume.
@@ -516,7 +516,7 @@ class NarrowPhase:
 
     def box(self, e: int) -> Array:
         """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
-        rows = self._boxes[self._starts[e] : self._starts[e + 1]]
+        rows = self._boxes[self.starts[e] : self.starts[e + 1]]
         return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
 
     def box_centre(self, e: int) -> Array:
@@ -532,7 +532,7 @@ class NarrowPhase:
             overlaps = (self._boxes[:, :3] <= high) & (self._boxes[:, 3:] >= low)
         is_overlapping: Flags = np.asarray(overlaps.all(axis=1))
         for e in excluded:
-            is_overlapping[self._starts[e] : self._starts[e + 1]] = False
+            is_overlapping[self.starts[e] : self.starts[e + 1]] = False
         shapes = np.flatnonzero(is_overlapping).tolist()
         return [
             self._placed_solid(shape)
@@ -544,13 +544,13 @@ class NarrowPhase:
     def _shapes(self) -> list[list[int]]:
         """The shapes of each entity that have points."""
         empty = [solid.is_empty for solid in self._solids]
-        ranges = map(range, self._starts, self._starts[1:])
+        ranges = map(range, self.starts, self.starts[1:])
         return [[shape for shape in shapes if not empty[shape]] for shapes in ranges]
 
     @cached_property
     def _are_known(self) -> list[bool]:
         """Whether all poses and shapes of each entity are known."""
-        return [all(self._are_shapes_known[a:b]) for a, b in pairwise(self._starts)]
+        return [all(self._are_shapes_known[a:b]) for a, b in pairwise(self.starts)]
 
     @cached_property
     def _bounding_radii(self) -> list[float]:

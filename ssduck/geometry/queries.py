@@ -17,8 +17,10 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
+from ssduck.geometry.gjk import UNDECIDED
 from ssduck.geometry.narrow_phase import MIN_DEPTH, TOUCHING_DISTANCE, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
+from ssduck.geometry.on_pairs import NOT_ON, ON, entity_boxes, on_verdicts
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
@@ -92,6 +94,7 @@ class ShapeQueries:
         self._own_pair_count = 0
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
+        self._on: list[int] | None = None
 
     def of(self, ids: Iterable[int], *, needs_whole_tick: bool = False) -> ShapeQueries:
         """Returns the queries in which ids of links stand for the shapes of these links.
@@ -198,7 +201,7 @@ class ShapeQueries:
     def _pairs(self, predicate: PairPredicate) -> list[int]:
         """Returns the pairs for which a predicate holds."""
         if predicate not in self._numbers_by_predicate:
-            ids = np.array(list(self._numbers), dtype=np.int64)
+            ids = self._ids_by_number
             first, second = self._all_pairs(predicate)
             self._numbers_by_predicate[predicate] = _both_orders(ids[first], ids[second])
         return self._numbers_by_predicate[predicate]
@@ -210,7 +213,8 @@ class ShapeQueries:
         # A link and an entity match if the link and one of the entity's links do.
         assert self._whole is not None
         first, second = self._whole.links._all_pairs(predicate)  # noqa: SLF001  # one class
-        owners = np.array([self._numbers[entity_of(id)] for id in self._numbers], np.intp)
+        ids = self._ids_by_number.tolist()
+        owners = np.array([self._numbers[entity_of(id)] for id in ids], np.intp)
         owner_of_first, owner_of_second = owners[first], owners[second]
         differ = owner_of_first != owner_of_second
         entities = np.concatenate((owner_of_first[differ], owner_of_second[differ]))
@@ -218,6 +222,13 @@ class ShapeQueries:
         known = np.array([self._narrow.is_known(e) for e in entities.tolist()], dtype=bool)
         pairs = np.unique(np.array((entities[known], links[known])), axis=1)
         return pairs[0], pairs[1]
+
+    @cached_property
+    def _ids_by_number(self) -> Ids:
+        """The id of each number in the narrow phase; sensors share one, which no pair has."""
+        ids = np.zeros(1 + max(self._numbers.values(), default=-1), np.int64)
+        ids[list(self._numbers.values())] = list(self._numbers)
+        return ids
 
     @property
     def _is_of_both(self) -> bool:
@@ -246,6 +257,22 @@ class ShapeQueries:
                 self._boxes_with_margins, max_distance
             )
         return self._overlapping_with_margins[max_distance]
+
+    def all_on(self) -> list[int]:
+        """Returns the pairs of which the second is on the first."""
+        if self._on is None:
+            touching = PairPredicate("touching", TOUCHING_DISTANCE)
+            first, second = self._all_pairs(touching)
+            a, b = np.concatenate((first, second)), np.concatenate((second, first))
+            tick, starts = self._narrow.tick_shapes(self._table), self._narrow.starts
+            boxes = entity_boxes(tick.boxes.T, starts)
+            verdicts = on_verdicts(tick, boxes, starts, a, b)
+            for place in np.flatnonzero(verdicts == UNDECIDED).tolist():
+                verdicts[place] = ON if self._narrow.on(int(a[place]), int(b[place])) else NOT_ON
+            ids, are_on = self._ids_by_number, verdicts == ON
+            numbers = ids[a[are_on]] * ID_FACTOR + ids[b[are_on]]
+            self._on = np.sort(numbers).tolist()
+        return self._on
 
     def all_resting(self) -> list[int]:
         """Returns the pairs of which the second rests on the first, directly or through others."""

@@ -25,7 +25,8 @@ interpreters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
@@ -35,7 +36,7 @@ from ssduck.adapters.registry import Adapter, find
 from ssduck.adapters.result import Result
 from ssduck.adapters.table_view import MAX_ROWS, TableView
 from ssduck.database.database import Database
-from ssduck.errors import UnknownNameError
+from ssduck.errors import SqlError, UnknownNameError
 from ssduck.formatting import count_of, first_names
 from ssduck.geometry.queries import Statistics
 from ssduck.interpreter.eval_as import (
@@ -67,6 +68,9 @@ from ssduck.recording.spec import Recording
 from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
+
+# DuckDB's error of an unknown table.
+_MISSING_TABLE = re.compile(r"Catalog Error: Table with name (\w+) does not exist!")
 
 
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
@@ -525,7 +529,11 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
                 self._execution.drop_unused_worlds()
                 self._database.connection.meter = UsageMeter(self._limits)
             self._execution.report(self._execution.linter.check_sql(text))
-            return Result(self._database.user_rows(text, parameters))
+            try:
+                return Result(self._database.user_rows(text, parameters))
+            except SqlError as error:
+                _explain_missing_table(error, self._database.worlds)
+                raise
 
     def statistics(self) -> dict[str, Statistics]:
         """Returns the numbers of shape comparisons so far, by the name of the world."""
@@ -533,6 +541,17 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             name: Statistics(world.snapshot.calls.pairs, world.snapshot.calls.calls)
             for name, world in self._database.worlds.items()
         }
+
+
+def _explain_missing_table(error: SqlError, worlds: Collection[str]) -> None:
+    """Adds to the error of an unknown table that it is a world, if it is one."""
+    match = _MISSING_TABLE.match(error.message)
+    if match is not None and match.group(1) in worlds:
+        name = match.group(1)
+        error.message = (
+            f"there is no table {name!r}; of the world, there are {name}.entities, {name}.links, "
+            f"{name}.contacts and so on"
+        )
 
 
 def _plain(value: Any) -> Any:

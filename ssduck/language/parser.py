@@ -455,7 +455,9 @@ class _Parser(SqlForms):
                 self.expect(TokenType.R_BRACKET, "']'")
             else:
                 self.expect(TokenType.DOT, "'.'")
-                key = self.expect_name("a key")
+                word = "" if self.token is None else self.token.text
+                as_text = f" (write [{word!r}] for a word of the language)"
+                key = self.expect_name("a key" + (as_text if word.isidentifier() else ""))
                 indices.append(Literal(span_of(key), key.text))
         return Index(self.since(start), node, tuple(indices)) if indices else node
 

@@ -219,7 +219,7 @@ class Entity(Handle, OpenRaveEntity):
         """
         self.state.drive(self, positions, velocities, efforts)
 
-    def hold(self, other: Entity, link: str | None = None, *, touching: int = 1) -> None:
+    def hold(self, other: Entity, link: str | Link | None = None, *, touching: int = 1) -> None:
         """Attaches another body that a link touches rigidly to that link, at their current poses.
 
         The attachment is a fixed constraint of the simulator between the link and the base of
@@ -229,7 +229,7 @@ class Entity(Handle, OpenRaveEntity):
 
         Args:
             other: the other body, of the same world.
-            link: the name of the holding link; None for the base.
+            link: the holding link or its name; None for the base.
             touching: the minimal number of links within 1 mm of the other body, by the narrow
                 phase: the holding link and the links that descend from it, such as fingers.
 
@@ -237,10 +237,14 @@ class Entity(Handle, OpenRaveEntity):
             StateError: fewer links are as near, or the other body is held already.
             UnknownNameError: no link has the name; the error suggests the nearest names.
             ArgumentError: one of them is a sensor, or the other one is of another world, or the
-                same.
+                same; or the link is of another entity.
             RemovedEntityError: one of them is no longer in its world.
             UnsupportedError: the entity is in a what-if world.
         """
+        if isinstance(link, Link):
+            if link.entity != self:
+                raise ArgumentError(f"hold: {link!r} is no link of {self.name!r}")
+            link = link.name
         self.state.hold(self, other, link, touching)
 
     def release(self, other: Entity) -> None:

@@ -18,7 +18,9 @@ from ssduck.simulators.interface import Simulator
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.scenes import SensorSpec, read_sensor
 from ssduck.world.entities import Entity
+from ssduck.world.handles import Handle
 from ssduck.world.layout import EntityInfo
+from ssduck.world.links import Link
 
 
 class EntityRegistry:
@@ -118,7 +120,7 @@ class EntityRegistry:
         """Removes a sensor."""
         self.entities = [info for info in self.entities if info.id != id]
 
-    def host(self, on: str | Entity, world: str) -> EntityInfo:
+    def host(self, on: str | Handle, world: str) -> EntityInfo:
         """Returns the body of a new sensor.
 
         Args:
@@ -128,8 +130,10 @@ class EntityRegistry:
         Raises:
             UnknownNameError: no body has the name; the error suggests the nearest names.
             RemovedEntityError: the entity was removed.
-            ArgumentError: the entity is a sensor.
+            ArgumentError: the entity is a sensor, or it is a link.
         """
+        if isinstance(on, Link):
+            raise ArgumentError(f"{on!r} is given with another link; give its entity with that")
         if isinstance(on, Entity):
             host = self.get(on.id)
             if host is None:

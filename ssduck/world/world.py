@@ -46,7 +46,7 @@ from ssduck.simulators.scenes import Camera, Scene, SensorSpec, variable_name
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.excerpt import excerpt
 from ssduck.world.handles import Handle
-from ssduck.world.links import links_of
+from ssduck.world.links import Link, links_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
 from ssduck.world.public_names import WORLD_INTERNALS, PublicNames
@@ -423,7 +423,10 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
 
         Raises:
             UnknownNameError: no entity has the name; the error suggests the nearest names.
+            ArgumentError: it is the handle of a link.
         """
+        if isinstance(name, Link):
+            raise ArgumentError(f"{name!r} is a link, no entity; .entity is its entity")
         for info in self.snapshot.entities:
             if info.name == name:
                 return self.entity(info.id)
@@ -468,7 +471,7 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
     def add_sensor(
         self,
         type: str,
-        on: str | Entity,
+        on: str | Entity | Link,
         name: str | None = None,
         link: str | None = None,
         *,
@@ -480,7 +483,7 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
 
         Args:
             type: one of `ssduck.simulators.sensor_types.SENSOR_TYPES`.
-            on: the body or its name. The sensor does not perceive this body.
+            on: the body or its name, or one of its links. The sensor does not perceive this body.
             name: the name, unique in the world; by default made of the names of body and type.
             link: the link that the sensor is mounted on; by default the base.
             position: the position in the frame of the link, m.
@@ -500,7 +503,9 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
         with self.lock:
             self._check_not_pinned()
             self._registry.update(self._simulator)
-            if isinstance(on, Entity) and on.world is not self:
+            if isinstance(on, Link) and link is None:
+                on, link = on.entity, on.name
+            if isinstance(on, Handle) and on.world is not self:
                 raise ArgumentError(f"add_sensor: on: {on.name!r} is of another world")
             host = self._registry.host(on, self.name)
             values = {

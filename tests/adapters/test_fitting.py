@@ -11,7 +11,7 @@ import rich.console
 from rich.cells import cell_len
 
 import ssduck
-from ssduck.adapters.display import display_table, fitted_table
+from ssduck.adapters.display import DisplayTable, display_table, fitted_table
 from ssduck.adapters.table_view import TableView
 from ssduck.adapters.text_table import elided
 
@@ -199,3 +199,14 @@ def test_a_notebook_scrolls_a_wide_table():
     page = TableView(WIDE)._repr_html_()
     assert page.startswith('<div style="overflow-x: auto"><table>')
     assert page.count("<th>") == 31
+
+
+def test_long_lists_of_words_are_folded_before_columns_are_left_out():
+    columns = ["world", "episode", "started", "ticks", "from", "to", "tables"]
+    tables = "contacts entities joints links sensings shapes"
+    row = ["kitchen", 0, "2026-11-23T07:00:42+00:00", 13, 0.0, 0.05, tables]
+    lines = fitted_table(DisplayTable(columns, [row])).lines(80)
+    assert max(map(len, lines)) <= 80
+    assert lines[0].split() == columns
+    assert [line.split()[-1] for line in lines[2:]] == tables.split()
+    assert "…" not in "".join(lines)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import ssduck
-from benchmarks import adapters, pairs, recorded
+from benchmarks import adapters, pair_relations, pairs, recorded
 from benchmarks.random_scenes import FORMS, KINDS, NEIGHBOURS, Piece, RandomScene, random_scene
 from benchmarks.referee import bounds, may_touch, verdict
 
@@ -39,6 +39,14 @@ def test_the_tables(capsys):
     assert printed.count("| cube, boxes |") == 4
     assert "at 30 bodies at most 1.5 of FCL's tree" in printed
     assert "DISAGREEMENT" not in printed
+
+
+def test_the_tables_of_relations(capsys):
+    arguments = ["--sizes", "20", "--forms", "cube", "--rounds", "1"]
+    assert pair_relations.main(arguments) == 0
+    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if "| 20 |" in line]
+    assert [row[2] for row in rows] == ["collides", "near", "touching", "on"] * 2
+    assert all(row[-1] == "0 |" for row in rows if row[2] != "on")
 
 
 def test_without_coal(monkeypatch, capsys):
@@ -91,10 +99,17 @@ def test_the_referee(one, other, apart, depth):
 
 
 def test_the_tables_of_recorded_time(capsys):
-    small = "--sizes 5 --ticks 8 --long 200 --near 20 --gigabytes 0.0005 --rounds 1"
+    small = "--sizes 5 --ticks 8 --long 200 --near 20 --window 8 --gigabytes 0.0005 --rounds 1"
     assert recorded.main(small.split()) == 0
     printed = capsys.readouterr().out
-    headers = (recorded.COST, recorded.BYTES, recorded.OVER, recorded.NEAR, recorded.OPENED)
+    headers = (
+        recorded.COST,
+        recorded.BYTES,
+        recorded.OVER,
+        recorded.NEAR,
+        recorded.WINDOW,
+        recorded.OPENED,
+    )
     for header in headers:
         assert f"| {' | '.join(header)} |" in printed
     assert printed.count("| 5 boxes |") == 2

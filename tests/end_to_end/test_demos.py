@@ -280,6 +280,9 @@ def test_chaos(tmp_path):
     assert any("Out of the box: nobody" in text for text in said)
     with Image.open(tmp_path / "chaos.png") as picture:
         assert picture.size == (720, 670)
+        legend = picture.convert("RGB").crop((0, 534, 720, 547))
+        colours = {colour for _, colour in legend.getcolors(2**24)}
+        assert colours >= set(chaos._COLLISIONS.values())
 
 
 # (overlaps, others, whether the first are among the others)

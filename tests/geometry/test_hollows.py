@@ -104,7 +104,7 @@ def holds(question, gap):
 def many_ticks(shapes, every, question):
     """The pairs that windows of the past find."""
     tick = tick_of(shapes)
-    scene = tick._tick_shapes(sorts_of(tick))
+    scene = tick.tick_shapes(sorts_of(tick))
 
     def satisfies(s, t):
         return tick_of([shapes[s], shapes[t]]).satisfies(0, 1, question)

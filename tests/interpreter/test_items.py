@@ -9,7 +9,7 @@ from typing import get_type_hints
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, UnknownNameError
+from ssduck.errors import ArgumentError, SqlError, UnknownNameError
 
 ROOM = Path(__file__).resolve().parents[1] / "data" / "room.toml"
 
@@ -90,6 +90,15 @@ def test_an_item_is_no_attribute(ss):
     with pytest.raises(AttributeError, match=r"'KinBody' object has no attribute 'positon'$"):
         ss["room"]["can"].positon  # noqa: B018
     assert copy.copy(ss["room"]["can"]) == ss["room"]["can"]
+
+
+def test_a_world_is_no_table(ss):
+    with pytest.raises(
+        SqlError, match=r"no table 'room'; of the world, there are room\.entities, "
+    ):
+        ss.sql("SELECT name FROM room WHERE z > 1")
+    with pytest.raises(SqlError, match="Table with name rooms does not exist"):
+        ss.sql("SELECT name FROM rooms")
 
 
 def test_what_is_no_item(ss):

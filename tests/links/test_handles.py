@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pybullet
+import pybullet_data
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, RemovedEntityError, UnknownNameError, UnsupportedError
+from ssduck.errors import (
+    ArgumentError,
+    ParseError,
+    RemovedEntityError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, link_id
 
 HAND = "sim.panda.panda_hand"
@@ -51,6 +59,18 @@ def test_unknown_names_are_errors_with_the_nearest(cell, program, near):
         assert near in caught.value.suggestions
     with pytest.raises(UnknownNameError, match="panda_hand"):
         cell.world["panda"].link("panda_hnd")
+
+
+@pytest.mark.parametrize("word", ["select", "where", "FROM"])
+def test_words_of_the_language_are_names_in_brackets(cell, word):
+    for ss in cell.interpreters:
+        with pytest.raises(ParseError, match=re.escape(f"(write ['{word}'] for a word")):
+            ss.eval(f"sim.panda.{word};")
+        with pytest.raises(ssduck.SelectScriptError, match=f"'{word}'") as caught:
+            ss.eval(f"sim.panda['{word}'];")
+        assert not isinstance(caught.value, ParseError)
+    with pytest.raises(ParseError, match="expected a key, found ';'"):
+        cell.ss.eval("sim.panda.;")
 
 
 def test_functions_of_links(cell):
@@ -202,3 +222,34 @@ def test_links_of_a_removed_body(client):
     assert not link.is_there
     with pytest.raises(RemovedEntityError, match=r"'ball\.link0' is no longer in world"):
         assert link.entity
+
+
+def test_methods_of_worlds_and_entities_take_links_or_say_so(client):
+    """A sensor and a held body are fixed to a link; all else is about whole entities."""
+    pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), client)
+    panda = pybullet.loadURDF("franka_panda/panda.urdf", useFixedBase=True, physicsClientId=client)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    world = ssduck.World.attach(client, names={panda: "panda"})
+    hand = world["panda"].link("panda_hand")
+    sensor = world.add_sensor("range_finder", hand, max_range=2.0)
+    assert (sensor.host, sensor.spec.link) == (world["panda"].id, "panda_hand")
+    assert sensor.position == pytest.approx(hand.position)
+    ball = pybullet.createMultiBody(1, shape, basePosition=hand.position, physicsClientId=client)
+    world.tick(steps=0)
+    held = next(entity for entity in world if entity.kind == "kinbody")
+    world["panda"].hold(held, hand)
+    constraint = pybullet.getConstraintInfo(pybullet.getConstraintUniqueId(0, client), client)
+    assert constraint[:3] == (panda, hand.number - 1, ball)
+    world["panda"].release(held)
+    with pytest.raises(ArgumentError, match="is no link of 'panda'"):
+        world["panda"].hold(held, held.links[0])
+    for call in (
+        lambda: world.what_if({hand: [1, 0, 0, 0, 0, 0, 1]}),
+        lambda: world.excerpt([hand]),
+        lambda: world.remove(hand),
+        lambda: world[hand],
+    ):
+        with pytest.raises(ArgumentError, match=r"<link 'panda\.panda_hand'> is a link"):
+            call()
+    with pytest.raises(ArgumentError, match="give its entity"):
+        world.add_sensor("range_finder", hand, link="panda_link0", max_range=2.0)

@@ -11,7 +11,13 @@ import pybullet
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, NumberError, SelectScriptError, SimulatorError
+from ssduck.errors import (
+    ArgumentError,
+    EvaluationError,
+    NumberError,
+    SelectScriptError,
+    SimulatorError,
+)
 from tests.support.cases import sampled
 
 STEP = 1 / 240
@@ -408,3 +414,17 @@ def test_shapes_belong_to_the_tick_that_is_there(client, bouncing):
     assert (low, high) == (pytest.approx(z - 0.1, abs=1e-12), pytest.approx(z + 0.1, abs=1e-12))
     assert world.snapshot.number == number
     assert ss.sql("SELECT count(*) FROM ticks_history").fetchall() == [(2,)]
+
+
+def test_a_time_before_the_world_was_bound_says_so(client):
+    world = ssduck.World.attach(client)
+    world.tick()
+    world.tick()
+    with ssduck.Interpreter() as ss:
+        ss["sim"] = world
+        world.tick()
+        kept = r"recorded from 0.00833333 s to 0.0125 s; there is no tick at 0 s; ticks are kept "
+        with pytest.raises(EvaluationError, match=f"{kept}from when the world is bound"):
+            ss.eval("sim{0.0};")
+        with pytest.raises(EvaluationError, match=r"there is no tick at 1 s\n"):
+            ss.eval("sim{1.0};")

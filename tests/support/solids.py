@@ -65,6 +65,6 @@ def narrow(*entities):
 
 
 def sorts_of(tick):
-    counts = np.diff(tick._starts)
+    counts = np.diff(tick.starts)
     owners = np.repeat(np.arange(len(counts)), counts)
     return ShapeTable(tick._solids, np.arange(len(owners)), owners)

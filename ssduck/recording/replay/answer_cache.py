@@ -32,6 +32,12 @@ class AnswerCache:
         self._count = 0
         self._lock = Lock()
 
+    def clear(self) -> None:
+        """Drops all answers."""
+        with self._lock:
+            self._answers.clear()
+            self._count = 0
+
     def __len__(self) -> int:
         """Returns the number of cached answers."""
         return self._count

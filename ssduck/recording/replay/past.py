@@ -23,6 +23,9 @@ from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.links import Links
 from ssduck.world.world import World
 
+# The number of a world's first tick.
+_FIRST_TICK = 1
+
 
 def past_of(record: Record, age: float | None) -> Past:
     """Returns the tick at a time, the ticks of the last seconds, or all ticks.
@@ -49,9 +52,16 @@ def past_of(record: Record, age: float | None) -> Past:
                 f"{times[-1]:g} s, and it is {record.world.time:g} s"
             )
         return Past(record, int(numbers[first]), int(numbers[-1]), is_window=True)
-    advice = record.dropped_ticks_message
+    advice = record.dropped_ticks_message or _binding_message(record, int(numbers[0]))
     tick = int(numbers[index_at(name, age, times, record.world.time, advice)])
     return Past(record, tick, tick, is_window=False)
+
+
+def _binding_message(record: Record, first: int) -> str:
+    """Returns why a live world has no ticks before a tick, after a semicolon; empty if it has."""
+    if record.recording is None or first == _FIRST_TICK:
+        return ""
+    return "; ticks are kept from when the world is bound to a variable, or a recording begins"
 
 
 @dataclass(frozen=True, eq=False)

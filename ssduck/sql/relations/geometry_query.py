@@ -146,35 +146,41 @@ class PairSearch:
         is_exact: whether the relation holds of all pairs of the search, and need not be checked.
         takes_distance: whether the pairs depend on a distance, or a depth.
         uses_margins: whether the collision margins of shapes count.
+        finds_links: whether it also finds pairs of links, and of links and entities.
     """
 
     function: Callable[..., list[int]]
     is_exact: bool = True
     takes_distance: bool = True
     uses_margins: bool = False
+    finds_links: bool = True
 
     @property
     def name(self) -> str:
         """The name of the function in SQL."""
         return udf_name(self.function)
 
-    @property
-    def finds_links(self) -> bool:
-        """Whether it also finds pairs of links, and of links and entities.
-
-        What rests on a link depends on which links stand beside the rest of their entities.
-        """
-        return self.takes_distance
-
 
 COLLIDING = PairSearch(ShapeQueries.all_colliding)
 WITHIN = PairSearch(ShapeQueries.all_within)
 TOUCHING = PairSearch(ShapeQueries.all_touching, uses_margins=True)
-RESTING = PairSearch(ShapeQueries.all_resting, takes_distance=False, uses_margins=True)
+# What rests on a link depends on which links stand beside the rest of their entities.
+RESTING = PairSearch(
+    ShapeQueries.all_resting, takes_distance=False, uses_margins=True, finds_links=False
+)
+STACKED = PairSearch(ShapeQueries.all_on, takes_distance=False, uses_margins=True)
 BOXES_MEETING = PairSearch(ShapeQueries.all_meeting, is_exact=False)
 # The boxes are grown by the collision margins of their shapes.
 BOXES_REACHING = PairSearch(ShapeQueries.all_reaching, is_exact=False, uses_margins=True)
-PAIR_SEARCHES = (COLLIDING, WITHIN, TOUCHING, RESTING, BOXES_MEETING, BOXES_REACHING)
+PAIR_SEARCHES = (
+    COLLIDING,
+    WITHIN,
+    TOUCHING,
+    RESTING,
+    STACKED,
+    BOXES_MEETING,
+    BOXES_REACHING,
+)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from ssduck.sql.relations.geometry_query import (
     EVERY_PAIR,
     MARGINS,
     RESTING,
+    STACKED,
     TOUCHING,
     WITHIN,
     ZERO,
@@ -211,7 +212,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "Checks if b stands on a: they touch (see touching, with eps 1 mm), a contact normal is "
         "within 30 degrees of up, and the centre of the box of b is above the convex hull of "
         "the footprint of a. For a support that carries b together with others, see supports.",
-        candidate_pairs=CandidatePairs(BOXES_REACHING, "0.001"),
+        candidate_pairs=CandidatePairs(STACKED),
         aliases=("onTop",),
     ),
     shape_relation(

@@ -204,7 +204,7 @@ ASKED = {
 def test_a_second_question_about_the_same_ticks_compares_nothing(
     heap: ssduck.Interpreter, asked: str
 ) -> None:
-    heap.past("sim").record.answer_cache.__init__()
+    heap.past("sim").record.answer_cache.clear()
     before = _work(heap)
     first = heap.eval(f"changes({asked});")
     after = _work(heap)
@@ -224,7 +224,7 @@ def test_a_symmetric_question_is_answered_in_the_other_order(heap: ssduck.Interp
 
 
 def test_of_two_orders_one_is_compared(heap: ssduck.Interpreter) -> None:
-    heap.past("sim").record.answer_cache.__init__()
+    heap.past("sim").record.answer_cache.clear()
     rows = (
         "SELECT [tick(a.this), id(a.this), id(b.this)] FROM a=sim{}, b=sim{} "
         "WHERE near(a.this, b.this, 0.05) AS list;"
@@ -274,7 +274,7 @@ def test_only_new_ticks_are_compared() -> None:
 
 def test_the_answers_are_bounded(heap: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = heap.past("sim").record.answer_cache
-    cache.__init__()
+    cache.clear()
     ticks = len(heap.past("sim").ticks)
     monkeypatch.setattr(answer_cache, "MAX_ANSWERS", 2 * ticks + 1)
     for other in ("box", "ball", "can", "pill"):

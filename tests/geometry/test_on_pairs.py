@@ -1,0 +1,107 @@
+"""All pairs of which one is on the other, found at once, are what is found pair by pair."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.geometry.on_pairs import _CELL, _UPWARD
+from ssduck.schema import ID_FACTOR
+from tests.geometry.test_colliding import fill
+from tests.support.cases import sampled
+
+QUERY = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE on(a.this, b.this) AS list;"
+KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
+
+
+def found(client):
+    """Returns the pairs that are found at once, and those pair by pair, in two new worlds."""
+    at_once, one_by_one = ssduck.World.attach(client), ssduck.World.attach(client)
+    for world in (at_once, one_by_one):
+        world.snapshot.request_tables(("shapes",))
+        world.tick()
+    numbers = at_once.snapshot.shapes().all_on()
+    shapes = one_by_one.snapshot.shapes()
+    ids = [entity.id for entity in one_by_one]
+    expected = [(a, b) for a in ids for b in ids if a != b and shapes.on(a, b)]
+    return [divmod(number, ID_FACTOR) for number in numbers], expected
+
+
+def box(client, place, half, turn=(0, 0, 0, 1)):
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
+    )
+    pybullet.createMultiBody(1, shape, -1, place, turn, physicsClientId=client)
+
+
+@sampled("seed", range(12), every=4)
+@pytest.mark.parametrize("kinds", [("box",), ("hull",), KINDS, ("plane", *KINDS)], ids=str)
+def test_at_once_is_one_by_one(client, kinds, seed):
+    fill(client, [kinds[n % len(kinds)] if n else kinds[0] for n in range(24)], seed, side=0.9)
+    at_once, one_by_one = found(client)
+    assert at_once == one_by_one
+
+
+@given(
+    tilt=st.one_of(
+        st.sampled_from([0.0, 30.0, 90.0, 45.0, 30 - 1e-7, 30 + 1e-7]), st.floats(0, 180)
+    ),
+    spin=st.sampled_from([0.0, 0.3, math.pi / 4]),
+    depth=st.sampled_from([0.0, 1e-12, 1e-10, 1e-9, 1e-6, 1e-3, 0.02, -1e-10, -1e-9, -5e-4, -2e-3]),
+    along=st.one_of(
+        st.sampled_from([0.0, 0.5, 0.5 + 1e-9, 0.5 - 1e-9, 0.51, 0.49]), st.floats(0, 1)
+    ),
+)
+@settings(max_examples=80, deadline=None)
+def test_boxes_at_the_boundaries(tilt, spin, depth, along):
+    """A box on a tilted one, just in or above it, about 30 degrees, about the edge."""
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        turn = pybullet.getQuaternionFromEuler((math.radians(tilt), 0, 0))
+        up = np.array(pybullet.getMatrixFromQuaternion(turn)).reshape(3, 3)[:, 2]
+        across = np.array(pybullet.getMatrixFromQuaternion(turn)).reshape(3, 3)[:, 0]
+        turned = pybullet.multiplyTransforms(
+            (0, 0, 0), turn, (0, 0, 0), pybullet.getQuaternionFromEuler((0, 0, spin))
+        )[1]
+        box(client, (0, 0, 0), (0.5, 0.5, 0.25), turn)
+        box(client, up * (0.35 - depth) + across * along, (0.1, 0.1, 0.1), turned)
+        at_once, one_by_one = found(client)
+        assert at_once == one_by_one
+    finally:
+        pybullet.disconnect(client)
+
+
+def test_stacked_boxes_need_no_fcl(client):
+    for level in range(6):
+        box(client, (0, 0, 0.2 * level), (0.5, 0.5, 0.1))
+    box(client, (0.2, 0, 1.15), (0.1, 0.1, 0.1))
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client))
+        ss.eval(QUERY)
+        world.tick()
+        before = ss.statistics()["w"]
+        pairs = ss.eval(QUERY)
+        after = ss.statistics()["w"]
+        assert len(pairs) == 2 * 6
+        assert after.calls - before.calls <= 6  # those that only touch
+        assert ss.eval(QUERY) == pairs
+        assert ss.statistics()["w"] == after
+
+
+def test_directions_near_up_are_covered():
+    tilts = np.linspace(0, math.radians(30), 200)[:, None]
+    turns = np.linspace(0, 2 * math.pi, 400)[None]
+    parts = (
+        np.sin(tilts) * np.cos(turns),
+        np.sin(tilts) * np.sin(turns),
+        np.cos(tilts) + 0 * turns,
+    )
+    directions = np.stack(parts, axis=-1).reshape(-1, 3)
+    angles = np.arccos(np.clip(directions @ _UPWARD.T, -1, 1)).min(axis=1)
+    assert angles.max() < _CELL
