@@ -8,6 +8,7 @@ import pytest
 
 from ssduck.errors import SelectScriptError
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.cases import sampled
 
 ARGUMENTS = {"double": "0.05", "place": "[0.5, 0, 0]", "integer": "0", "string": "'panda_joint1'"}
 PLACE_IN_SQL = "{'x': 0.5, 'y': 0, 'z': 0}"
@@ -65,7 +66,7 @@ def same(a, b):
     return getattr(a, "expected", a) == b
 
 
-@pytest.mark.parametrize("relation", ONE, ids=lambda r: r.name)
+@sampled("relation", ONE, every=6, ids=lambda r: r.name)
 @pytest.mark.parametrize("name", LINKS)
 def test_of_one_link(cell, relation, name):
     owner, _, link = name.partition(".")
@@ -93,7 +94,7 @@ def test_of_one_link(cell, relation, name):
         assert same(rows if isinstance(rows, str) else rows[0][0], expected)
 
 
-@pytest.mark.parametrize("relation", TWO, ids=lambda r: r.name)
+@sampled("relation", TWO, every=6, ids=lambda r: r.name)
 def test_of_a_link_and_another(cell, relation):
     for a, b in PAIRS:
         handles = call(relation, f"sim.{a}", f"sim.{b}")
