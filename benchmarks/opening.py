@@ -25,7 +25,7 @@ PROGRAMS = {
 }
 
 
-def rows(rounds: int = 40) -> Iterator[tuple[str, ...]]:
+def rows(rounds: int) -> Iterator[tuple[str, ...]]:
     """Yields the processor time of opening a folder, and of a first answer."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "run"

@@ -22,7 +22,7 @@ TABLES: dict[str, tuple[str, ...] | None] = {
 }
 
 
-def rows(ticks: int = 960, rounds: int = 5) -> Iterator[tuple[str, ...]]:
+def rows(ticks: int, rounds: int) -> Iterator[tuple[str, ...]]:
     """Yields the smallest processor time of a tick, of all threads, in several rounds."""
     for name, tables in TABLES.items():
         seconds = _tick_seconds(tables, ticks, rounds)

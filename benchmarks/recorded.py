@@ -539,7 +539,7 @@ def main(arguments: Sequence[str]) -> int:
     if "opened" in options.only:
         print_table(OPENED, opened(1e3 * options.gigabytes, options.rounds))
     if "opening" in options.only:
-        print_table(opening.HEADER, opening.rows())
+        print_table(opening.HEADER, opening.rows(6 * options.rounds))
     if "realtime" in options.only:
-        print_table(realtime.HEADER, realtime.rows())
+        print_table(realtime.HEADER, realtime.rows(options.ticks, options.rounds))
     return 0

@@ -351,7 +351,7 @@ class Connection:
         """Checks whether a text is one statement that only reads."""
         try:
             statements = self._connection.extract_statements(sql)
-        except duckdb.Error:
+        except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
             return False
         return len(statements) == 1 and statements[0].type == duckdb.StatementType.SELECT
 

@@ -110,7 +110,7 @@ programs = st.builds(
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(programs)
 def test_ways_agree(ways, program):
     check(ways, program)

@@ -203,7 +203,7 @@ def outcome(actions, *, together):
 
 
 @pytest.mark.slow
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(st.lists(ADDED, min_size=3, max_size=8), ACTIONS)
 def test_together_as_one_by_one(added, actions):
     """The same calls in the same order, with the same results, errors, warnings and states."""

@@ -77,7 +77,7 @@ def rows_of_sql(table, text):
 
 
 @pytest.mark.parametrize("source", ["room", "dicts"])
-@sampled("start", range(0, 600, QUERIES), every=15)
+@sampled("start", range(0, 300, QUERIES), every=15)
 def test_random_queries_give_what_sql_gives_or_an_error(ss, table, start, source):
     answered, before = 0, set(ss)
     for seed in range(start, start + QUERIES):
