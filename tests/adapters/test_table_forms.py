@@ -322,6 +322,7 @@ def test_a_table_a_group(kitchen, form):
     }
 
 
+@pytest.mark.slow
 @sampled("form", [*TABLES, "numpy", "json", "records"], every=4)
 def test_a_trigger_is_told_of_other_rows_only(form):
     with ssduck.load("kitchen") as ss:

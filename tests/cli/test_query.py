@@ -56,6 +56,7 @@ def test_a_row_of_json_is_a_line(here):
     )
 
 
+@pytest.mark.slow
 @sampled("format", ["table", "json", "csv"], every=3)
 def test_many_rows(here, format):
     sql = "SELECT i, i / 2 AS half, [i, i] AS pair FROM range(20000) r(i)"
@@ -268,6 +269,7 @@ def test_a_warning_underlines_its_place(here, flags, filter, code, prefix):
 MANY = ["--sql", "SELECT i, -i AS j FROM range(100) r(i)"]
 
 
+@pytest.mark.slow
 def test_many_rows_are_elided_on_a_terminal_only(here):
     terminal = {"FORCE_COLOR": "1", "COLUMNS": "80", "TERM": "xterm"}
     written = answer("query", "two.toml", *MANY, env=terminal)

@@ -75,6 +75,7 @@ def test_tables_are_filled_and_of_one_tick(ss, table):
         )
 
 
+@pytest.mark.slow
 def test_contacts_join_entities(ss):
     ss.call_variable("kitchen").step(240)
     rows = ss.sql(
@@ -178,6 +179,7 @@ def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
             assert not any(thread.is_alive() for thread in threads)
 
 
+@pytest.mark.slow
 def test_a_world_that_takes_anothers_name(sim):
     interpreter, _, _ = sim
     old = interpreter.call_variable("sim")
@@ -497,6 +499,7 @@ def test_parameters_and_other_statements(ss, sql, parameters, rows):
         assert result.fetchall() == rows
 
 
+@pytest.mark.slow
 def test_a_database_file_can_be_used_again(tmp_path):
     path = str(tmp_path / "kept.duckdb")
     for round_ in range(2):

@@ -115,6 +115,7 @@ def test_a_users_statement_finds_everything(run: Path) -> None:
         assert links == BODIES
 
 
+@pytest.mark.slow
 def test_a_program_and_a_statement_agree_in_any_order(run: Path) -> None:
     program = "SELECT id FROM lab{} WHERE above(box_0, this) AS list;"
     sql = "SELECT b.name FROM entities_history a, entities_history b WHERE above(a, b) "

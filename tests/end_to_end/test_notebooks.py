@@ -90,6 +90,7 @@ def test_an_error_of_a_function_shows_its_line(hall):
     assert not any("/ssduck/" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_a_world_is_a_picture(hall, tmp_path):
     world = hall.call_variable("hall")
     now = pixels(world._repr_png_())

@@ -161,6 +161,7 @@ def test_a_duckdb_file_in_a_folder_with_a_question_mark(client, tmp_path):
 # -- names of worlds -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("letter", ["a", "ü"], every=2)
 def test_a_world_of_a_name_that_no_file_can_have(client, tmp_path, letter):
     """Just as long as there is room for, a byte more, and far too long."""

@@ -212,6 +212,7 @@ def run(session, *cells):
         exec(cell, session)  # noqa: S102
 
 
+@pytest.mark.slow
 def test_environment(session):
     """Cells 41 and 42; ssduck's own form gives the same bodies."""
     run(session, CELL_41, CELL_42)
@@ -227,6 +228,7 @@ def test_environment(session):
     session["env"].step()
 
 
+@pytest.mark.slow
 def test_map(session):
     """Cells 44 to 47. Ours is of what is selected; the tutorial's of all that is in its bounds."""
     run(session, CELL_41, CELL_44, CELL_45, CELL_46)

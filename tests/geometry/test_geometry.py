@@ -51,6 +51,7 @@ def turned(seed, count=1):
 # -- poses ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(quaternions)
 def test_rotation_matrices(quaternion):
     matrix = rotation_matrices(quaternion[None])[0]

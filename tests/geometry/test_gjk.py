@@ -94,6 +94,7 @@ def at(geometry, position, turn=STRAIGHT):
     return Shape(geometry.type, geometry, np.array(position, float), turn / np.linalg.norm(turn))
 
 
+@pytest.mark.slow
 @sampled("depth", DEPTHS, every=6)
 def test_stacked(depth):
     """Parallel faces that touch, or are hardly in each other, also 10 km away."""

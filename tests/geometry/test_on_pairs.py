@@ -48,6 +48,7 @@ def test_at_once_is_one_by_one(client, kinds, seed):
     assert at_once == one_by_one
 
 
+@pytest.mark.slow
 @given(
     tilt=st.one_of(
         st.sampled_from([0.0, 30.0, 90.0, 45.0, 30 - 1e-7, 30 + 1e-7]), st.floats(0, 180)

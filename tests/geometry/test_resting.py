@@ -150,6 +150,7 @@ def settled(yard, steps=480):
 FORMS = ["on({0}, {1})", "touching({0}, {1})", "touching({1}, {0})", "inContact({0}, {1})"]
 
 
+@pytest.mark.slow
 def test_every_pair_at_rest(yard):
     """All of it in one world: each pair 10 m from the others, and planes in worlds of their own."""
     pairs = [
@@ -356,6 +357,7 @@ RECORDED = [
 ]
 
 
+@pytest.mark.slow
 @sampled("place", ["run", "run.duckdb"], every=2)
 @pytest.mark.parametrize("forgotten", [False, True])
 def test_margins_are_recorded(yard, tmp_path, place, forgotten):

@@ -56,6 +56,7 @@ def moved(shape, random, far):
     return shape.at(shape.position + random.normal(size=3) * far, turn / np.linalg.norm(turn))
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 2**32),
     bound=st.sampled_from(BOUNDS),
@@ -135,6 +136,7 @@ CONDITIONS += ("collides(a.this, b.this, 0.01)", "on(a.this, b.this)")
 MIXED = ["box"] * 8 + ["sphere"] * 4 + ["capsule"] * 4 + ["cylinder"] * 4 + ["hull"] * 8 + ["plane"]
 
 
+@pytest.mark.slow
 @sampled("condition", CONDITIONS, every=2)
 def test_a_world_that_moves_answers_as_one_that_was_never_asked(client, condition):
     query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"

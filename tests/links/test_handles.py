@@ -73,6 +73,7 @@ def test_words_of_the_language_are_names_in_brackets(cell, word):
         cell.ss.eval("sim.panda.;")
 
 
+@pytest.mark.slow
 def test_functions_of_links(cell):
     for ss in cell.interpreters:
         assert ss.eval(f"entity({HAND}) == sim.panda AND entity(sim.cube) == sim.cube;")
@@ -156,6 +157,7 @@ def test_result_forms_show_names(cell):
     assert len(ss.eval(f"{rows} AS mesh;").geometry) >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("door", ["folder", "file"])
 def test_records(cell, door, tmp_path):
     """A record answers as the live world does; DuckDB reads its views without ssduck."""
@@ -191,6 +193,7 @@ def test_records(cell, door, tmp_path):
             assert connection.sql(sql).fetchall() == [(cell.world["panda"].link("panda_hand").id,)]
 
 
+@pytest.mark.slow
 def test_what_if(cell):
     far = cell.world.what_if({"cube": [1, 0, 0, 0, 0.5, 0, 1.5]})
     for ss in cell.interpreters:

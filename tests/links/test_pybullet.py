@@ -66,6 +66,7 @@ def test_distances(cell, name, other, body):
             assert cell.ss.eval(f"near(sim.{other}, sim.panda.{name}, {distance});") is holds
 
 
+@pytest.mark.slow
 def test_contacts_at_the_last_tick(cell):
     for link in links_of(cell):
         for name in ("cube", "table", "plane"):
@@ -75,6 +76,7 @@ def test_contacts_at_the_last_tick(cell):
             assert cell.ss.eval(f"inContact({arguments});") is (force > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FINGERS)
 def test_contacts_at_every_tick(cell, name):
     forces = cell.forces(cell.panda, cell.numbers[name], cell.cube)

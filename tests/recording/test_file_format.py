@@ -56,6 +56,7 @@ def test_a_new_file_has_the_format_of_long_term_support(
         assert len(ss.past("lab").ticks) == TICKS
 
 
+@pytest.mark.slow
 def test_an_episode_takes_few_bytes(world: ssduck.World, tmp_path: Path) -> None:
     path = tmp_path / "run.duckdb"
     sizes = []

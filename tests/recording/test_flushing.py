@@ -146,6 +146,7 @@ def test_ticks_of_a_file_are_committed_in_time(
         assert ss.past("lab").ticks == list(range(1, 7))
 
 
+@pytest.mark.slow
 def test_a_log_has_what_parts_have(world: ssduck.World, clock: Clock, tmp_path: Path) -> None:
     """The rows of the log, those of parts, and those in memory are the same."""
     run = tmp_path / "run"

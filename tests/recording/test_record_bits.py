@@ -111,6 +111,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory):
     return place, live
 
 
+@pytest.mark.slow
 @sampled("name", PLACES, every=4)
 def test_the_present_of_an_opened_record_is_as_it_was(recorded, name: str) -> None:
     place, live = recorded

@@ -124,6 +124,7 @@ def _storers() -> list[threading.Thread]:
 # -- what is seen -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_being_stored_is_seen_once(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
 ) -> None:
@@ -147,6 +148,7 @@ def test_what_is_being_stored_is_seen_once(
     assert recorded.eval(near) == found
 
 
+@pytest.mark.slow
 def test_a_query_and_a_commit_wait_for_each_other(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
 ) -> None:
@@ -221,6 +223,7 @@ def test_entities_that_come_while_others_are_stored(
 # -- waiting ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_tick_waits_when_both_are_full(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate
 ) -> None:
@@ -237,6 +240,7 @@ def test_a_tick_waits_when_both_are_full(
     assert _counts(recorded) == _whole(10 * RING)
 
 
+@pytest.mark.slow
 def test_a_tick_that_waited_until_ctrl_c_is_kept(
     recorded: ssduck.Interpreter, world: ssduck.World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -301,6 +305,7 @@ def test_old_ticks_of_a_file_are_dropped(world: ssduck.World, tmp_path: Path) ->
 # -- what fails -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("told", ["tick", "flush", "close"], every=3)
 def test_what_fails_in_the_thread_is_told_and_waits(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, told: str

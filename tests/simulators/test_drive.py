@@ -153,6 +153,7 @@ def test_a_removed_body_is_not_driven(client):
         entity.drive({})
 
 
+@pytest.mark.slow
 def test_a_robot_drives_on_its_wheels():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")

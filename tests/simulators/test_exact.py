@@ -561,6 +561,7 @@ def without_the_mark(path):
         assert tables
 
 
+@pytest.mark.slow
 @sampled("kind", ["folder", "file"], every=2)
 def test_older_records_open(marked, tmp_path, kind):
     world = marked.call_variable("sim")

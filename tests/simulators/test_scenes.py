@@ -600,6 +600,7 @@ def test_a_mjcf_of_several_bodies():
         assert [high[0] - low[0] for low, high in boxes] == pytest.approx([0.2], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_model_with_shapes_that_pybullet_does_not_tell():
     words = "<joint damping> of abdomen_z, abdomen_y, abdomen_x and 6 more; .*leaves torso free; "
     with pytest.warns(UserWarning, match=words):

@@ -60,6 +60,7 @@ def test_every_query_says_so_once(
         assert warned(lambda: query(ss)) == []
 
 
+@pytest.mark.slow
 def test_a_loop_that_takes_its_ticks_is_not_told(
     client: int, sim: tuple[ssduck.Interpreter, ssduck.World]
 ) -> None:

@@ -101,6 +101,7 @@ def walled(client, body, centre, turn):
 # -- enclosed ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("name", [*PROFILES, "ring", "box of triangles"], every=5)
 def test_enclosed_is_walls_on_both_sides_along_two_axes(stage, write, name):
     if name in PROFILES:
@@ -269,6 +270,7 @@ def told(ss, relation, source):
     return set(zip(flat[::2], flat[1::2], strict=True))
 
 
+@pytest.mark.slow
 @sampled("relation", MEANT, every=5)
 def test_the_same_by_every_door(stage, relation, tmp_path):
     """Live and settled, row by row, in raw SQL, what if, at a past tick, and in a record."""

@@ -40,6 +40,7 @@ def twins() -> Iterator[tuple[int, int]]:
         pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["step", "run", "interpreter"])
 def test_contacts_are_exact_to_a_step(twins: tuple[int, int], way: str) -> None:
     mine, plain = twins

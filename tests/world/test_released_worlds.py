@@ -53,6 +53,7 @@ ROUNDS = {
 }
 
 
+@pytest.mark.slow
 @sampled("program", ROUNDS.values(), every=5, ids=ROUNDS)
 def test_a_loop_of_programs_keeps_the_last_world_at_most(lab, program: str) -> None:
     lab.eval(program)
@@ -84,6 +85,7 @@ def test_what_fails_keeps_no_world(lab) -> None:
     assert held(lab)[:3] <= before[:3]
 
 
+@pytest.mark.slow
 @sampled("how", ["environment", "what_if", "excerpt"], every=3)
 def test_a_world_of_the_users_name_goes_with_its_name(lab, how: str) -> None:
     world = lab.call_variable("lab")

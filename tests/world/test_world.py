@@ -130,6 +130,7 @@ def test_sensors_move_with_what_they_sit_on(kitchen):
         laser.move([0, 0, 0])
 
 
+@pytest.mark.slow
 def test_steps_and_time(kitchen):
     assert kitchen.time == 0.0
     assert kitchen.step() is kitchen

@@ -55,6 +55,7 @@ def is_in(points, kind, a, b, c, vertices, pose):
     return np.zeros(0, bool)
 
 
+@pytest.mark.slow
 @sampled("z", [0.22, 0.45, 1.0], every=3)
 def test_the_kitchen_is_occupied_where_its_shapes_are(kitchen, z):
     grid = kitchen.eval(f"{ALL} occupancygrid({z}, 0.025);")

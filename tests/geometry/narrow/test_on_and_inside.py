@@ -298,6 +298,7 @@ SOLID_KINDS = [kind for kind in pairs.KINDS if kind not in ("plane", "flat", "op
 SEEDS = st.integers(0, 2**32)
 
 
+@pytest.mark.slow
 @given(
     a=st.sampled_from(pairs.KINDS),
     b=st.sampled_from(SOLID_KINDS),
@@ -316,6 +317,7 @@ def test_a_share_stays_if_the_world_moves(a, b, seed, shift, turn):
     )
 
 
+@pytest.mark.slow
 @given(a=st.sampled_from(pairs.KINDS), seed=SEEDS, at=st.floats(0.01, 0.99))
 @settings(max_examples=100)
 def test_shares_of_the_parts_of_a_box_add_up(a, seed, at):
@@ -396,6 +398,7 @@ def test_what_is_contained_has_as_large_a_share(kinds):
 STICKS_OUT = [0.05 - 1e-9, 0.05 + 1e-9, 0.05 - 1e-4, 0.05 + 1e-4, 0.03, 0.06, 0.13, 0.14, 0.3]
 
 
+@pytest.mark.slow
 @sampled("out", STICKS_OUT, every=4)
 def test_what_is_contained_at_the_edges(out):
     around = (box(2, 2, 2), cylinder(1.0, 2.0), plane((1, 0, 0)))

@@ -29,6 +29,7 @@ from tests.support.urdf import box_obj, collision, joint, link, robot
 KINDS = ("isBox", "isSphere", "isCylinder", "isCapsule", "isPlane", "isTriMesh")
 
 
+@pytest.mark.slow
 def test_kinds_of_shapes_and_their_volumes(stage, write):
     path = str(write("cube.obj", box_obj((0, 0, 0), (1, 2, 3))))
     stage.box("box", half=[0.5, 1.0, 1.5])
@@ -97,6 +98,7 @@ def test_the_ground_is_solid_and_endless(stage):
         assert ss.eval("SELECT id FROM sim WHERE near(ground, this, 1.5) AS list;") == list(names)
 
 
+@pytest.mark.slow
 def test_a_bowl_is_not_its_hull(stage, write):
     """A mesh that is not convex: a box of five walls with a ball in it."""
     walls = [((-1, -1, 0), (1, 1, 0.1)), ((-1, -1, 0), (-0.9, 1, 1)), ((0.9, -1, 0), (1, 1, 1)),
@@ -139,6 +141,7 @@ def test_links_count(stage, write):
         assert ss.eval("collides(arm, arm);") is False
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no number")
 def test_a_pose_that_is_no_number_is_unknown(stage):
     stage.box("a")

@@ -257,6 +257,7 @@ def test_forces_of_the_last_step(stage):
     assert ss.eval("contactForce(ground, ground);") == 0.0
 
 
+@pytest.mark.slow
 @sampled("first", ["selectscript", "sql"], every=2)
 def test_a_crate_at_rest_on_a_ramp_is_held_by_its_contacts(stage, first):
     pybullet.setGravity(0, 0, -10, physicsClientId=stage.client)

@@ -161,6 +161,7 @@ def test_nearest_points_are_as_far_apart_as_the_clearance(pair):
         assert math.dist(back_a, on_a) < 1e-6 or math.dist(back_a, back_b) == pytest.approx(gap)
 
 
+@pytest.mark.slow
 @sampled("position", [(0, 0, 0), (0.9, 0, 0), (0, 0, 1), (1.05, 0, 0)], every=4)
 def test_a_relation_with_itself_is_false_and_symmetry_is_as_registered(pair, position):
     ss, slow, b = pair

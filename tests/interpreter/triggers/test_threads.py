@@ -99,6 +99,7 @@ def test_followers(sim):
     assert len(follower.free) == 4
 
 
+@pytest.mark.slow
 def test_a_world_does_not_keep_its_followers(sim):
     follower = Follower(0.05)
     gone = weakref.ref(follower)
@@ -111,6 +112,7 @@ def test_a_world_does_not_keep_its_followers(sim):
     assert sim.snapshot.number == before + 1
 
 
+@pytest.mark.slow
 @sampled("queue", [None, 1], every=2)
 def test_triggers_keep_nothing_alive(queue):
     ss = ssduck.load("kitchen")

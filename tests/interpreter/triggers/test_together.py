@@ -210,6 +210,7 @@ def test_together_as_one_by_one(added, actions):
     assert outcome([*added, *actions], together=True) == outcome([*added, *actions], together=False)
 
 
+@pytest.mark.slow
 def test_all_programs_together_as_one_by_one():
     actions = [("add", program, {}, 0, None) for program in PROGRAMS]
     actions += [
@@ -247,6 +248,7 @@ def add_all(ss, program, count=100):
         ss.add_trigger(f"t{number}", program.format(number / 40), 0, lambda _: None)
 
 
+@pytest.mark.slow
 def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE z(this) < {} AND above(it, this);")
     boxes.step()  # numpy evaluates what was evaluated once by itself
@@ -256,6 +258,7 @@ def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
     assert state(ss, "t99").evaluations == 22
 
 
+@pytest.mark.slow
 def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE distance(it, this) < {};")
     boxes.step(2)
@@ -266,6 +269,7 @@ def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
     assert state(ss, "t99").evaluations == 23
 
 
+@pytest.mark.slow
 def test_a_statement_serves_triggers_that_are_due_at_different_ticks(ss, boxes, told):
     program = "SELECT name FROM sim WHERE distance(it, this) < {} AS list;"
     for number in range(40):
@@ -288,6 +292,7 @@ def test_a_removed_trigger_leaves_the_statement_of_the_others(ss, boxes, told):
     assert not any(statement.startswith("PREPARE") for statement in told)
 
 
+@pytest.mark.slow
 def test_each_result_is_that_of_the_program(ss, boxes):
     """At every tick the last result of each trigger is what its program gives then."""
     ss.add_variable("limit", 1)

@@ -30,6 +30,7 @@ def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, tab
     )
 
 
+@pytest.mark.slow
 def test_entities_links_and_contacts_are_recorded_by_default(
     falling: ssduck.Interpreter, tmp_path: Any
 ) -> None:
@@ -56,6 +57,7 @@ def test_entities_links_and_contacts_are_recorded_by_default(
         assert record.sql("SELECT count(*) FROM contacts_history").fetchone() != (0,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changed", [False, True], ids=["memory", "tables"])
 def test_the_size_of_what_is_kept_is_bounded(falling: ssduck.Interpreter, changed: bool) -> None:
     limit = 400_000

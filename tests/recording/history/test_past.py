@@ -206,6 +206,7 @@ def looked_at() -> Any:
         yield ss
 
 
+@pytest.mark.slow
 @sampled(("sql", "program"), LOOKED_UP, every=5, ids=[sql for sql, _ in LOOKED_UP])
 def test_raw_sql_looks_up_what_was_told_then(
     looked_at: ssduck.Interpreter, sql: str, program: str

@@ -28,6 +28,7 @@ def test_each_tick_is_kept_stored_or_waiting(falling: ssduck.Interpreter, steps:
     assert falling.sql("SELECT count(*) FROM ticks_history").fetchall() == [(steps + 1,)]
 
 
+@pytest.mark.slow
 @sampled("changed", [False, True], every=2, ids=["all", "changed"])
 def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
     with ssduck.load("kitchen") as ss:
@@ -59,6 +60,7 @@ def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> N
     assert rows.fetchall() == [(101, 101)]
 
 
+@pytest.mark.slow
 def test_changes_are_found_of_entities_that_come_and_go() -> None:
     client, bodies = _falling()
     world = ssduck.World.attach(client)
@@ -108,6 +110,7 @@ def test_a_sensor_brings_what_it_sits_on() -> None:
         assert names == [("fridge",), ("fridge_webcam",)]
 
 
+@pytest.mark.slow
 @sampled(
     ("recording", "least", "most"),
     [

@@ -120,6 +120,7 @@ print("pybullet" in sys.modules)
     assert python(code, path).splitlines()[-1] == "False"
 
 
+@pytest.mark.slow
 @sampled("table", [*RECORDABLE, "ticks"], every=7)
 def test_others_read_the_folder_as_it_is(folder, table):
     place = folder / table

@@ -29,6 +29,7 @@ from tests.support.recorded import (
 # -- what is written -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled(
     ("chosen", "found"),
     [
@@ -108,6 +109,7 @@ def test_ticks_that_there_are_none_of(tmp_path, client):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 @sampled("every", [1, 3], every=2)
 @sampled("tables", [(), ("links",), ("joints", "contacts")], every=3, ids=str)
 def test_recordings_of_any_kind_are_the_same_again(tmp_path, client, tables, every):

@@ -76,6 +76,7 @@ def rows_of_sql(table, text):
     return [tuple(map(comparable, row)) for row in table.execute(text).fetchall()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["room", "dicts"])
 @sampled("start", range(0, 300, QUERIES), every=15)
 def test_random_queries_give_what_sql_gives_or_an_error(ss, table, start, source):

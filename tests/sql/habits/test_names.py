@@ -88,6 +88,7 @@ def test_records_suggest_it_too(ss, door, tmp_path):
         opened.sql("SELECT id FROM entities WHERE name = 'can'")
 
 
+@pytest.mark.slow
 def test_worlds_of_ones_own(client):
     shape = pybullet.createCollisionShape(
         pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client

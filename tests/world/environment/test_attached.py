@@ -89,6 +89,7 @@ def test_hulls_and_meshes_of_others(client, tmp_path):
     assert dynamics(copy) == dynamics(world)
 
 
+@pytest.mark.slow
 def test_models_of_others(kitchen):
     """The kitchen, of which nothing is known but what its client tells."""
     kitchen.step(60)
@@ -214,6 +215,7 @@ def test_a_recorded_tick(recorded):
     assert some.step(240).time == pytest.approx(1.5)
 
 
+@pytest.mark.slow
 def test_a_tick_of_which_joints_are_not_recorded(kitchen):
     """Their positions are told by where the links are."""
     ss = ssduck.Interpreter()

@@ -162,6 +162,7 @@ def test_what_was_switched_off_is_so_there(kitchen):
     }
 
 
+@pytest.mark.slow
 def test_motors_hold_where_they_do(kitchen):
     """Not where joints happen to be: the arm sags under its weight."""
     kitchen.step(240)
@@ -226,6 +227,7 @@ def test_copies_after_a_removal(tmp_path):
     assert saved == positions
 
 
+@pytest.mark.slow
 def test_removing(kitchen, client):
     copy = kitchen.excerpt(kitchen)
     copy.remove("fridge_webcam")
@@ -303,6 +305,7 @@ def test_worlds_in_circles_make_room(kitchen, monkeypatch):
 # -- scenes --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("steps", [0, 120], every=2)
 def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     kitchen.step(steps)

@@ -178,6 +178,7 @@ def test_a_contact_sensor_on_a_link_feels_that_link(write):
 # -- coming and going ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sensors_come_and_go(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()

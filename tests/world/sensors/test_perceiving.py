@@ -334,6 +334,7 @@ def test_all_rays_of_a_tick_are_cast_in_one_call(mast, monkeypatch):
     assert calls[2:] == [(16 * 360 + all_rays, 0)]
 
 
+@pytest.mark.slow
 def test_one_sensor_is_read_by_itself(mast):
     """An expensive one is not read for the sake of a cheap one; a query reads all."""
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
