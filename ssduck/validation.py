@@ -450,9 +450,3 @@ def _is_duration(value: Any) -> bool:
 def is_boolean(value: Any) -> bool:
     """Checks whether a value is True, False, 1 or 0."""
     return isinstance(value, bool | np.bool_) or (is_integer(value) and value in (0, 1))
-
-
-def is_finite(value: Any) -> bool:
-    """Checks whether a value is a finite number."""
-    number = as_float(value)
-    return number is not None and math.isfinite(number)

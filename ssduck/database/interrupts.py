@@ -7,7 +7,6 @@ once, though; a thread listens to it.
 
 from __future__ import annotations
 
-import importlib
 import os
 import select
 import selectors
@@ -19,10 +18,10 @@ from contextlib import suppress
 from functools import partial
 from typing import TypeAlias
 
+from ssduck.world.ctrl_c import handler_of
+
 Stop: TypeAlias = Callable[[], None]
 
-# Without its wrapper, which looks up an enumeration and takes as long as the rest of this module.
-_handler = importlib.import_module("_signal").getsignal
 _write_to = partial(signal.set_wakeup_fd, warn_on_full_buffer=False)
 
 
@@ -95,7 +94,7 @@ class InterruptListener:
     def enter(self) -> None:
         """Starts to listen, in the main thread only, and not if the user has a handler."""
         main = threading.current_thread() is threading.main_thread()
-        if not main or _handler(signal.SIGINT) is not signal.default_int_handler:
+        if not main or handler_of(signal.SIGINT) is not signal.default_int_handler:
             return
         self._line = line = _open_socket()
         with line.lock:

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 # Without the wrappers of `signal`, which take ten times longer.
-_handler_of = _signal.getsignal
+handler_of = _signal.getsignal
 _set_handler = _signal.signal
 _SIGINT = int(signal.SIGINT)
 # The handlers that are replaced, outermost first, and whether Ctrl-C was pressed meanwhile.
@@ -35,7 +35,7 @@ class deferred:  # noqa: N801  # used as a function
     def __enter__(self) -> None:
         handler = None
         if threading.current_thread() is threading.main_thread():
-            handler = _handler_of(_SIGINT)
+            handler = handler_of(_SIGINT)
         if not callable(handler) or handler is _note:
             self._handler = None
             return
@@ -55,7 +55,7 @@ class deferred:  # noqa: N801  # used as a function
 def allowed() -> Iterator[None]:
     """Delivers Ctrl-C in the context, which may wait for long, within `deferred`."""
     is_deferred = threading.current_thread() is threading.main_thread() and bool(_replaced)
-    if not is_deferred or _handler_of(_SIGINT) is not _note:
+    if not is_deferred or handler_of(_SIGINT) is not _note:
         yield
         return
     handler = _replaced[-1]

@@ -18,6 +18,7 @@ from ssduck.recording import flush_timer
 from ssduck.recording import recorder as recorders
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores import parquet
+from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
@@ -33,21 +34,14 @@ def world(client: int) -> ssduck.World:
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     for place in range(BALLS - 1):
         pybullet.createMultiBody(1, ball, basePosition=[place, 0, 1], physicsClientId=client)
-    pybullet.createMultiBody(
+    create_linked_body(
+        client,
         1,
         ball,
         basePosition=[0, 0, 1.15],
-        linkMasses=[1],
-        linkCollisionShapeIndices=[ball],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0, 0, 0.3]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_REVOLUTE],
         linkJointAxis=[[1, 0, 0]],
-        physicsClientId=client,
     )
     return ssduck.World.attach(client, name="lab")
 
