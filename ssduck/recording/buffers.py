@@ -19,6 +19,8 @@ from ssduck.schema import RECORDED
 # The largest number of buffered rows of a table.
 MAX_BUFFERED_ROWS = 1 << 17
 _MIN_ROWS = 1024
+# A buffer that is filled to this part, 1 / n, is lent with its rows; fewer rows are copied.
+_LENT_FRACTION = 4
 
 
 class RowBuffer:
@@ -54,17 +56,22 @@ class RowBuffer:
         self.ticks.fill(-1)
         self.doubles = arrays[len(integers)]
         self.booleans = dict(zip(booleans, arrays[len(integers) + 1 :], strict=True))
-        columns: list[npt.NDArray[Any]] = [
-            *self.integers.values(),
-            *self.doubles,
-            *self.booleans.values(),
-        ]
-        arrow_columns = [
-            pa.Array.from_buffers(pa.from_numpy_dtype(c.dtype), capacity, [None, pa.py_buffer(c)])
-            for c in columns
-        ]
-        self.arrow = pa.table(arrow_columns, names=[*integers, *doubles, *booleans])
+        self.arrow = self._table(slice(0, capacity))
         self.version += 1
+
+    def _table(self, rows: slice, *, copied: bool = False) -> pa.Table:
+        """Returns rows as a table that shares their memory, unless it is to be copied."""
+        integers, booleans = self.integers.values(), self.booleans.values()
+        columns = [column[rows] for column in (*integers, *self.doubles, *booleans)]
+        arrays = [
+            pa.Array.from_buffers(
+                pa.from_numpy_dtype(column.dtype),
+                len(column),
+                [None, pa.py_buffer(column.copy() if copied else column)],
+            )
+            for column in columns
+        ]
+        return pa.table(arrays, names=[name for names in self._names for name in names])
 
     def _take_arrays(self, capacity: int) -> list[npt.NDArray[Any]]:
         """Returns arrays of integers, doubles and booleans: released ones if possible, or new ones.
@@ -131,7 +138,10 @@ class RowBuffer:
 
     def rows(self) -> pa.Table:
         """Returns the buffered rows, with NULL for NaN."""
-        rows = self.arrow.slice(0, self.count)
+        return self._with_nulls(self.arrow.slice(0, self.count))
+
+    def _with_nulls(self, rows: pa.Table) -> pa.Table:
+        """Returns a table of the buffered rows with NULL for NaN."""
         with np.errstate(invalid="ignore"):  # a sum takes a third of the time of testing each value
             sums = self.doubles[:, : self.count].sum(axis=1)
         for row in np.flatnonzero(np.isnan(sums)).tolist():
@@ -142,11 +152,11 @@ class RowBuffer:
 
     def take(self) -> pa.Table:
         """Returns the buffered rows and empties the buffer, which no longer shares their memory."""
-        rows = self.rows()
-        if 2 * self.count < self.capacity:
-            rows = rows.take(pa.array(np.arange(self.count)))
+        if _LENT_FRACTION * self.count < self.capacity:
+            rows = self._with_nulls(self._table(slice(0, self.count), copied=True))
             self.clear()
         else:
+            rows = self.rows()
             self._lent_buffers.append(
                 [*self.integers.values(), self.doubles, *self.booleans.values()]
             )

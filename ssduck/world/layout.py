@@ -16,7 +16,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.bounds import BoundingBoxes
-from ssduck.geometry.poses import IDENTITY, compose, multiply, rotation_matrices
+from ssduck.geometry.poses import IDENTITY, compose, multiply, rotate, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
@@ -104,6 +104,14 @@ class TableLayout:
             for is_static in (True, False)
         )
 
+    @cached_property
+    def ids_of_handles(self) -> Indices:
+        """The id of the entity for each handle of a body; 0 for the last one, -1."""
+        ids = np.zeros(max((body.handle for _, body in self.bodies), default=-1) + 2, dtype=np.int64)
+        for id, body in self.bodies:
+            ids[body.handle] = id
+        return ids
+
 
 class BodyGroup:
     """Bodies that are read together, the sensors on them, and their rows in the tables.
@@ -140,7 +148,6 @@ class BodyGroup:
             for start, body in zip(starts.tolist(), self.bodies, strict=False)
             for shape in body.shapes
         ]
-        self._owners = np.repeat(np.arange(len(self.bodies)), shape_counts).tolist()
         start_of = dict(zip((info.id for info in entities), starts.tolist(), strict=False))
         sensors = [info for info in layout.entities if info.mount[0] in start_of]
         self.sensors = tuple(sensors)
@@ -164,12 +171,14 @@ class BodyGroup:
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
         self._row_frames = np.concatenate((self._bases, mounts))
+        # The last link poses, with the boxes of the links and sensors.
+        self._last_boxes: tuple[LinkPoses, Array] | None = None
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box.
 
     def write_entities(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the bodies and of their sensors; `block` is (19, entities)."""
-        boxes = self._entity_boxer.boxes(link_poses.positions, link_poses.matrices)
+        boxes = self._entity_boxes(link_poses)
         positions = link_poses.positions.take(self._row_frames, axis=0)
         first = len(self.bodies)
         if self._mounts:
@@ -193,36 +202,69 @@ class BodyGroup:
 
     def write_links(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the links; `block` is (19, links)."""
-        states = link_poses.states_at(link_poses.positions, np.arange(len(link_poses.positions)))
-        boxes = self._link_boxer.boxes(link_poses.positions, link_poses.matrices)
+        count = len(self._link_rows)
+        states = link_poses.states_at(link_poses.positions, np.arange(count))
+        boxes = self._boxes(link_poses)[:, :count]
         block[:, self._link_rows] = np.concatenate((states.T, boxes))
 
     def write_shapes(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the shapes; `block` is (13, shapes): pose, box."""
-        indices = np.array([shape.frame for shape in self._shapes], dtype=np.intp)
-        positions, orientations = compose(
-            link_poses.positions[indices],
-            link_poses.states[indices, 3:7],
-            np.array([shape.position for shape in self._shapes]).reshape(-1, 3),
-            np.array([shape.orientation for shape in self._shapes]).reshape(-1, 4),
-        )
+        links, inner_positions, inner_orientations = self._shape_places
+        positions = link_poses.positions.take(links, axis=0)
+        positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
+        orientations = link_poses.states[:, 3:7].take(links, axis=0)
+        orientations = multiply(orientations, inner_orientations)
         boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
         block[:, self._shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
 
     @cached_property
-    def _entity_boxer(self) -> BoundingBoxes:
-        bare = [index for index, body in enumerate(self.bodies) if not body.shapes]
-        points = [_point(frame) for frame in self._bases[bare].tolist()]
-        count = len(self.bodies) + len(self._mounts)
-        groups = [*self._owners, *bare, *range(len(self.bodies), count)]
-        return BoundingBoxes(self._shapes + points + self._mounts, groups, count)
+    def _shape_places(self) -> tuple[Indices, Array, Array]:
+        """The link of each shape, its position there (n, 3), and its orientation (n, 4)."""
+        return (
+            np.array([shape.frame for shape in self._shapes], dtype=np.intp),
+            np.array([shape.position for shape in self._shapes]).reshape(-1, 3),
+            np.array([shape.orientation for shape in self._shapes]).reshape(-1, 4),
+        )
+
+    def _entity_boxes(self, link_poses: LinkPoses) -> Array:
+        """Returns the boxes of the bodies, then those of the sensors, (6, entities)."""
+        boxes = self._boxes(link_poses)
+        links, starts = self._bounding_links
+        if len(links) == len(starts) and len(links) == len(self._link_rows):
+            return boxes
+        of_links = boxes.take(links, axis=1)
+        low = np.minimum.reduceat(of_links[:3], starts, axis=1)
+        high = np.maximum.reduceat(of_links[3:], starts, axis=1)
+        return np.concatenate((np.vstack((low, high)), boxes[:, len(self._link_rows) :]), axis=1)
 
     @cached_property
-    def _link_boxer(self) -> BoundingBoxes:
+    def _bounding_links(self) -> tuple[Indices, Indices]:
+        """The links whose boxes make those of their bodies; the place of each body's first one.
+
+        These have shapes. A body without any has the box of its base.
+        """
+        is_bounding = np.zeros(len(self._link_rows), dtype=bool)
+        is_bounding[[shape.frame for shape in self._shapes]] = True
+        is_bounding[[self.runs[body].start for body in self.bodies if not body.shapes]] = True
+        links = np.flatnonzero(is_bounding)
+        return links, np.searchsorted(links, self._bases)
+
+    def _boxes(self, link_poses: LinkPoses) -> Array:
+        """Returns the boxes of the links, then those of the sensors, (6, links + sensors)."""
+        if self._last_boxes is None or self._last_boxes[0] is not link_poses:
+            boxes = self._boxer.boxes(link_poses.positions, link_poses.matrices)
+            self._last_boxes = link_poses, boxes
+        return self._last_boxes[1]
+
+    @cached_property
+    def _boxer(self) -> BoundingBoxes:
         owners = [shape.frame for shape in self._shapes]
-        bare = sorted(set(range(len(self._link_rows))) - set(owners))
+        links = len(self._link_rows)
+        bare = sorted(set(range(links)) - set(owners))
         points = [_point(frame) for frame in bare]
-        return BoundingBoxes(self._shapes + points, owners + bare, len(self._link_rows))
+        count = links + len(self._mounts)
+        groups = [*owners, *bare, *range(links, count)]
+        return BoundingBoxes(self._shapes + points + self._mounts, groups, count)
 
     @cached_property
     def _shape_boxer(self) -> BoundingBoxes:

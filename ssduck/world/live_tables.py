@@ -29,6 +29,8 @@ ARROW_TYPES: dict[ColumnType, pa.DataType] = {
 }
 
 _versions = count(1)
+# A table that becomes larger than its buffers gets such a part of its size more.
+_SPARE_FRACTION = 4
 
 
 class LiveTable:
@@ -38,7 +40,6 @@ class LiveTable:
         columns: the declared columns.
         count: the number of rows.
         block: the columns of doubles, (columns, rows).
-        arrow: the Arrow table; its numbers change in place.
         version: a number that changes whenever `arrow` is replaced; it is unique to the table.
         is_complete: whether every number is known; an unknown one is NaN in the buffers and NULL
             in `arrow`.
@@ -68,6 +69,7 @@ class LiveTable:
                 self._numbers[name] = self.block[self._row[name]]
             else:
                 self._numbers[name] = np.zeros(count, dtype=np.int64)
+        self._buffers = self.block, dict(self._numbers)
         self._arrays = {
             name: pa.array(values[name] if name in values else [None] * count, ARROW_TYPES[kind])
             for name, kind in kinds.items()
@@ -76,6 +78,22 @@ class LiveTable:
         for name, column in self._numbers.items():
             if name in values:
                 column[:] = values[name]
+        self.publish()
+
+    def resize(self, count: int) -> None:
+        """Sets the number of rows of a table of numbers, which the caller fills.
+
+        Its buffers are kept if the rows fit.
+        """
+        if count == self.count:
+            return
+        if count > self._buffers[0].shape[1]:
+            self.fill(count + count // _SPARE_FRACTION, {})
+        block, numbers = self._buffers
+        self.count = count
+        self.block = block[:, :count]
+        self._numbers = {name: column[:count] for name, column in numbers.items()}
+        self._numbers |= {name: self.block[row] for name, row in self._row.items()}
         self.publish()
 
     def set_columns(self, values: dict[str, Any]) -> None:
@@ -93,29 +111,46 @@ class LiveTable:
             name: clone.block[self._row[name]] if name in self._row else column.copy()
             for name, column in self._numbers.items()
         }
+        clone._buffers = clone.block, dict(clone._numbers)  # noqa: SLF001
         clone.publish()
         return clone
 
     def publish(self) -> None:
         """Replaces the Arrow table; columns with unknown numbers are copied, others shared."""
-        unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
-        self.is_complete = not any(unknown)
-        arrays = []
-        for column in self.columns:
-            name = column.name
-            if name not in self._numbers:
-                arrays.append(self._arrays[name])
-            elif name in self._row and unknown[self._row[name]]:
-                arrays.append(pa.array(self._numbers[name], from_pandas=True))
-            else:
-                buffer = pa.py_buffer(self._numbers[name])
-                arrays.append(
-                    pa.Array.from_buffers(ARROW_TYPES[column.type], self.count, [None, buffer])
-                )
-        self.arrow = pa.table(arrays, names=[column.name for column in self.columns])
+        self.is_complete = not _has_nan(self.block)
         self.version = next(_versions)
+        self._arrow: pa.Table | None = None
         # The values of columns without buffers, as far as they were asked for.
         self._python_values: dict[str, list[Any]] = {}
+
+    @property
+    def arrow(self) -> pa.Table:
+        """The Arrow table; its numbers change in place.
+
+        It is made when it is asked for: that takes longer than to fill a table that is recorded.
+        """
+        if self._arrow is None:
+            unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
+            self._arrow = pa.table(
+                [self._arrow_column(column, unknown) for column in self.columns],
+                names=[column.name for column in self.columns],
+            )
+        return self._arrow
+
+    def _arrow_column(self, column: Column, unknown: npt.NDArray[np.bool_]) -> pa.Array:
+        """Returns a column of the Arrow table.
+
+        Args:
+            column: the column.
+            unknown: (columns of doubles,), whether each has an unknown number.
+        """
+        name = column.name
+        if name not in self._numbers:
+            return self._arrays[name]
+        if name in self._row and unknown[self._row[name]]:
+            return pa.array(self._numbers[name], from_pandas=True)
+        buffer = pa.py_buffer(self._numbers[name])
+        return pa.Array.from_buffers(ARROW_TYPES[column.type], self.count, [None, buffer])
 
     def booleans(self, name: str) -> npt.NDArray[np.uint8]:
         """Returns a column of booleans as 0 and 1, (rows,)."""
@@ -170,8 +205,13 @@ class LiveTable:
 
     def publish_unknown(self) -> None:
         """Turns unknown numbers (NaN) into NULL, after numbers were written."""
-        if not self.is_complete or np.isnan(self.block).any():
+        if not self.is_complete or _has_nan(self.block):
             self.publish()
+
+
+def _has_nan(block: Array) -> bool:
+    """Checks whether a number is unknown; the least of numbers with a NaN is NaN."""
+    return bool(block.size) and bool(np.isnan(block.min()))
 
 
 def _has_none(values: Iterable[Any]) -> bool:

@@ -98,20 +98,11 @@ class TickContext:
     layout: TableLayout
     is_discontinuous: bool
 
-    @cached_property
-    def ids(self) -> Indices:
-        """The entity's id for each body handle, and a final 0 for handle -1."""
-        bodies = self.layout.bodies
-        ids = np.zeros(max((body.handle for _, body in bodies), default=-1) + 2, dtype=np.int64)
-        for id, body in bodies:
-            ids[body.handle] = id
-        return ids
-
     def entities(self, handles: Indices) -> Indices:
         """Returns the ids of body handles; 0 for none, and for bodies not in the world yet."""
-        known = np.where(handles < len(self.ids) - 1, handles, -1)
-        ids: Indices = self.ids[known]
-        return ids
+        ids = self.layout.ids_of_handles
+        known: Indices = ids[np.where(handles < len(ids) - 1, handles, -1)]
+        return known
 
 
 class SensorReader:

@@ -572,14 +572,10 @@ class Snapshot:
     def _write_contacts(self, contacts: ContactPoints) -> None:
         """Writes the contacts, sorted by a, its link, b, its link, and the points."""
         table = self.tables["contacts"]
-        if len(contacts) != table.count:
-            table.fill(len(contacts), {})
+        table.resize(len(contacts))
         if not len(contacts):
             return
-        ids = np.zeros(1 + max(body.handle for _, body in self._layout.bodies), dtype=np.int64)
-        for id, body in self._layout.bodies:
-            ids[body.handle] = id
-        sides, numbers = contact_rows(contacts, ids[contacts.bodies])
+        sides, numbers = contact_rows(contacts, self._layout.ids_of_handles[contacts.bodies])
         for column, name in enumerate(("a", "link_a", "b", "link_b")):
             table[name][:] = sides[:, column]
         table.doubles("ax", "fz")[:] = numbers.T
@@ -592,8 +588,7 @@ class Snapshot:
             for entity, hits in reading.hits.items()
             if entity in self.rows  # it may have been removed since
         ]
-        if len(rows) != table.count:
-            table.fill(len(rows), {})
+        table.resize(len(rows))
         numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
         for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
             table[name][:] = numbers[:, column]

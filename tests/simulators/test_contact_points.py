@@ -5,7 +5,9 @@ import pybullet
 import pytest
 
 import ssduck
+from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.pybullet import contacts
+from ssduck.world.contact_rows import contact_rows
 
 SPHERE, BOX = pybullet.GEOM_SPHERE, pybullet.GEOM_BOX
 
@@ -48,8 +50,8 @@ def test_all_points_are_read_as_records(pile):
     points = pybullet.getContactPoints(physicsClientId=pile)
     records = contacts._records(points)
     assert records is not None
-    by_field = contacts._columns_by_field(points)
-    for name, values in contacts._columns(points).items():
+    by_field = contacts._values_by_field(points)
+    for name, values in contacts._values(records).items():
         np.testing.assert_array_equal(values, by_field[name])
 
 
@@ -60,16 +62,50 @@ def test_points_of_another_layout_are_no_records(pile, odd):
     assert contacts._records(changed) is None
 
 
-def test_a_large_number_is_read_one_field_at_a_time(pile):
-    first, *others = pybullet.getContactPoints(physicsClientId=pile)
-    changed = [(2**40, *first[1:]), *others]
-    assert contacts._columns(changed)["flags"].tolist()[0] == 2**40
+@pytest.mark.parametrize("distances", [(-0.5, 0.5), (0.5, 0.5)])
+def test_points_with_a_large_number_are_read_one_field_at_a_time(pile, distances):
+    first, second, *_ = pybullet.getContactPoints(physicsClientId=pile)
+    points = [(*p[:8], d, *p[9:]) for p, d in zip((first, second), distances, strict=True)]
+    expected = contacts._meeting(points)
+    read = contacts._meeting([(2**40, *point[1:]) for point in points])
+    assert len(read) == sum(distance <= 0 for distance in distances)
+    for name, values in vars(expected).items():
+        np.testing.assert_array_equal(vars(read)[name], values)
 
 
 def test_no_points(pile):
     pybullet.resetSimulation(physicsClientId=pile)
     read = contacts.read_contacts(pile)
     assert (len(read), read.points.shape, read.bodies.shape) == (0, (0, 2, 3), (0, 2))
+
+
+@pytest.mark.parametrize("count", [1, 30])
+def test_rows_are_those_of_a_loop_in_python(count):
+    """Few different numbers, so that points and sides coincide."""
+    draws = np.random.default_rng(count)
+    numbers = [0.0, -0.0, 1.0, 0.3, -2.5]
+    for _ in range(20):
+        points = ContactPoints(
+            draws.integers(0, 3, (count, 2)),
+            draws.integers(0, 3, (count, 2)),
+            draws.choice(numbers[:3], (count, 2, 3)),
+            *(draws.choice(numbers, shape) for shape in ((count, 3), count, count, (count, 3))),
+        )
+        sides, values = contact_rows(points, points.bodies + 1)
+        rows = [(*side, *row) for side, row in zip(sides.tolist(), values.tolist(), strict=True)]
+        expected = sorted(map(_row, *vars(points).values()), key=lambda row: (*row[:10], row[14]))
+        assert list(map(repr, rows)) == list(map(repr, expected))
+
+
+def _row(bodies, links, points, normal, depth, force, friction):
+    """A row of the table of contacts, without numpy's functions of arrays."""
+    sides = [(int(bodies[side]) + 1, int(links[side])) for side in (0, 1)]
+    first, sign = (0, 1.0) if sides[0] <= sides[1] else (1, -1.0)
+    normal = [sign * x for x in normal]
+    forces = [force * n + sign * f for n, f in zip(normal, friction, strict=True)]
+    at = [*points[first], *points[1 - first]]
+    numbers = map(float, (*at, *normal, depth, force, *forces))
+    return (*sides[first], *sides[1 - first], *numbers)
 
 
 def test_rows_are_sorted():

@@ -2,9 +2,10 @@
 
     log/world=kitchen/episode=0/part-000003-0000.arrow    the first rows of part 3, of all tables
 
-Each file has the rows of some ticks, in a stream of Arrow's format for each table. It is written
-under a temporary name and renamed when it is on the disk. When the part is complete, the files of
-its rows are removed. So files of a part that exists do not count.
+Each file has the rows of some ticks, in a stream of Arrow's format for each table. It is not
+compressed: a busy world has a new file every half second, which is gone a second later. It is
+written under a temporary name and renamed when it is on the disk. When the part is complete, the
+files of its rows are removed. So files of a part that exists do not count.
 
 A reader takes the rows into memory: the files may be gone at the next moment.
 """
@@ -159,11 +160,10 @@ def _label(key: str, name: str) -> bytes:
 
 
 def _write(path: Path, rows: Mapping[str, pa.Table], label: bytes) -> None:
-    options = pa.ipc.IpcWriteOptions(compression="lz4")
-    with path.open("wb") as sink:
+    with pa.OSFile(str(path), "wb") as sink:
         for table, added in rows.items():
             labelled = added.replace_schema_metadata({_LABEL: label, _TABLE: table})
-            with pa.ipc.new_stream(sink, labelled.schema, options=options) as writer:
+            with pa.ipc.new_stream(sink, labelled.schema) as writer:
                 writer.write_table(labelled)
 
 
