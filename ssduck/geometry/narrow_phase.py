@@ -265,6 +265,17 @@ class NarrowPhase:
         touching = [r for r, margin in results if r.distance <= TOUCHING_DISTANCE + margin]
         return [(-x, -y, -z) for x, y, z in (r.normal for r in touching if r.normal)]
 
+    def contact_height(self, s: int, t: int) -> float | None:
+        """Returns the z of the unit contact normal from a shape to another one.
+
+        None if they do not touch, or have no normal.
+        """
+        with self._lock:
+            result = self.shape_signed_distance(s, t)
+        if result.distance > TOUCHING_DISTANCE + self._margin(s, t) or result.normal is None:
+            return None
+        return -result.normal[2]
+
     def on(self, a: int, b: int) -> bool | None:
         """Checks whether b rests on a.
 
@@ -277,11 +288,11 @@ class NarrowPhase:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
             near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
-            if not near or not self._is_over(a, b):
+            if not near or not self.is_over(a, b):
                 return False
             return any(normal[2] >= MIN_UP for normal in self.contact_normals(a, b))
 
-    def _is_over(self, a: int, b: int) -> bool:
+    def is_over(self, a: int, b: int) -> bool:
         """Checks whether the centre of b's box is over the convex hull of a's footprint."""
         x, y, _ = self.box_centre(b).tolist()
         if not (math.isfinite(x) and math.isfinite(y)):
