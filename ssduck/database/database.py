@@ -77,7 +77,9 @@ class Database:
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
-        self._raw_sql = RawSql(self.connection, self.plans, self._references, self._worlds)
+        self._raw_sql = RawSql(
+            self.connection, self.plans, self._references, self._worlds, self._schemas
+        )
         # The folders of records, which ssduck's own views read.
         self._record_folders: list[Path] = []
         self._is_sealed = False

@@ -8,7 +8,9 @@ import pyarrow as pa
 
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
+from ssduck.database.own_catalog import OwnCatalog
 from ssduck.database.referenced_tables import ReferencedTables, StatementWords
+from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans
 from ssduck.database.statement_names import WorldNames
 from ssduck.database.user_statements import UserStatements
@@ -46,6 +48,7 @@ class RawSql:
         plans: the plans of prepared statements.
         references: the tables that users' statements refer to.
         worlds: the worlds of the database.
+        schemas: the schemas of their tables.
     """
 
     def __init__(
@@ -54,7 +57,9 @@ class RawSql:
         plans: PreparedPlans,
         references: ReferencedTables,
         worlds: WorldRegistry,
+        schemas: Schemas,
     ) -> None:
+        self._own_catalog = OwnCatalog(connection, worlds, schemas)
         self._connection = connection
         self._references = references
         self._worlds = worlds
@@ -90,11 +95,13 @@ class RawSql:
         statement = self.statements.statement(sql, words.tables)
         if statement is not None and not self._references.search_path_changes:
             return self.statements.rows(statement, parameters, names)
-        try:
+        if statement is not None:
             return self._connection.table(sql, parameters)
+        try:
+            with self._own_catalog.guarded(sql):
+                return self._connection.table(sql, parameters)
         finally:
-            if statement is None:
-                self._update(sql)
+            self._update(sql)
 
     def _names(self) -> WorldNames:
         """Returns the names of the worlds; forgets all statements when these have changed."""
