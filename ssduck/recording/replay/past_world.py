@@ -30,8 +30,12 @@ class PastWorld(World):
         self, moment: RecordedTick, simulator: StaticSimulator, snapshot: Snapshot
     ) -> None:
         record = moment.record
-        self._begin(simulator, snapshot, record.world.name, record.world.camera)
+        self._begin(record.world.name, record.world.camera)
         self._record = record
+        self._set_state(simulator, snapshot)
+
+    def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
+        super()._set_state(simulator, snapshot)
         entities = snapshot.tables["entities"]
         self._recorded = entities.block[entities.block_rows(_ENTITY_DOUBLES)].copy()
 

@@ -309,7 +309,9 @@ def _footer(file: Path) -> bytes | None:
 
 def _read(file: Path) -> pa.Table:
     try:
-        return pq.ParquetFile(file.absolute()).read().replace_schema_metadata()
+        # The threads of the library take longer to wake up than most of these files to read.
+        rows = pq.ParquetFile(file.absolute()).read(use_threads=False)
+        return rows.replace_schema_metadata()
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 
