@@ -161,9 +161,7 @@ def _make_view(connection: Connection, schema: str, name: str, rows: str) -> Non
     connection.define(f"CREATE OR REPLACE VIEW {view} AS {rows}")
 
 
-def _make_live_view(
-    schema: str, bound: BoundWorld, table: Table, connection: Connection
-) -> None:
+def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Connection) -> None:
     """Creates the view of a table at the current tick."""
     if table.view_columns:
         connection.on_demand.make((schema, "entities"), connection)

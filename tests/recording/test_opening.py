@@ -54,9 +54,7 @@ def work(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.mark.parametrize("kind", ["folder", "file"])
-def test_the_past_needs_no_current_tick(
-    runs: dict[str, Path], kind: str, work: list[str]
-) -> None:
+def test_the_past_needs_no_current_tick(runs: dict[str, Path], kind: str, work: list[str]) -> None:
     with ssduck.open(runs[kind]) as ss:
         lab, ticks = ss.call_variable("lab"), ss.past("lab").ticks
         assert len(ticks) >= STEPS

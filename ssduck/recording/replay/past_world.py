@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import MASSES, ON_DEMAND, TABLES
+from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import Entity
 from ssduck.world.handles import RecordedTick

@@ -64,7 +64,7 @@ class ReplayedWorld(PastWorld):
     @property
     def is_restored(self) -> bool:
         """Whether the current tick is in memory."""
-        return _STATE <= self.__dict__.keys()
+        return self.__dict__.keys() >= _STATE
 
     @property
     def tick_number(self) -> int:
