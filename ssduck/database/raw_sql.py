@@ -6,7 +6,7 @@ import re
 
 import pyarrow as pa
 
-from ssduck.database.connection import Connection, Parameters
+from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.own_catalog import OwnCatalog
 from ssduck.database.referenced_tables import ReferencedTables, StatementWords
@@ -71,6 +71,8 @@ class RawSql:
         self._redefined: set[str] = set()
         # A file may have tables and macros from before.
         self._may_have_own_names = connection.is_file
+        # Whether DuckDB may plan range joins.
+        self._has_range_joins = connection.meter.limits.files
 
     def unread(self, sql: str) -> frozenset[str]:
         """Returns the data of a simulator that a text refers to and is known not to read."""
@@ -91,6 +93,22 @@ class RawSql:
             LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
+        if not (words.has_semi_joins and self._has_range_joins):
+            return self._rows(sql, parameters, words)
+        # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
+        # rows, and invalidates the database at the second run of a prepared statement.
+        self._connection.run(NO_RANGE_JOINS)
+        try:
+            return self._rows(sql, parameters, words)
+        finally:
+            if words.stores_a_query:  # any later statement may read it
+                self._has_range_joins = False
+            elif self._connection.is_open:
+                self._connection.run("RESET nested_loop_join_threshold")
+
+    def _rows(
+        self, sql: str, parameters: Parameters, words: StatementWords
+    ) -> FetchedRows | pa.Table:
         names = self._names()
         statement = self.statements.statement(sql, words.tables)
         if statement is not None and not self._references.search_path_changes:
