@@ -20,9 +20,10 @@ from ssduck.geometry.contact_directions import NOT_UPWARD, UPWARD, upward_verdic
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.footprints import OUTSIDE, OVER, over_verdicts
 from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Verdicts
-from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE, NarrowPhase
+from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.separating_axes import box_axes
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
 # Overlaps that differ by less, metres, may have either normal.
 _TIE = 1e-8
@@ -81,7 +82,7 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
 
 
 def _is_upward(narrow: NarrowPhase, s: int, t: int) -> bool:
-    height = narrow.contact_height(s, t)
+    height = narrow.shapes.contact_height(s, t)
     return height is not None and height >= MIN_UP
 
 

@@ -28,9 +28,10 @@ from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from ssduck.geometry.gjk import ABOVE, BELOW, Verdicts
-from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE, NarrowPhase
+from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.on_pairs import contact_verdicts
 from ssduck.geometry.poses import rotate
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
 QuestionKind: TypeAlias = Literal[
     PredicateKind, "clearance", "penetration", "on", "supports", "resting"
@@ -187,7 +188,7 @@ class PairBatch:
 
     def _matching(self, predicate: PairPredicate) -> Array:
         def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
-            return self._narrow.satisfies(s, t, predicate)
+            return self._narrow.shapes.satisfies(s, t, predicate)
 
         result = matching_pairs(self._scene, predicate, satisfies, self._all_shapes)
         values = np.zeros(self._count)
@@ -198,7 +199,7 @@ class PairBatch:
 
     def _distance(self, pair: int) -> float:
         """Returns the distance of a pair of shapes, m; 0 if they overlap."""
-        result = self._narrow.shape_distance(int(self._first[pair]), int(self._second[pair]))
+        result = self._narrow.shapes.distance(int(self._first[pair]), int(self._second[pair]))
         return 0.0 if result is None else max(0.0, result.distance)
 
     def _clearances(self) -> Array:
@@ -273,7 +274,7 @@ class PairBatch:
         first, second = self._first, self._second
         verdicts = proven_verdicts(self._scene, first, second, np.zeros(len(first)))
         for pair in np.flatnonzero(verdicts != ABOVE).tolist():
-            result = self._narrow.shape_signed_distance(int(first[pair]), int(second[pair]))
+            result = self._narrow.shapes.signed_distance(int(first[pair]), int(second[pair]))
             row = self._rows[pair]
             depths[row] = max(depths[row], -result.distance)
         return depths
@@ -316,7 +317,7 @@ class PairBatch:
             # What carried it at the tick before probably does so still.
             highest = -1.0
             for pair in sorted(pairs.tolist(), key=lambda pair: places[pair] != last):
-                height = self._narrow.contact_height(
+                height = self._narrow.shapes.contact_height(
                     int(self._first[pair]), int(self._second[pair])
                 )
                 highest = max(highest, -1.0 if height is None else height)

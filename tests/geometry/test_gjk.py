@@ -309,7 +309,7 @@ def test_of_convex_shapes_fcl_is_not_asked():
     assert len(tick.all_pairs(COLLIDE, sorts).numbers) > 100
     assert len(tick.all_pairs(PairPredicate("within", 0.01), sorts).numbers) > 100
     assert tick.calls.calls == 0
-    assert not tick._placed_solids
+    assert not tick._tick._placed
 
 
 def test_pairs_count_once_a_tick():
@@ -349,7 +349,7 @@ def test_many_questions_are_answered_together():
         assert shapes.collides(j, i, MIN_DEPTH) is alone.collides(i, j)
         near = alone.clearance(i, j)
         assert shapes.near(j, i, 0.05) is (None if near is None else near <= 0.05)
-    assert len(tick._placed_solids) < len(alone._placed_solids)
+    assert len(tick._tick._placed) < len(alone._tick._placed)
 
 
 def test_ids_of_all_that_are_near():
