@@ -16,13 +16,13 @@ import numpy as np
 from ssduck.geometry.arrays import Flags, Indices
 from ssduck.geometry.batch import PairPredicate, TickShapes, proven_verdicts
 from ssduck.geometry.broad_phase import Pairs
-from ssduck.geometry.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
 from ssduck.geometry.contact_support import MIN_UP
-from ssduck.geometry.footprints import OUTSIDE, OVER, over_verdicts
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Verdicts
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
-from ssduck.geometry.separating_axes import box_axes
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
+from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, Verdicts
+from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
 # Overlaps that differ by less, metres, may have either normal.

@@ -25,12 +25,12 @@ from ssduck.geometry.batch import (
     proven_verdicts,
 )
 from ssduck.geometry.broad_phase import Pairs
-from ssduck.geometry.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
-from ssduck.geometry.gjk import ABOVE, BELOW, Verdicts
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.on_pairs import contact_verdicts
 from ssduck.geometry.poses import rotate
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
 QuestionKind: TypeAlias = Literal[

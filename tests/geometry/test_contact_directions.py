@@ -8,8 +8,11 @@ import math
 import numpy as np
 import pytest
 
-from ssduck.geometry import contact_directions, distance
-from ssduck.geometry.contact_directions import (
+from ssduck.geometry import distance
+from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
+from ssduck.geometry.on_pairs import are_on
+from ssduck.geometry.proofs import contact_directions
+from ssduck.geometry.proofs.contact_directions import (
     NOT_UPWARD,
     UPWARD,
     _bounds,
@@ -18,9 +21,7 @@ from ssduck.geometry.contact_directions import (
     _stretch,
     upward_verdicts,
 )
-from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
-from ssduck.geometry.gjk import UNDECIDED
-from ssduck.geometry.on_pairs import are_on
+from ssduck.geometry.proofs.gjk import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
 from tests.support.solids import box, narrow, sorts_of, sphere

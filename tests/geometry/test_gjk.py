@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssduck.geometry import cores, gjk
 from ssduck.geometry.batch import PairPredicate
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.narrow_phase import MIN_DEPTH
+from ssduck.geometry.proofs import cores, gjk
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
-from ssduck.geometry.separating_axes import box_depths
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
@@ -203,7 +203,7 @@ def crowd(seed, *, is_round, side=1.5):
 
 def boxes_apart(tick, i, j):
     """How far apart two entities' boxes are along the axis where they are farthest."""
-    a, b = (tick._boxes[tick.starts[e] : tick.starts[e + 1]] for e in (i, j))
+    a, b = (tick._tick.boxes[tick.starts[e] : tick.starts[e + 1]] for e in (i, j))
     gaps = np.maximum(a[:, None, :3] - b[None, :, 3:], b[None, :, :3] - a[:, None, 3:]).max(2)
     return gaps.min(initial=math.inf)
 

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck.geometry.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
-from ssduck.geometry.cores import ConvexCores, PlacedCores
 from ssduck.geometry.distance import CallCounter, SignedDistance, signed_distance
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.mesh_distance import mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
+from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 

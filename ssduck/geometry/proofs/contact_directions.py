@@ -21,8 +21,8 @@ from functools import lru_cache
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.cores import PlacedCores
-from ssduck.geometry.gjk import Verdicts, tolerances
+from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.gjk import Verdicts, tolerances
 
 UPWARD, NOT_UPWARD = 1, -1
 # Overlaps that differ by less, metres, may be that of the contact normal.
