@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary, WeakSet
 
@@ -54,55 +54,69 @@ class FormulaBatches:
 
     def evaluate(
         self, world: World, layout: TableLayout, formulas: tuple[Formula, ...]
-    ) -> Collection[Formula]:
-        """Evaluates formulas at the tick of their world; returns those that were evaluated.
+    ) -> int | None:
+        """Evaluates formulas at the tick of their world, as far as they can be together.
 
         Args:
             world: the world.
             layout: the entities for which the formulas were made.
             formulas: formulas over this world; the same object as long as they are the same.
+
+        Returns:
+            A number that changes whenever the rows of a formula do; None if some of the formulas
+            have to be evaluated by themselves (see `Formula.is_evaluated_at`).
         """
         batch = self._by_world.get(world)
         if batch is None:
             batch = self._by_world[world] = _FormulaBatch(self._session.database)
-        self._session.begin_program()
-        tables = batch.tables_of(formulas)
-        with self._session.database.pinned(tables, [world]), np.errstate(all="ignore"):
+        batch.prepare(formulas)
+        pinned = world.pinned(batch.tables)
+        if batch.needs_sql:
+            self._session.begin_program()
+            pinned = self._session.database.pinned(batch.tables, [world])
+        with pinned, np.errstate(all="ignore"):
             # A tick that was taken just now may have other entities.
             is_same = world.snapshot.layout is layout
-            return batch.evaluate(world.snapshot, formulas) if is_same else ()
+            return batch.evaluate(world.snapshot) if is_same else None
 
 
 class _FormulaBatch:
-    """The formulas over the entities of one world."""
+    """The formulas over the entities of one world.
+
+    Attributes:
+        tables: what they read beside the entities.
+        needs_sql: whether DuckDB evaluates parts of them.
+    """
 
     def __init__(self, database: Database) -> None:
+        self.tables: frozenset[str] = frozenset()
+        self.needs_sql = False
         self._statement = _FormulaStatement(database)
         self._rows: _Rows | None = None
         self._formulas: tuple[Formula, ...] = ()
-        self._tables: frozenset[str] = frozenset()
         self._selections: list[FormulaSelection] = []
+        self._changes = 0
         # The formulas that numpy could not evaluate at some tick, and those that DuckDB could not.
         self._alone: WeakSet[Formula] = WeakSet()
         self._failed: WeakSet[Formula] = WeakSet()
 
-    def tables_of(self, formulas: tuple[Formula, ...]) -> frozenset[str]:
-        """Returns what formulas read beside the entities."""
+    def prepare(self, formulas: tuple[Formula, ...]) -> None:
+        """Sets the formulas to evaluate."""
         if formulas is not self._formulas:
             self._formulas, self._selections = formulas, []
-            self._tables = frozenset().union(*(formula.tables for formula in formulas))
-        return self._tables
+            self.tables = frozenset().union(*(formula.tables for formula in formulas))
+            self.needs_sql = any(formula.sql_parts for formula in formulas)
 
-    def evaluate(self, snapshot: Snapshot, formulas: tuple[Formula, ...]) -> Collection[Formula]:
-        """Evaluates formulas at a tick; see `FormulaBatches.evaluate`."""
+    def evaluate(self, snapshot: Snapshot) -> int | None:
+        """Evaluates the formulas at a tick; see `FormulaBatches.evaluate`."""
         table = snapshot.tables["entities"]
         if not table.is_complete:
-            return ()  # numpy would take an unknown number for NaN
+            return None  # numpy would take an unknown number for NaN
         if self._rows is None or self._rows.tick.table is not table:
             self._rows, self._selections = _Rows(table), []
         self._rows.update()
         if not self._selections:
-            self._selections = self._selected(self._rows.tick, snapshot, formulas)
+            self._selections = self._selected(self._rows.tick, snapshot)
         stale = []
         for selection in self._selections:
             if selection.state != self._rows.state or selection.reads_time:
@@ -111,9 +125,8 @@ class _FormulaBatch:
                 selection.number = snapshot.number
         if stale:
             self._evaluate(snapshot, self._rows, stale)
-        if all(selection.number == snapshot.number for selection in self._selections):
-            return formulas
-        return [formula for formula in formulas if formula.is_evaluated_at(snapshot.number)]
+        is_whole = all(selection.number == snapshot.number for selection in self._selections)
+        return self._changes if is_whole else None
 
     def _evaluate(
         self, snapshot: Snapshot, rows: _Rows, selections: Sequence[FormulaSelection]
@@ -131,7 +144,7 @@ class _FormulaBatch:
             if any(part.text not in fetched for part in selection.formulas[0].sql_parts):
                 continue
             try:
-                selection.evaluate(snapshot.number, fetched)
+                self._changes += selection.evaluate(snapshot.number, fetched)
             except NotArraysError:
                 self._evaluate_singly(snapshot, rows, selection, fetched)
             else:
@@ -155,12 +168,10 @@ class _FormulaBatch:
                 self._alone.add(formula)
         self._formulas = ()
 
-    def _selected(
-        self, tick: TickArrays, snapshot: Snapshot, formulas: Sequence[Formula]
-    ) -> list[FormulaSelection]:
-        """Returns formulas as selections of one shape each."""
+    def _selected(self, tick: TickArrays, snapshot: Snapshot) -> list[FormulaSelection]:
+        """Returns the formulas as selections of one shape each."""
         by_shape: dict[Any, list[Formula]] = {}
-        for formula in formulas:
+        for formula in self._formulas:
             key = formula if formula in self._alone else formula.shape
             by_shape.setdefault(key, []).append(formula)
         return [FormulaSelection(tick, snapshot.rows, members) for members in by_shape.values()]

@@ -202,6 +202,23 @@ class _Readers:
     are_always_due: bool
 
 
+@dataclass(eq=False)
+class _IdleTicks:
+    """Successive ticks of a world at which no result has changed.
+
+    Attributes:
+        state: the state of the results.
+        evaluated: the number of triggers that had been evaluated by then.
+        triggers: the triggers that are due at each of the ticks.
+        count: the number of ticks that their evaluations do not count yet.
+    """
+
+    state: tuple[object, int]
+    evaluated: int
+    triggers: tuple[Trigger, ...]
+    count: int = 0
+
+
 class TriggerRegistry:
     """The triggers of an interpreter; observes the worlds that they read.
 
@@ -221,6 +238,9 @@ class TriggerRegistry:
         self._lock = threading.Lock()
         # The number of times that a trigger was paused or resumed.
         self._pauses = 0
+        # The number of evaluations that may have changed a trigger.
+        self._evaluated = 0
+        self._idle: WeakKeyDictionary[World, _IdleTicks] = WeakKeyDictionary()
         self._readers: WeakKeyDictionary[World, _Readers] = WeakKeyDictionary()
         self._observed: WeakSet[World] = WeakSet()
 
@@ -285,6 +305,8 @@ class TriggerRegistry:
 
     def states(self) -> list[TriggerState]:
         """Returns the state of each trigger, in the order in which they were added."""
+        for world in list(self._idle):
+            self._end_idle(world)
         return [trigger.state() for trigger in self._by_name.values()]
 
     def close(self) -> None:
@@ -329,12 +351,27 @@ class TriggerRegistry:
             self._evaluate_due(world, triggers, due, None)
             return
         batch = self._batches.begin(world, due, stamp)
+        state, idle = batch.state, self._idle.get(world)
+        if idle is not None:
+            if idle.state == state and idle.evaluated == self._evaluated:
+                idle.count += 1
+                return
+            self._end_idle(world)
+        evaluated = self._evaluated
         unchanged = batch.unchanged()
         if len(unchanged) < len(due):
             self._evaluate_due(world, triggers, due, batch, unchanged)
             return
-        for trigger in due:
-            self._skip(trigger)
+        self._skip(due)
+        if state is not None and readers.are_always_due:
+            self._idle[world] = _IdleTicks(state, evaluated, due)
+
+    def _end_idle(self, world: World) -> None:
+        """Counts the evaluations at idle ticks."""
+        idle = self._idle.pop(world, None)
+        if idle is not None:
+            for trigger in idle.triggers:
+                trigger.count_evaluations(idle.count)
 
     def _evaluate_due(
         self,
@@ -359,18 +396,19 @@ class TriggerRegistry:
             if batch is None or batch.is_doubtful:
                 is_due = self._is_due(trigger, world, self._names.stamp)
             elif trigger in unchanged:
-                self._skip(trigger)
+                self._skip((trigger,))
                 continue
             else:
                 is_due = trigger in due and not trigger.paused
             if is_due and not trigger.removed:
                 self._evaluate(trigger, batch)
 
-    def _skip(self, trigger: Trigger) -> None:
-        """Counts an evaluation whose result is the last one."""
-        trigger.count_evaluation()
-        if trigger.config.interval:
-            trigger.reschedule(self._worlds_of(trigger))
+    def _skip(self, triggers: Iterable[Trigger]) -> None:
+        """Counts an evaluation of each trigger whose result is the last one."""
+        for trigger in triggers:
+            trigger.count_evaluations()
+            if trigger.config.interval:
+                trigger.reschedule(self._worlds_of(trigger))
 
     def _readers_of(self, world: World, stamp: object) -> _Readers:
         """Returns the triggers that read a world and are not paused."""
@@ -409,6 +447,7 @@ class TriggerRegistry:
     def _evaluate(self, trigger: Trigger, batch: TickBatch | None = None) -> None:
         if not trigger.begin():
             return
+        self._evaluated += 1
         try:
             if trigger.config.interval:
                 trigger.reschedule(self._worlds_of(trigger))
@@ -435,7 +474,7 @@ class TriggerRegistry:
 
     def _next_delivery(self, trigger: Trigger, batch: TickBatch | None = None) -> tuple[Any] | None:
         """Evaluates a trigger, and returns the value to deliver, in a tuple; None for none."""
-        trigger.count_evaluation()
+        trigger.count_evaluations()
         if batch is not None:
             batched = batch.result(trigger)
             if batched is not None and not batched.is_new and trigger.is_steady:

@@ -84,8 +84,8 @@ class FormulaSelection:
         keys = [_of_formula(part, place) for part in self._keys]
         return self._version, _of_formula(self._mask, place), values, keys
 
-    def evaluate(self, number: int, fetched: Mapping[str, Values]) -> None:
-        """Evaluates the formulas at the tick of a number.
+    def evaluate(self, number: int, fetched: Mapping[str, Values]) -> bool:
+        """Evaluates the formulas at the tick of a number; returns whether rows have changed.
 
         Args:
             number: the number of the tick.
@@ -111,10 +111,12 @@ class FormulaSelection:
             changed = self._differing(mask, keys)
         self._version, self.number = table.version, number
         self._mask, self._values, self._keys = mask, values, keys
-        if changed.any():
-            is_changed = np.broadcast_to(changed, len(self.formulas)).tolist()
-            for formula, is_new in zip(self.formulas, is_changed, strict=True):
-                formula.version += is_new
+        if not changed.any():
+            return False
+        is_changed = np.broadcast_to(changed, len(self.formulas)).tolist()
+        for formula, is_new in zip(self.formulas, is_changed, strict=True):
+            formula.version += is_new
+        return True
 
     def _rows(self, part: ArrayExpression) -> Values:
         """Returns the values of a part for all rows, (k or 1, n) or (k or 1, n, length)."""

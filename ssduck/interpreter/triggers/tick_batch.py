@@ -227,11 +227,12 @@ class TriggerBatches:
         """Returns the formula of a trigger; None if it is none."""
         return self._planner.formula(trigger.program) if self._is_known(trigger) else None
 
-    def evaluate(self, world: World, due: _DueFormulas) -> None:
-        """Evaluates formulas at the tick of their world, as far as they can be together."""
+    def evaluate(self, world: World, due: _DueFormulas) -> int | None:
+        """Evaluates formulas at the tick of their world; see `FormulaBatches.evaluate`."""
         with self._execution.lock:
-            if not self._execution.is_running and due.formulas:
-                self._batches.evaluate(world, due.layout, due.formulas)
+            if self._execution.is_running or not due.formulas:
+                return None
+            return self._batches.evaluate(world, due.layout, due.formulas)
 
 
 class TickBatch:
@@ -255,6 +256,14 @@ class TickBatch:
         self._world = world
         self._due = batches.formulas(world, due, stamp)
         self._tick = 0
+        self._changes: int | None = None
+
+    @property
+    def state(self) -> tuple[object, int] | None:
+        """A value that is equal at two ticks only if no result differs; None if not known."""
+        self._evaluate()
+        is_whole = self._changes is not None and len(self._due.formulas) == len(self._due.due)
+        return (self._due, self._changes or 0) if is_whole else None
 
     def unchanged(self) -> Collection[Trigger]:
         """Returns the triggers whose last results stand, and have been dealt with.
@@ -262,13 +271,11 @@ class TickBatch:
         That is so until a program or a callback makes the batch doubtful.
         """
         self._evaluate()
+        tick, by_trigger = self._tick, self._due.by_trigger
         return {
             trigger
-            for trigger, formula in self._due.by_trigger.items()
-            if formula.version == trigger.batched.fingerprint
-            and trigger.is_steady
-            and not trigger.is_busy
-            and formula.is_evaluated_at(self._tick)
+            for trigger, formula in by_trigger.items()
+            if trigger.stands(formula.version) and formula.is_evaluated_at(tick)
         }
 
     def result(self, trigger: Trigger) -> BatchedResult | None:
@@ -302,5 +309,5 @@ class TickBatch:
         self._tick = self._world.snapshot.number
         # Evaluated one by one, the triggers report what is wrong.
         with suppress(SelectScriptError):
-            self._batches.evaluate(self._world, self._due)
+            self._changes = self._batches.evaluate(self._world, self._due)
             self._tick = self._world.snapshot.number

@@ -120,10 +120,16 @@ class Trigger:
             # The thread does not refer to the trigger, and ends with it.
             weakref.finalize(self, self.queue.close)
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether an evaluation is running."""
-        return self._busy.locked()
+    def stands(self, version: int) -> bool:
+        """Checks whether its last result is that of a version of its formula's rows, and is old.
+
+        Then another evaluation would change nothing.
+        """
+        return (
+            self.batched.fingerprint == version
+            and self._debouncer.is_steady
+            and not self._busy.locked()
+        )
 
     def begin(self) -> bool:
         """Begins an evaluation, unless one is running, in another thread or around this call."""
@@ -176,9 +182,9 @@ class Trigger:
         """Whether its last result again would change nothing."""
         return self._debouncer.is_steady
 
-    def count_evaluation(self) -> None:
-        """Counts an evaluation."""
-        self._log.evaluations += 1
+    def count_evaluations(self, count: int = 1) -> None:
+        """Counts evaluations."""
+        self._log.evaluations += count
 
     def fire(self, delivery: Any) -> None:
         """Calls the callback, or puts the value into its queue."""

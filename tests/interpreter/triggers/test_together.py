@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.interpreter.triggers.batch import FormulaBatches
+from ssduck.interpreter.triggers.selection import FormulaSelection
 from ssduck.world.handles import Handle
 from tests.support.triggering import state
 
@@ -20,7 +21,11 @@ PROGRAMS = [
     "SELECT name FROM sim WHERE z(this) < 1.5 AS list;",
     "SELECT name FROM sim WHERE z(this) < limit AS list;",
     "SELECT name, x, z FROM sim WHERE z > limit OR NOT x < 0.25;",
+    "SELECT name FROM sim WHERE z(this) < 0.75 AS list;",
+    "SELECT name FROM sim WHERE z(this) < 1 AS list;",
     "SELECT z FROM sim WHERE id(this) == 'b1' AS value;",
+    "SELECT z FROM sim WHERE id(this) == 'b3' AS value;",
+    "SELECT time, z FROM sim WHERE name == 'b2';",
     "SELECT z > limit FROM sim WHERE name == who AS value;",
     "SELECT position FROM sim WHERE kind == 'kinbody' AND z + 2 * x < 3 AS list;",
     "SELECT this FROM sim WHERE isKinbody(this) AND z BETWEEN 0.5 AND 2 AS list;",
@@ -30,6 +35,7 @@ PROGRAMS = [
     "SELECT name FROM sim WHERE z < 2 LIMIT 2 OFFSET 1 AS list;",
     "SELECT -z FROM sim AS list;",
     "SELECT name FROM sim WHERE distance(it, this) < 1.5 AS list;",
+    "SELECT name FROM sim WHERE distance(it, this) < 0.5 AS list;",
     "SELECT distance(it, this), name FROM sim WHERE distance(it, this) < limit;",
     "SELECT volume(this), name FROM sim WHERE volume(this) < 1;",
     "SELECT mass(this) FROM sim WHERE mass(this) > 0.5 AS list;",
@@ -312,22 +318,48 @@ def test_a_number_that_is_not_known(ss, boxes, client, monkeypatch):
     got = []
     ss.add_trigger("t", "SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;", 0, got.append)
     boxes.step()
-    used = []
-    evaluate = FormulaBatches.evaluate
-    monkeypatch.setattr(
-        FormulaBatches,
-        "evaluate",
-        lambda *args: used.append(len(result := evaluate(*args))) or result,
-    )
+    states, evaluate = [], FormulaBatches.evaluate
+
+    def noted(*args):
+        states.append(evaluate(*args))
+        return states[-1]
+
+    monkeypatch.setattr(FormulaBatches, "evaluate", noted)
     boxes.step()
     pybullet.resetBasePositionAndOrientation(
         4, [0, 0, math.nan], [0, 0, 0, 1], physicsClientId=client
     )
     with pytest.warns(UserWarning, match="b3"):
         boxes.tick(steps=0)
-    assert used == [1, 0]
+    assert [state is not None for state in states] == [True, False]
     assert got[-1] == ss.eval("SELECT name FROM sim WHERE NOT z(this) < 0.4 AS list;")
     assert "b3" not in got[-1]
+
+
+def test_formulas_of_one_shape_are_evaluated_at_once(ss, boxes, client, monkeypatch):
+    """They are evaluated if a row has changed, and else only counted."""
+    add_all(ss, "SELECT name, z FROM sim WHERE z(this) < {} AND above(it, this);", 20)
+    moved(boxes, client, 1.0)
+    moved(boxes, client, 1.0)
+    evaluated, evaluate = [], FormulaSelection.evaluate
+    monkeypatch.setattr(
+        FormulaSelection,
+        "evaluate",
+        lambda self, *args: evaluated.append(len(self.formulas)) or evaluate(self, *args),
+    )
+    for _ in range(3):
+        moved(boxes, client, 1.0)
+    assert evaluated == []
+    assert {trigger.evaluations for trigger in ss.triggers()} == {6}
+    moved(boxes, client, math.nextafter(1.0, 2.0))
+    assert evaluated == [20]
+    moved(boxes, client, math.nextafter(1.0, 2.0))
+    ss.pause_trigger("t3")
+    moved(boxes, client, 2.0)
+    assert evaluated == [20, 19]
+    counts = {trigger.name: trigger.evaluations for trigger in ss.triggers()}
+    assert counts.pop("t3") == 8
+    assert set(counts.values()) == {9}
 
 
 # -- tables that have not changed ----------------------------------------------------------------
