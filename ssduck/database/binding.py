@@ -27,6 +27,8 @@ from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
+# Rows that DuckDB reads in place, with their table and their name.
+Buffer: TypeAlias = tuple[str, str, LiveTable | VisibleRows]
 # The approximate number of poses that are cached.
 MAX_POSES = 100_000
 _NO_SHAPES = (
@@ -154,20 +156,29 @@ class BoundWorld:
             numbers = [[None if math.isnan(one) else one for one in pose] for pose in numbers]
         return poses | dict(zip(ids.tolist(), map(tuple, numbers), strict=True))
 
-    def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
-        """Returns the rows that DuckDB reads in place, each with its table and its name."""
-        buffers: list[tuple[str, str, LiveTable | VisibleRows]] = [
-            (table, self.live_view(table), live)
-            for table, live in self.world.snapshot.tables.items()
+    def buffers(self) -> list[Buffer]:
+        """Returns the rows that DuckDB reads in place; of the current tick if it is in memory."""
+        live = self.live_buffers() if self.world.is_restored else []
+        return live + self.history_buffers()
+
+    def live_buffers(self) -> list[Buffer]:
+        """Returns the rows of the current tick."""
+        tables = self.world.snapshot.tables
+        return [(table, self.live_view(table), live) for table, live in tables.items()]
+
+    def history_buffers(self) -> list[Buffer]:
+        """Returns the rows of recorded ticks that DuckDB reads in place."""
+        return [
+            (RECORDED[table].history_view, self.buffer_views(table)[part], rows)
+            for part, tables in enumerate(self.history.visible_rows if self.history else ())
+            for table, rows in tables.items()
         ]
-        for part, tables in enumerate(self.history.visible_rows if self.history else ()):
-            for table, rows in tables.items():
-                buffers.append((RECORDED[table].history_view, self.buffer_views(table)[part], rows))
-        return buffers
 
     def buffer_versions(self) -> tuple[object, ...]:
         """Returns the history, and the versions of the rows that DuckDB reads in place."""
-        versions: list[object] = [live.version for live in self.world.snapshot.tables.values()]
+        versions: list[object] = []
+        if self.world.is_restored:
+            versions += [live.version for live in self.world.snapshot.tables.values()]
         for tables in self.history.visible_rows if self.history else ():
             versions += [rows.version for rows in tables.values()]
         return (self.history, *versions)
@@ -202,7 +213,7 @@ class BoundWorld:
     @property
     def margins(self) -> float:
         """The largest distance, m, of shapes that touch by their collision margins, at any tick."""
-        now = self.world.snapshot.margins
+        now = self.world.snapshot.margins if self.world.is_restored else 0.0
         return now if self.history is None else max(now, self.history.record.margins)
 
     def warn_of_changed_margins(self, tick: int | None) -> None:

@@ -6,9 +6,11 @@ import re
 
 import pyarrow as pa
 
-from ssduck.database.connection import Connection, Parameters
+from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
+from ssduck.database.own_catalog import OwnCatalog
 from ssduck.database.referenced_tables import ReferencedTables, StatementWords
+from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans
 from ssduck.database.statement_names import WorldNames
 from ssduck.database.user_statements import UserStatements
@@ -46,6 +48,7 @@ class RawSql:
         plans: the plans of prepared statements.
         references: the tables that users' statements refer to.
         worlds: the worlds of the database.
+        schemas: the schemas of their tables.
     """
 
     def __init__(
@@ -54,7 +57,9 @@ class RawSql:
         plans: PreparedPlans,
         references: ReferencedTables,
         worlds: WorldRegistry,
+        schemas: Schemas,
     ) -> None:
+        self._own_catalog = OwnCatalog(connection, worlds, schemas)
         self._connection = connection
         self._references = references
         self._worlds = worlds
@@ -66,6 +71,8 @@ class RawSql:
         self._redefined: set[str] = set()
         # A file may have tables and macros from before.
         self._may_have_own_names = connection.is_file
+        # Whether DuckDB may plan range joins.
+        self._has_range_joins = connection.meter.limits.files
 
     def unread(self, sql: str) -> frozenset[str]:
         """Returns the data of a simulator that a text refers to and is known not to read."""
@@ -86,15 +93,33 @@ class RawSql:
             LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
+        if not (words.has_semi_joins and self._has_range_joins):
+            return self._rows(sql, parameters, words)
+        # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
+        # rows, and invalidates the database at the second run of a prepared statement.
+        self._connection.run(NO_RANGE_JOINS)
+        try:
+            return self._rows(sql, parameters, words)
+        finally:
+            if words.stores_a_query:  # any later statement may read it
+                self._has_range_joins = False
+            elif self._connection.is_open:
+                self._connection.run("RESET nested_loop_join_threshold")
+
+    def _rows(
+        self, sql: str, parameters: Parameters, words: StatementWords
+    ) -> FetchedRows | pa.Table:
         names = self._names()
         statement = self.statements.statement(sql, words.tables)
         if statement is not None and not self._references.search_path_changes:
             return self.statements.rows(statement, parameters, names)
-        try:
+        if statement is not None:
             return self._connection.table(sql, parameters)
+        try:
+            with self._own_catalog.guarded(sql):
+                return self._connection.table(sql, parameters)
         finally:
-            if statement is None:
-                self._update(sql)
+            self._update(sql)
 
     def _names(self) -> WorldNames:
         """Returns the names of the worlds; forgets all statements when these have changed."""
