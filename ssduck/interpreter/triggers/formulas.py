@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from sqlglot import exp
 
@@ -43,9 +43,6 @@ from ssduck.sql.sql_values import with_values
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
 
-if TYPE_CHECKING:
-    from ssduck.interpreter.triggers.selection import FormulaSelection
-
 # The alias of the rows in the expressions of all formulas.
 ROWS = "entities"
 
@@ -69,6 +66,20 @@ class SqlExpression:
     text: str
 
 
+class LastRows(Protocol):
+    """The last rows of formulas; see `ssduck.interpreter.triggers.selection`."""
+
+    @property
+    def number(self) -> int:
+        """The number of their tick."""
+
+    def rows(self, place: int) -> list[tuple[Any, ...]]:
+        """Returns the rows of a formula, before LIMIT and OFFSET."""
+
+    def last(self, place: int) -> tuple[Any, ...] | None:
+        """Returns the rows of a formula as arrays, to compare the next ones with."""
+
+
 @dataclass(eq=False)
 class Formula:
     """A query over the entities of one world, of which each row is decided by itself.
@@ -87,8 +98,8 @@ class Formula:
         window: the rows that LIMIT and OFFSET leave.
         reads_time: whether its rows may differ though nothing has moved.
         version: a number that changes whenever the rows of the formula do.
-        selection: the formulas with which it was last evaluated; None before the first time.
-        place: its place there.
+        selection: the rows of the formulas that were last evaluated with it; None before that.
+        place: its place among them.
     """
 
     world: World
@@ -108,7 +119,7 @@ class Formula:
     _form: AsClause
     _execution: Execution
     version: int = field(default=0, init=False)
-    selection: FormulaSelection | None = field(default=None, init=False)
+    selection: LastRows | None = field(default=None, init=False)
     place: int = field(default=0, init=False)
 
     @property
