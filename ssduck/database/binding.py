@@ -22,7 +22,7 @@ from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
 from ssduck.simulators.joints import EntityJoints
-from ssduck.world.live_tables import LiveTable
+from ssduck.world.live_tables import LiveTable, last_version
 from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
@@ -61,7 +61,7 @@ class BoundWorld:
         key: the prefix of its buffers' names among DuckDB's temporary views.
         schemas: its names; ssduck's own statements use the first.
         versions: the versions of the tables that DuckDB has registered.
-        registered: the versions of all buffers, and the margins, that DuckDB has.
+        registered: the `state` of the rows that DuckDB has.
         planned_margins: the margins, m, that DuckDB's plans assume.
         history: its recorded ticks; None if they are not recorded.
         named_world: the world, if the user named it; it keeps the world alive.
@@ -71,7 +71,7 @@ class BoundWorld:
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
-    registered: tuple[tuple[object, ...], float] | None = None
+    registered: tuple[object, ...] | None = None
     history: WorldHistory | None = None
     named_world: World | None = None
     planned_margins: float = 0.0
@@ -165,12 +165,11 @@ class BoundWorld:
                 buffers.append((RECORDED[table].history_view, self.buffer_views(table)[part], rows))
         return buffers
 
-    def buffer_versions(self) -> tuple[object, ...]:
-        """Returns the history, and the versions of the rows that DuckDB reads in place."""
-        versions: list[object] = [live.version for live in self.world.snapshot.tables.values()]
-        for tables in self.history.visible_rows if self.history else ():
-            versions += [rows.version for rows in tables.values()]
-        return (self.history, *versions)
+    def state(self) -> tuple[object, ...]:
+        """Returns what is equal as long as no buffer is replaced, and no margin changes."""
+        history = self.history
+        recorded_margins = 0.0 if history is None else history.record.margins
+        return last_version(), self.world.snapshot, history, recorded_margins
 
     def live_view(self, table: str) -> str:
         """Returns the name of a table's buffers among DuckDB's temporary views."""

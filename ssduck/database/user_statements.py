@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -58,6 +58,8 @@ class UserStatement:
         is_planned_next: whether the next run prepares it, if it is not prepared.
         unread: the data of a simulator that its words refer to, and that it does not read.
         last_header: the columns of its last run, and whether it had many rows.
+        reads: the tables that it reads, and the serial numbers of the worlds that it reads, None
+            for all.
     """
 
     text: str
@@ -71,6 +73,7 @@ class UserStatement:
     is_planned_next: bool = False
     unread: frozenset[str] = frozenset()
     last_header: Header | None = None
+    reads: tuple[AbstractSet[str], Collection[int] | None] = frozenset(), None
 
     @cached_property
     def execute(self) -> str:
@@ -105,6 +108,14 @@ class UserStatements:
     def known(self, sql: str) -> UserStatement | None:
         """Returns what is known of a text; None if it is not known, or not a single query."""
         return self._statements.get(sql)
+
+    def ready(self, sql: str) -> UserStatement | None:
+        """Returns a query whose rows are looked up, or whose plan is there; None for another."""
+        statement = self._statements.get(sql)
+        if statement is None or not (statement.lookup or self._plans.has(statement.name)):
+            return None
+        self._statements.move_to_end(sql)
+        return statement
 
     def statement(self, sql: str, tables: AbstractSet[str]) -> UserStatement | None:
         """Returns what is known of a text; None if it is not a single query.

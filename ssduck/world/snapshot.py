@@ -410,6 +410,7 @@ class Snapshot:
         if not np.array_equal(current, column):
             column[:] = current
             self._shapes = self._solids = None
+            self.tables["shapes"].publish()
 
     @property
     def margins(self) -> float:
