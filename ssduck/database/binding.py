@@ -23,6 +23,7 @@ from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
 from ssduck.simulators.joints import EntityJoints
 from ssduck.world.live_tables import LiveTable, last_version
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
@@ -215,7 +216,7 @@ class BoundWorld:
             return
         new = [
             name
-            for name in snapshot.names_with_changed_margins
+            for name in _names_with_changed_margins(snapshot)
             if name not in self._changed_margins
         ]
         if new:
@@ -282,6 +283,15 @@ class BoundWorld:
             UnsupportedError: they are not recorded.
         """
         return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)
+
+
+def _names_with_changed_margins(snapshot: Snapshot) -> list[str]:
+    """Returns the entities whose margins differ from the initial ones, which records store."""
+    shapes = [(id, shape) for id, body in snapshot.layout.bodies for shape in body.shapes]
+    current = snapshot.tables["shapes"]["margin"].tolist()
+    pairs = zip(shapes, current, strict=True)
+    changed = {id for (id, shape), margin in pairs if shape.margin != margin}
+    return [info.name for info in snapshot.entities if info.id in changed]
 
 
 def _pose_text(pose: Sequence[float | None]) -> str:

@@ -37,13 +37,16 @@ def pair_rows(
     Raises:
         ArgumentError: the search does not take the distance.
     """
-    shapes, entities = bound.shapes(None, None), bound.world.snapshot.tables["entities"]
-    distance = lookup.distance
+    snapshot, search, distance = bound.world.snapshot, lookup.search, lookup.distance
+    entities = snapshot.tables["entities"]
     value = float(parameters[distance]) if isinstance(distance, str) else distance
-    search = lookup.search
-    numbers = search.function(shapes, value) if search.takes_distance else search.function(shapes)
+    queries = snapshot.boxes() if search.of_boxes else bound.shapes(None, None)
+    numbers = search.function(queries, *([value] if search.takes_distance else []))
     pairs = np.array(numbers, np.int64)
-    rows = shapes.rows_of(pairs // ID_FACTOR), shapes.rows_of(pairs % ID_FACTOR)
+    ids = entities["id"]
+    order = np.argsort(ids, kind="stable")
+    first, second = np.searchsorted(ids, [pairs // ID_FACTOR, pairs % ID_FACTOR], sorter=order)
+    rows = order[first], order[second]
     for comparison in lookup.comparisons:
         ranks = entities["id"] if comparison.column == "id" else _ranks(entities)
         left, right = (ranks[rows[side]] for side in comparison.sides)

@@ -284,17 +284,6 @@ class ShapeQueries:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
         return [id for id, number in self._numbers.items() if not self._narrow.is_known(number)]
 
-    def rows_of(self, ids: Ids) -> Indices:
-        """Returns the places of entities' ids in `ids`, (n,)."""
-        ascending, order = self._ascending_ids
-        return order[np.searchsorted(ascending, ids)]
-
-    @cached_property
-    def _ascending_ids(self) -> tuple[Ids, Indices]:
-        """The ids in ascending order, and their places."""
-        order = np.argsort(self._ids, kind="stable")
-        return self._ids[order], order
-
     @cached_property
     def _boxes_with_margins(self) -> Array:
         """The boxes, grown by the largest margin of their shapes, (6, n)."""

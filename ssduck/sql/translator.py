@@ -146,8 +146,7 @@ class _Translator:
         result = [condition for condition in conditions if condition is not None]
         result.extend(self._tick_joins())
         order, keys = self._order(result)
-        positions = [None if p.position is None else p.position.this for p in self.pairs]
-        is_in_order_of_pairs = [key.this for key in order] == positions
+        is_in_order_of_pairs = self._is_order_of_pairs(order)
         is_group = is_one_group(self.query)
         limit, offset = self._limits(left=bool(left or keys or is_group or self.query.distinct))
         in_sql = limit is not None or offset is not None
@@ -164,7 +163,7 @@ class _Translator:
             None if in_sql else self.query.offset,
         )
         select = self._select(result, order)
-        if len(self.pairs) == 1 == len(self.elements) - 1 and is_in_order_of_pairs and not in_sql:
+        if len(self.elements) == 2 and is_in_order_of_pairs and not in_sql:
             tables = [source.table.alias for source in self.elements]
             plan.lookup = pair_lookup(self.pairs[0].pairs, tables, result, self.columns)
         select = select if limit is None else select.limit(limit)
@@ -390,6 +389,18 @@ class _Translator:
                     ordered.extend(key.copy() for key in keys)
                 is_ordered = both is not None
         return ordered, left
+
+    def _is_order_of_pairs(self, order: Sequence[exp.Expr]) -> bool:
+        """Checks whether the order of the rows is that in which a search finds its pairs."""
+        if len(self.pairs) != 1:
+            return False
+        (pair,) = self.pairs
+        if pair.position is not None:
+            return [key.this for key in order] == [pair.position.this]
+        aliases = [source_type.alias for source_type in self.result.source_types]
+        is_in_order = [side.alias for side in pair.sides] == aliases
+        tables = [key for element in self.elements for key in element.position]
+        return pair.pairs.search.of_boxes and is_in_order and [*order] == tables
 
     def _limits(self, *, left: bool) -> tuple[int | None, int | None]:
         """Returns the numbers of LIMIT and OFFSET if SQL can apply them, else None for both."""

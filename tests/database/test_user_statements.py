@@ -20,6 +20,9 @@ SEARCHED = {
     "restsOn": "",
     "contains": "",
     "enclosed": "",
+    "above": "",
+    "below": "",
+    "within": "",
 }
 OTHERS = {"penetration": " > 0", "clearance": " < 0.05", "inside": " > 0", "nextTo": ""}
 # Statements over entities a and b; {r} is a call of the relation.
@@ -388,6 +391,7 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
         "ON a.id < b.id AND sim.collides(a, b)",
         "SELECT a.name, b.mass FROM entities a, entities b WHERE near(a, b, 0.05) AND a.name > b.name",
         "FROM entities a, entities b SELECT b.vx WHERE touching(a, b) AND b.id <> a.id",
+        "SELECT a.name, b.name FROM entities a, sim.entities b WHERE sim.above(a, b)",
     ],
 )
 def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
@@ -415,6 +419,7 @@ def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
         "SELECT a.name FROM entities a LEFT JOIN entities b ON true WHERE collides(a, b)",
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND near(a, b, 0)",
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND b.name < a.kind",
+        "SELECT a.name FROM entities a, entities b WHERE above(a, b) AND b.kind = 'kinbody'",
     ],
 )
 def test_a_query_that_does_more_runs_as_a_statement(traced, sql):
