@@ -294,7 +294,12 @@ _Episode = Annotated[
     ),
 ]
 _Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse probable mistakes instead of warning.")
+    bool,
+    typer.Option(
+        "--strict",
+        help="For programs from elsewhere: limit time, memory, rows and SQL, switch files off, and "
+        "refuse probable mistakes instead of warning.",
+    ),
 ]
 
 
@@ -356,6 +361,7 @@ def query(
     text = _program_text(program, file)
 
     from ssduck.interpreter.shown_rows import rows_to_show
+    from ssduck.limits import Limits
     from ssduck.simulators.scenes import find_scene
 
     if steps is not None or seconds is not None:
@@ -364,7 +370,8 @@ def query(
         description = find_scene(scene)
         steps = steps if seconds is None else whole_steps(seconds, description.timestep)
     # The output of a program is not its result.
-    with open_or_load(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
+    limits = Limits.strict() if strict else None
+    with open_or_load(scene, episode, limits) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)

@@ -28,6 +28,8 @@ from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
+# Rows that DuckDB reads in place, with their table and their name.
+Buffer: TypeAlias = tuple[str, str, LiveTable | VisibleRows]
 # The approximate number of poses that are cached.
 MAX_POSES = 100_000
 _NO_SHAPES = (
@@ -155,22 +157,30 @@ class BoundWorld:
             numbers = [[None if math.isnan(one) else one for one in pose] for pose in numbers]
         return poses | dict(zip(ids.tolist(), map(tuple, numbers), strict=True))
 
-    def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
-        """Returns the rows that DuckDB reads in place, each with its table and its name."""
-        buffers: list[tuple[str, str, LiveTable | VisibleRows]] = [
-            (table, self.live_view(table), live)
-            for table, live in self.world.snapshot.tables.items()
+    def buffers(self) -> list[Buffer]:
+        """Returns the rows that DuckDB reads in place; of the current tick if it is in memory."""
+        live = self.live_buffers() if self.world.is_restored else []
+        return live + self.history_buffers()
+
+    def live_buffers(self) -> list[Buffer]:
+        """Returns the rows of the current tick."""
+        tables = self.world.snapshot.tables
+        return [(table, self.live_view(table), live) for table, live in tables.items()]
+
+    def history_buffers(self) -> list[Buffer]:
+        """Returns the rows of recorded ticks that DuckDB reads in place."""
+        return [
+            (RECORDED[table].history_view, self.buffer_views(table)[part], rows)
+            for part, tables in enumerate(self.history.visible_rows if self.history else ())
+            for table, rows in tables.items()
         ]
-        for part, tables in enumerate(self.history.visible_rows if self.history else ()):
-            for table, rows in tables.items():
-                buffers.append((RECORDED[table].history_view, self.buffer_views(table)[part], rows))
-        return buffers
 
     def state(self) -> tuple[object, ...]:
         """Returns what is equal as long as no buffer is replaced, and no margin changes."""
         history = self.history
         recorded_margins = 0.0 if history is None else history.record.margins
-        return last_version(), self.world.snapshot, history, recorded_margins
+        snapshot = self.world.snapshot if self.world.is_restored else None
+        return last_version(), snapshot, history, recorded_margins
 
     def live_view(self, table: str) -> str:
         """Returns the name of a table's buffers among DuckDB's temporary views."""
@@ -202,7 +212,7 @@ class BoundWorld:
     @property
     def margins(self) -> float:
         """The largest distance, m, of shapes that touch by their collision margins, at any tick."""
-        now = self.world.snapshot.margins
+        now = self.world.snapshot.margins if self.world.is_restored else 0.0
         return now if self.history is None else max(now, self.history.record.margins)
 
     def warn_of_changed_margins(self, tick: int | None) -> None:

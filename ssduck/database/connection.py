@@ -116,17 +116,27 @@ class Connection:
             self.run("SET wal_autocheckpoint = '1TB'")  # see WriterConnection.checkpoint
 
     def apply_limits(self) -> None:
-        """Applies the limits of memory and files to all later statements."""
+        """Applies the limit of memory to all later statements."""
         limits = self.meter.limits
-        self._is_altered |= limits.memory is not None or not limits.files
+        self._is_altered |= limits.memory is not None
         if limits.memory is not None:
             memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
             self.run(f"SET memory_limit = {memory}")
             # A query that exceeds the limit fails instead of writing to the working directory.
             self.run("SET temp_directory = ''")
-        if not limits.files:
-            self.run("SET enable_external_access = false")
-            self.run("SET lock_configuration = true")
+
+    def seal(self, readable: Sequence[Path]) -> None:
+        """Switches files off for all later statements, and changes of settings.
+
+        Args:
+            readable: the folders whose files statements can still reach.
+        """
+        self._is_altered = True
+        if readable:
+            names = [exp.Literal.string(f"{folder}{os.sep}").sql("duckdb") for folder in readable]
+            self.run(f"SET allowed_directories = [{', '.join(names)}]")
+        self.run("SET enable_external_access = false")
+        self.run("SET lock_configuration = true")
 
     def forbid_merge_joins(self) -> None:
         """Lets DuckDB plan other joins than merge joins.
@@ -347,13 +357,17 @@ class Connection:
         )
         return [(name, type) for name, type, *_ in described]
 
-    def is_query(self, sql: str) -> bool:
-        """Checks whether a text is one statement that only reads."""
+    def statement_types(self, sql: str) -> list[str] | None:
+        """Returns the types of the statements in a text; None if DuckDB cannot parse it."""
         try:
             statements = self._connection.extract_statements(sql)
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
-            return False
-        return len(statements) == 1 and statements[0].type == duckdb.StatementType.SELECT
+            return None
+        return [statement.type.name for statement in statements]
+
+    def is_query(self, sql: str) -> bool:
+        """Checks whether a text is one statement that only reads."""
+        return self.statement_types(sql) == ["SELECT"]
 
     def run(self, sql: str) -> None:
         """Runs a statement of ssduck's own, which no limit cuts off."""

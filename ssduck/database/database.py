@@ -27,6 +27,7 @@ from ssduck.database.referenced_tables import (
     words_of,
 )
 from ssduck.database.schemas import Schemas
+from ssduck.database.select_check import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
@@ -76,6 +77,10 @@ class Database:
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
         self._raw_sql = RawSql(self.connection, self.plans, self._references, self._worlds)
+        # The folders of records, which ssduck's own views read.
+        self._record_folders: list[Path] = []
+        self._is_sealed = False
+        self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
         if self.connection.is_file:
             self._schemas.drop_stale_views()
         offer_geometry_functions(self.connection, self._worlds.by_schema)
@@ -110,7 +115,7 @@ class Database:
             parameters: the values of its parameters.
 
         Raises:
-            LimitError: it exceeds a limit.
+            LimitError: it exceeds a limit, or is not permitted.
             SqlError: DuckDB cannot run it.
         """
         if self.connection.meter.limits.seconds is not None:
@@ -120,12 +125,32 @@ class Database:
             if statement is not None:
                 with PinnedWorlds(self._lock, self._worlds, *statement.reads):
                     return self._raw_sql.ready_rows(statement)
+            self._confine(sql)
             words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
             reads = self._references.worlds(words, self._worlds.bound)
             with PinnedWorlds(self._lock, self._worlds, tables, reads):
                 self._describe(words)
                 return self._raw_sql.rows(sql, parameters, tables, reads)
+
+    def _confine(self, sql: str) -> None:
+        """Checks a user's statement, and switches files off before the first one.
+
+        Opening a record attaches its file, so files are switched off after that.
+
+        Raises:
+            LimitError: the statement is not permitted.
+        """
+        limits = self.connection.meter.limits
+        if not (limits.files or self._is_sealed):
+            self.connection.seal(self._record_folders)
+            self._is_sealed = True
+        if limits.select_only:
+            self._select_check.check(sql)
+
+    def allow_record(self, folder: Path) -> None:
+        """Lets ssduck's views read the folder of a record when files are switched off."""
+        self._record_folders.append(folder.absolute())
 
     def _describe(self, words: StatementWords) -> None:
         """Creates the views, macros and comments that a user's statement may need."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache, partial
 
 from sqlglot import exp
 
-from ssduck.database.binding import BoundWorld, WorldHistory
+from ssduck.database.binding import BoundWorld, Buffer, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.macros import description_script, drop_statements, formula_statements
 from ssduck.database.referenced_tables import qualified_formulas
@@ -49,9 +49,7 @@ class Schemas:
         self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {quoted(name)}")
         on_demand = self._connection.on_demand
         for table in TABLES.values():
-            reason = bound.world.snapshot.unavailable.get(table.name)
-            maker = partial(_make_live_view, name, bound, table, reason)
-            on_demand.offer((name, table.name), maker)
+            on_demand.offer((name, table.name), partial(_make_live_view, name, bound, table))
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: BoundWorld) -> None:
@@ -163,14 +161,12 @@ def _make_view(connection: Connection, schema: str, name: str, rows: str) -> Non
     connection.define(f"CREATE OR REPLACE VIEW {view} AS {rows}")
 
 
-def _make_live_view(
-    schema: str, bound: BoundWorld, table: Table, reason: str | None, connection: Connection
-) -> None:
+def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Connection) -> None:
     """Creates the view of a table at the current tick."""
     if table.view_columns:
         connection.on_demand.make((schema, "entities"), connection)
-    _register(connection, bound, [bound.live_view(table.name)])
-    rows = _live_rows(bound, table, reason)
+    _register(connection, bound, bound.live_buffers(), [bound.live_view(table.name)])
+    rows = _live_rows(bound, table, bound.world.snapshot.unavailable.get(table.name))
     _make_view(connection, schema, table.name, _with_view_columns(table, rows, schema))
 
 
@@ -186,10 +182,11 @@ def _make_history_view(
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
         tables = {table.name, entities.name} & set(history.store.tables)
-        _register(connection, bound, [name for t in tables for name in bound.buffer_views(t)])
+        names = [name for table_name in tables for name in bound.buffer_views(table_name)]
+        _register(connection, bound, bound.history_buffers(), names)
         rows = history.store.select(table.name, waiting)
     if rows is None:
-        _register(connection, bound, [bound.live_view(table.name)])
+        _register(connection, bound, bound.live_buffers(), [bound.live_view(table.name)])
         rows = _live_rows(bound, table, _not_recorded(table, schema, history))
     columns = _with_view_columns(table, rows, schema, entities.history_view)
     _make_view(connection, schema, table.history_view, columns)
@@ -202,9 +199,11 @@ def _make_model_view(
     _make_view(connection, schema, name, models()[name])
 
 
-def _register(connection: Connection, bound: BoundWorld, names: Collection[str]) -> None:
-    """Registers buffers of a world with DuckDB, unless they are."""
-    for _, name, rows in bound.buffers():
+def _register(
+    connection: Connection, bound: BoundWorld, buffers: Iterable[Buffer], names: Collection[str]
+) -> None:
+    """Registers some buffers of a world with DuckDB, unless they are."""
+    for _, name, rows in buffers:
         if name in names and name not in bound.versions:
             connection.register(name, rows.arrow)
             bound.versions[name] = rows.version

@@ -82,21 +82,34 @@ class SteppedSimulation(Observable):
         snapshot: the last tick.
     """
 
-    def _init_ticking(self, simulator: Simulator, snapshot: Snapshot, name: str) -> None:
+    def _init_ticking(self, name: str) -> None:
         self.name = name
         self.lock = threading.RLock()
         self._init_observers()
         self.serial = next(_serials)
-        self.snapshot = snapshot
         self._queries = 0
         self._waiting = 0
-        self._simulator = simulator
-        self._registry = EntityRegistry(snapshot.load_order)
         self._recorders: list[weakref.ref[TickSink]] = []
         self._stale_tick_check = StaleTickCheck()
         # The time of the first tick, and that of the first recorded one.
         self._start: float | None = None
         self._first_recorded: float | None = None
+
+    def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
+        """Sets the simulator and its last tick."""
+        self.snapshot = snapshot
+        self._simulator = simulator
+        self._registry = EntityRegistry(snapshot.load_order)
+
+    @property
+    def tick_number(self) -> int:
+        """The number of the last tick."""
+        return self.snapshot.number
+
+    @property
+    def is_restored(self) -> bool:
+        """Whether the last tick is in memory: a record is opened without it."""
+        return True
 
     @property
     def time(self) -> float:
@@ -322,7 +335,7 @@ class SteppedSimulation(Observable):
         finally:
             self._waiting -= 1
         try:
-            if is_read and not self._queries:
+            if is_read and not self._queries and self.is_restored:
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             if tables:
                 self.request_tables(tables)
