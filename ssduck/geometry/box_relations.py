@@ -17,8 +17,10 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.schema import ID_FACTOR
 
 Ids: TypeAlias = npt.NDArray[np.int64]
-# Takes the boxes, (6, m), and the positions, (3, m), of m pairs.
-PairCondition: TypeAlias = Callable[[Array, Array], Flags]
+# The places of the first and of the second entity of each pair.
+Pairs: TypeAlias = tuple[Indices, Indices]
+# Takes the boxes, (6, n), the positions, (3, n), and pairs.
+PairCondition: TypeAlias = Callable[[Array, Array, Indices, Indices], Flags]
 
 # The number of candidates that are compared at a time.
 _CANDIDATES_AT_ONCE = 500_000
@@ -39,53 +41,61 @@ class BoxQueries:
         self._boxes = boxes
         self._positions = positions
         self._ids = ids
-        self._pairs: dict[PairCondition, tuple[Indices, Indices]] = {}
+        self._pairs: dict[PairCondition, Pairs] = {}
 
-    def all_above(self) -> list[int]:
-        """Returns the pairs of which the second's position is above the first's box, as numbers.
+    def all_above(self) -> Pairs:
+        """Returns the pairs of which the second's position is above the first's box.
 
-        A number is `first * ID_FACTOR + second`. The pairs are in the order of the first entities,
-        then of the second ones. So it is in the other methods.
+        They are in the order of the first entities, then of the second ones. So it is in the other
+        methods.
         """
-        return self._numbers(_is_above)
+        return self._all(_is_above)
 
-    def all_below(self) -> list[int]:
+    def all_below(self) -> Pairs:
         """Returns the pairs of which the second's position is below the first's box's centre."""
-        return self._numbers(_is_below)
+        return self._all(_is_below)
 
-    def all_inside(self) -> list[int]:
+    def all_inside(self) -> Pairs:
         """Returns the pairs of which the second's position is inside the first's box."""
-        return self._numbers(_is_inside)
+        return self._all(_is_inside)
 
-    def _numbers(self, condition: PairCondition) -> list[int]:
-        if condition not in self._pairs:
-            self._pairs[condition] = self._found(condition)
-        first, second = self._pairs[condition]
+    def numbers(self, pairs: Pairs) -> list[int]:
+        """Returns pairs as numbers: `first * ID_FACTOR + second` of the ids."""
+        first, second = pairs
         numbers: list[int] = (self._ids[first] * ID_FACTOR + self._ids[second]).tolist()
         return numbers
 
-    def _found(self, condition: PairCondition) -> tuple[Indices, Indices]:
-        boxes, positions = self._boxes, self._positions
-        parts: list[tuple[Indices, Indices]] = [(np.zeros(0, np.intp), np.zeros(0, np.intp))]
+    def _all(self, condition: PairCondition) -> Pairs:
+        if condition not in self._pairs:
+            self._pairs[condition] = self._found(condition)
+        return self._pairs[condition]
+
+    def _found(self, condition: PairCondition) -> Pairs:
+        boxes, positions, count = self._boxes, self._positions, len(self._ids)
+        parts = [np.zeros(0, np.intp)]
         for first, second in positions_over_boxes(boxes[[0, 1]], boxes[[3, 4]], positions[:2]):
-            holds = condition(boxes[:, first], positions[:, second]) & (first != second)
-            parts.append((first[holds], second[holds]))
-        first, second = (np.concatenate(sides) for sides in zip(*parts, strict=True))
-        order = np.lexsort((second, first))
-        return first[order], second[order]
+            holds = condition(boxes, positions, first, second) & (first != second)
+            parts.append(first[holds] * count + second[holds])
+        first, second = np.divmod(np.sort(np.concatenate(parts)), max(count, 1))
+        return first, second
 
 
-def _is_above(boxes: Array, positions: Array) -> Flags:
-    return np.asarray(positions[2] >= boxes[5])
+def _is_above(boxes: Array, positions: Array, first: Indices, second: Indices) -> Flags:
+    return np.asarray(positions[2, second] >= boxes[5, first])
 
 
 @np.errstate(invalid="ignore")  # boxes of planes are infinite
-def _is_below(boxes: Array, positions: Array) -> Flags:
-    return np.asarray((2 * positions[2] < boxes[2] + boxes[5]) & (boxes[5] < np.inf))
+def _is_below(boxes: Array, positions: Array, first: Indices, second: Indices) -> Flags:
+    sums = np.where(boxes[5] < np.inf, boxes[2] + boxes[5], -np.inf)
+    return np.asarray(2 * positions[2, second] < sums[first])
 
 
-def _is_inside(boxes: Array, positions: Array) -> Flags:
-    return np.asarray(((positions > boxes[:3]) & (positions < boxes[3:])).all(axis=0))
+def _is_inside(boxes: Array, positions: Array, first: Indices, second: Indices) -> Flags:
+    result = np.ones(len(first), bool)
+    for axis in range(3):
+        place = positions[axis, second]
+        result &= (place > boxes[axis, first]) & (place < boxes[axis + 3, first])
+    return result
 
 
 def positions_over_boxes(

@@ -153,7 +153,10 @@ class LiveTable:
             if name not in self._python_values:
                 self._python_values[name] = self._arrays[name].to_pylist()
             values = self._python_values[name]
-            return values if rows is None else [values[row] for row in rows.tolist()]
+            if rows is None:
+                return values
+            objects: list[Any] = np.fromiter(values, object, len(values)).take(rows).tolist()
+            return objects
         column = self._numbers[name]
         selected = column if rows is None else column.take(rows)
         numbers: list[Any] = selected.tolist()

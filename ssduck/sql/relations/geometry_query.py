@@ -144,7 +144,7 @@ class PairSearch:
     """A function that finds all pairs of a tick at once.
 
     Attributes:
-        function: a method of `ShapeQueries` or `BoxQueries` that yields pairs as numbers.
+        function: a method of `ShapeQueries` that yields pairs as numbers, or one of `BoxQueries`.
         is_exact: whether the relation holds of all pairs of the search, and need not be checked.
         takes_distance: whether the pairs depend on a distance, or a depth.
         uses_margins: whether the collision margins of shapes count.
@@ -153,7 +153,7 @@ class PairSearch:
             the order of the table of entities, not of their numbers.
     """
 
-    function: Callable[..., list[int]]
+    function: Callable[..., Any]
     is_exact: bool = True
     takes_distance: bool = True
     uses_margins: bool = False
