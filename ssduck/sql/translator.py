@@ -61,6 +61,7 @@ def translate(
     names: TypeEnvironment,
     *,
     cautious: bool = False,
+    portable: bool = False,
 ) -> Plan:
     """Plans a query.
 
@@ -76,13 +77,15 @@ def translate(
         source_types: the types of its sources, in order.
         names: the variables, the functions, and the types of constants.
         cautious: whether parts that may fail in SQL are left to Python.
+        portable: whether the SQL is to be read, or sent to another engine.
 
     Raises:
         SelectScriptError: a name or a number of arguments is wrong.
         NotInlineError: a source in SQL must be evaluated first.
         NotSqlError: the query is hierarchical, and runs row by row.
     """
-    return _Translator(query, tuple(source_types), names, cautious=cautious).plan()
+    types = tuple(source_types)
+    return _Translator(query, types, names, cautious=cautious, portable=portable).plan()
 
 
 class _Translator:
@@ -93,6 +96,7 @@ class _Translator:
         names: TypeEnvironment,
         *,
         cautious: bool,
+        portable: bool,
     ) -> None:
         self.names = names
         self.context = StatementContext(names, cautious, changing(query))
@@ -107,6 +111,7 @@ class _Translator:
             deferred=self.context.deferred,
             bare=self.context.bare,
             cautious=cautious,
+            portable=portable,
         )
         subqueries.check_sources(query)
         self.elements = self._sources(query, source_types)
@@ -298,7 +303,7 @@ class _Translator:
         order = [source_type.alias for source_type in self.result.source_types]
         first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
         result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
-        if result is None:
+        if result is None or (self.result.portable and result.pairs.search.of_boxes):
             return None
         self.pairs.append(result)
         places = [order.index(str(side.alias)) for side in result.sides]
