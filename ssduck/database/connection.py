@@ -50,6 +50,8 @@ _BY_ROW = 100
 # The types whose columns NumPy represents exactly.
 _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
 _EXECUTE = "EXECUTE "
+# Has DuckDB plan nested loops in place of all range joins.
+NO_RANGE_JOINS = "SET nested_loop_join_threshold = 1000000000"
 # The name of an attached file with a record; no world can have it.
 _ATTACHED = "ssduck record file"
 _ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
@@ -135,14 +137,15 @@ class Connection:
         if readable:
             names = [exp.Literal.string(f"{folder}{os.sep}").sql("duckdb") for folder in readable]
             self.run(f"SET allowed_directories = [{', '.join(names)}]")
+        self.run(NO_RANGE_JOINS)  # it cannot be set later
         self.run("SET enable_external_access = false")
         self.run("SET lock_configuration = true")
 
     def forbid_merge_joins(self) -> None:
-        """Lets DuckDB plan other joins than merge joins.
+        """Lets DuckDB plan other joins than IE joins, but for SEMI and ANTI joins.
 
-        In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
-        invalidates the database at its second run. A nested loop is correct.
+        In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
+        statement invalidates the database at its second run.
         """
         self.run("SET merge_join_threshold = 1000000000")
 
@@ -357,17 +360,17 @@ class Connection:
         )
         return [(name, type) for name, type, *_ in described]
 
-    def statement_types(self, sql: str) -> list[str] | None:
-        """Returns the types of the statements in a text; None if DuckDB cannot parse it."""
+    def statements(self, sql: str) -> list[tuple[str, str]] | None:
+        """Returns the type and the text of each statement; None if DuckDB cannot parse them."""
         try:
             statements = self._connection.extract_statements(sql)
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
             return None
-        return [statement.type.name for statement in statements]
+        return [(statement.type.name, statement.query) for statement in statements]
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""
-        return self.statement_types(sql) == ["SELECT"]
+        return [kind for kind, _ in self.statements(sql) or ()] == ["SELECT"]
 
     def run(self, sql: str) -> None:
         """Runs a statement of ssduck's own, which no limit cuts off."""

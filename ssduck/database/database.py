@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 import pyarrow as pa
@@ -21,6 +22,7 @@ from ssduck.database.pinning import PinnedWorlds
 from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import (
+    ReadData,
     ReferencedTables,
     StatementWords,
     check_length,
@@ -76,7 +78,9 @@ class Database:
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
-        self._raw_sql = RawSql(self.connection, self.plans, self._references, self._worlds)
+        self._raw_sql = RawSql(
+            self.connection, self.plans, self._references, self._worlds, self._schemas
+        )
         # The folders of records, which ssduck's own views read.
         self._record_folders: list[Path] = []
         self._is_sealed = False
@@ -122,16 +126,16 @@ class Database:
             check_length(sql)
         with self._lock:
             statement = None if parameters else self._raw_sql.ready(sql)
-            if statement is not None:
-                with PinnedWorlds(self._lock, self._worlds, *statement.reads):
+            if statement is not None and statement.reads is not None:
+                with PinnedWorlds(self._lock, self._worlds, statement.reads):
                     return self._raw_sql.ready_rows(statement)
             self._confine(sql)
             words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
-            reads = self._references.worlds(words, self._worlds.bound)
-            with PinnedWorlds(self._lock, self._worlds, tables, reads):
+            reads = ReadData(tables, self._references.worlds(words, self._worlds.bound))
+            with PinnedWorlds(self._lock, self._worlds, reads):
                 self._describe(words)
-                return self._raw_sql.rows(sql, parameters, tables, reads)
+                return self._raw_sql.rows(sql, parameters, words, reads)
 
     def _confine(self, sql: str) -> None:
         """Checks a user's statement, and switches files off before the first one.
@@ -167,7 +171,7 @@ class Database:
 
     def pinned(
         self,
-        tables: Collection[str] = frozenset(),
+        tables: AbstractSet[str] = frozenset(),
         worlds: Collection[World] | None = None,
     ) -> PinnedWorlds:
         """Pins all worlds at their tick while statements run.
@@ -176,8 +180,8 @@ class Database:
             tables: the tables to read, from the simulators if need be.
             worlds: the worlds whose tables are read; None for all.
         """
-        reads = None if worlds is None else [world.serial for world in worlds]
-        return PinnedWorlds(self._lock, self._worlds, tables, reads)
+        serials = None if worlds is None else [world.serial for world in worlds]
+        return PinnedWorlds(self._lock, self._worlds, ReadData(tables, serials))
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
+from ssduck.database.referenced_tables import ReadData
 from ssduck.database.worlds import WorldRegistry
 
 
@@ -16,22 +17,19 @@ class PinnedWorlds:
     Args:
         lock: the lock of the database.
         registry: the worlds of the database.
-        tables: the tables to read, from the simulators if need be.
-        reads: the serial numbers of the worlds whose tables are read; None for all.
+        reads: the tables to read, from the simulators if need be, and of which worlds.
     """
 
-    __slots__ = ("_lock", "_reads", "_registry", "_tables", "_undo")
+    __slots__ = ("_lock", "_reads", "_registry", "_undo")
 
     def __init__(
         self,
         lock: threading.RLock,
         registry: WorldRegistry,
-        tables: Collection[str],
-        reads: Collection[int] | None,
+        reads: ReadData,
     ) -> None:
         self._lock = lock
         self._registry = registry
-        self._tables = tables
         self._reads = reads
         # The functions that undo what was done, in the order of doing.
         self._undo: list[Callable[[], object]] = []
@@ -51,7 +49,7 @@ class PinnedWorlds:
             undo.pop()()
 
     def _pin(self) -> None:
-        undo, reads = self._undo, self._reads
+        undo, tables, worlds = self._undo, self._reads.tables, self._reads.worlds
         present = [
             (world, bound)
             for bound in self._registry.bound
@@ -60,8 +58,8 @@ class PinnedWorlds:
         if len(present) > 1:  # in the same order in all databases, so that there is no deadlock
             present.sort(key=lambda item: item[0].serial)
         for world, _ in present:
-            is_read = reads is None or world.serial in reads
-            world.pin(self._tables if is_read else (), is_read=is_read)
+            is_read = worlds is None or world.serial in worlds
+            world.pin(tables if is_read else (), is_read=is_read)
             undo.append(world.unpin)
         for _, bound in present:
             history = bound.history

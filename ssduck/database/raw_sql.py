@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
-from collections.abc import Set as AbstractSet
+from dataclasses import replace
 
 import pyarrow as pa
 
-from ssduck.database.connection import Connection, Parameters
+from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
-from ssduck.database.referenced_tables import ReferencedTables
+from ssduck.database.own_catalog import OwnCatalog
+from ssduck.database.referenced_tables import ReadData, ReferencedTables, StatementWords
+from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans
 from ssduck.database.statement_names import WorldNames
 from ssduck.database.user_statements import UserStatement, UserStatements
@@ -50,6 +51,7 @@ class RawSql:
         plans: the plans of prepared statements.
         references: the tables that users' statements refer to.
         worlds: the worlds of the database.
+        schemas: the schemas of their tables.
     """
 
     def __init__(
@@ -58,7 +60,9 @@ class RawSql:
         plans: PreparedPlans,
         references: ReferencedTables,
         worlds: WorldRegistry,
+        schemas: Schemas,
     ) -> None:
+        self._own_catalog = OwnCatalog(connection, worlds, schemas)
         self._connection = connection
         self._references = references
         self._worlds = worlds
@@ -70,6 +74,8 @@ class RawSql:
         self._redefined: set[str] = set()
         # A file may have tables and macros from before.
         self._may_have_own_names = connection.is_file
+        # Whether DuckDB may plan range joins.
+        self._has_range_joins = connection.meter.limits.files
 
     def ready(self, sql: str) -> UserStatement | None:
         """Returns a query that has run before and only has to be executed; None if there is none.
@@ -97,32 +103,53 @@ class RawSql:
         self,
         sql: str,
         parameters: Parameters,
-        tables: AbstractSet[str],
-        reads: Collection[int] | None,
+        words: StatementWords,
+        reads: ReadData,
     ) -> FetchedRows | pa.Table:
         """Returns all rows of a user's statement; the caller pins the worlds.
 
         Args:
             sql: the statement.
             parameters: the values of its parameters.
-            tables: the tables that it may read.
-            reads: the serial numbers of the worlds that it may read; None for all.
+            words: what its words say.
+            reads: the data that it may read.
 
         Raises:
             LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
+        if not (words.has_semi_joins and self._has_range_joins):
+            return self._rows(sql, parameters, reads, is_kept=True)
+        # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
+        # rows, and invalidates the database at the second run of a prepared statement.
+        self._connection.run(NO_RANGE_JOINS)
+        try:
+            return self._rows(sql, parameters, reads, is_kept=False)
+        finally:
+            if words.stores_a_query:  # any later statement may read it
+                self._has_range_joins = False
+            elif self._connection.is_open:
+                self._connection.run("RESET nested_loop_join_threshold")
+
+    def _rows(
+        self, sql: str, parameters: Parameters, reads: ReadData, *, is_kept: bool
+    ) -> FetchedRows | pa.Table:
         names = self._names()
-        statement = self.statements.statement(sql, tables)
+        statement = self.statements.statement(sql, reads.tables)
         if statement is not None and not self._references.search_path_changes:
             rows = self.statements.rows(statement, parameters, names)
-            statement.reads = (tables - statement.unread) & READ_ON_REQUEST, reads
+            if is_kept:
+                statement.reads = replace(
+                    reads, tables=(reads.tables - statement.unread) & READ_ON_REQUEST
+                )
             return rows
-        try:
+        if statement is not None:
             return self._connection.table(sql, parameters)
+        try:
+            with self._own_catalog.guarded(sql):
+                return self._connection.table(sql, parameters)
         finally:
-            if statement is None:
-                self._update(sql)
+            self._update(sql)
 
     def _names(self) -> WorldNames:
         """Returns the names of the worlds; forgets all statements when these have changed."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
@@ -46,6 +46,7 @@ _QUALIFIED_CALL = re.compile(
     re.IGNORECASE | re.ASCII | re.DOTALL,
 )
 _STORES_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+_SEMI_JOINS = re.compile(r"\b(SEMI|ANTI)\b", re.IGNORECASE)
 _MASS_TABLES = [name for name in TABLES if MASSES in _with_read_columns(name)]
 _MASS_HISTORIES = re.compile(
     rf"\b({'|'.join(_MASS_TABLES)})_(history|model)\b", re.IGNORECASE | re.ASCII
@@ -73,6 +74,7 @@ class StatementWords:
         formulas: the relations without tables that it may call with a schema before them.
         reads_recorded_masses: whether it reads recorded masses: the column, or all columns.
         omits_schema: whether a table has no schema before it.
+        has_semi_joins: whether it may have SEMI or ANTI joins.
         folded: its text in small letters.
     """
 
@@ -82,6 +84,7 @@ class StatementWords:
     formulas: frozenset[str]
     reads_recorded_masses: bool
     omits_schema: bool
+    has_semi_joins: bool
     folded: str
 
 
@@ -97,8 +100,22 @@ def words_of(sql: str) -> StatementWords:
         reads_recorded_masses=_MASS_HISTORIES.search(sql) is not None
         and _MASS_OR_ALL.search(sql) is not None,
         omits_schema=_UNQUALIFIED_TABLE.search(sql) is not None,
+        has_semi_joins=_SEMI_JOINS.search(sql) is not None,
         folded=sql.casefold(),
     )
+
+
+@dataclass(frozen=True)
+class ReadData:
+    """The data that a statement may read.
+
+    Attributes:
+        tables: the tables.
+        worlds: the serial numbers of the worlds; None for all.
+    """
+
+    tables: AbstractSet[str]
+    worlds: Collection[int] | None
 
 
 class ReferencedTables:

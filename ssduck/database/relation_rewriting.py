@@ -207,7 +207,7 @@ class _Call:
         while isinstance(position.parent, exp.Paren | exp.And):
             position = position.parent
         parent = position.parent
-        is_condition = isinstance(parent, exp.Where) or (
+        is_condition = (parent is not None and parent is select.args.get("where")) or (
             isinstance(parent, exp.Join) and is_inner(parent) and parent.args.get("on") is position
         )
         owner = None if parent is None else parent.find_ancestor(exp.Select)
