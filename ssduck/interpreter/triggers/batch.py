@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary, WeakSet
 
@@ -77,7 +78,7 @@ class FormulaBatches:
         if batch is None:
             batch = self._by_world[world] = _FormulaBatch(self._session.database)
         batch.prepare(formulas)
-        pinned = world.pinned(batch.tables)
+        pinned: AbstractContextManager[None] = world.pinned(batch.tables)
         if batch.needs_sql:
             self._session.begin_program()
             pinned = self._session.database.pinned(batch.tables, [world])
