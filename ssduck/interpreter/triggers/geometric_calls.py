@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE
 from ssduck.geometry.queries import Ids, ShapeQueries
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.interpreter.triggers.array_expressions import NotArraysError, Values
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.relations.geometry_query import GeometryUdf
