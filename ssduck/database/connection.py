@@ -360,17 +360,17 @@ class Connection:
         )
         return [(name, type) for name, type, *_ in described]
 
-    def statement_types(self, sql: str) -> list[str] | None:
-        """Returns the types of the statements in a text; None if DuckDB cannot parse it."""
+    def statements(self, sql: str) -> list[tuple[str, str]] | None:
+        """Returns the type and the text of each statement; None if DuckDB cannot parse them."""
         try:
             statements = self._connection.extract_statements(sql)
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
             return None
-        return [statement.type.name for statement in statements]
+        return [(statement.type.name, statement.query) for statement in statements]
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""
-        return self.statement_types(sql) == ["SELECT"]
+        return [kind for kind, _ in self.statements(sql) or ()] == ["SELECT"]
 
     def run(self, sql: str) -> None:
         """Runs a statement of ssduck's own, which no limit cuts off."""

@@ -71,6 +71,11 @@ class Schemas:
         if self._connection.is_file:
             on_demand.make_schema(name, self._connection)
 
+    def forget(self, name: str) -> None:
+        """Has the macros and comments of a schema made anew."""
+        self._described = None
+        self._formulas.pop(name, None)
+
     def are_described(self, names: Collection[str]) -> bool:
         """Checks whether the macros and comments are those of these schemas."""
         return self._described == set(names)

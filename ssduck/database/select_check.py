@@ -90,14 +90,15 @@ class SelectCheck:
 
     def _tree(self, sql: str) -> Node | None:
         """Returns DuckDB's tree of a statement; None if it cannot parse the text."""
-        types = self._connection.statement_types(sql)
-        if types is None:
+        statements = self._connection.statements(sql)
+        if statements is None:
             return None
-        if len(types) != 1:
-            count = f"and the text has {len(types)} statements"
+        if len(statements) != 1:
+            count = f"and the text has {len(statements)} statements"
             raise LimitError(f"SQL is one SELECT here, {count} (Limits: select_only)")
-        if types[0] != "SELECT":
-            raise LimitError(f"SQL is one SELECT here, not {types[0]} (Limits: select_only)")
+        kind = statements[0][0]
+        if kind != "SELECT":
+            raise LimitError(f"SQL is one SELECT here, not {kind} (Limits: select_only)")
         ((text,),) = self._connection.internal_rows(_TREE, [sql])
         try:
             tree = json.loads(text)
