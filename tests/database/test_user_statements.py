@@ -340,8 +340,17 @@ def test_what_users_define_comes_first(traced):
 def test_what_a_simulator_is_asked_for(traced):
     ss, client, _ = traced
     whole = "SELECT sum(e.m.mass) FROM (SELECT e AS m FROM entities e) e"
-    for sql in ("SELECT sum(mass) FROM entities", whole, "SELECT * FROM entities"):
-        for mass in (2.0, 3.0, 4.0):
+    columns = ss.sql("SELECT * FROM entities").columns
+    place = columns.index("mass")
+    renamed = ", ".join(f"c{number}" for number in range(len(columns)))
+    for sql in (
+        "SELECT sum(mass) FROM entities",
+        whole,
+        "SELECT * FROM entities",
+        f"SELECT #{place + 1} FROM entities",
+        f"SELECT e.c{place} FROM entities AS e({renamed})",
+    ):
+        for mass in (2.0, 3.0, 4.0, 5.0):
             pybullet.changeDynamics(0, -1, mass=mass, physicsClientId=client)
             ss.call_variable("sim").tick()
             assert rows(ss.sql(sql)) == rows(row_by_row(ss, sql))
