@@ -410,6 +410,37 @@ for command in (record, export, episodes):
 
 
 @app.command()
+def mcp(
+    location: Annotated[
+        str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
+    ],
+    seconds: _Seconds = None,
+    episode: _Episode = None,
+) -> None:
+    """Answer agents over the Model Context Protocol, on standard input and output.
+
+    Programs are confined as with `query --strict`. The extra mcp brings the protocol:
+    pip install 'ssduck[mcp]'
+    """
+    from ssduck.adapters.optional import library
+    from ssduck.limits import Limits
+    from ssduck.simulators.scenes import find_scene
+
+    library("mcp", "mcp")
+    from ssduck.mcp.server import create_server
+
+    if seconds is not None and is_record(location):
+        raise typer.BadParameter("--seconds: a record cannot be simulated further")
+    record = Path(location) if is_record(location) else None
+    with open_or_load(location, episode, Limits.strict(progress=False)) as ss:
+        ss.strict = True
+        if seconds is not None:
+            description = find_scene(location)
+            ss.call_variable(description.name).step(whole_steps(seconds, description.timestep))
+        create_server(ss, record).run("stdio")
+
+
+@app.command()
 def scenes() -> None:
     """List the scenes that come with ssduck."""
     from ssduck.simulators.scenes import read_scene, shipped_scenes

@@ -8,9 +8,8 @@ they read. Each world is a schema of views on its buffers. Nothing outside this 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from collections.abc import Set as AbstractSet
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pyarrow as pa
@@ -19,9 +18,11 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.functions import add_user_function, converter_of, offer_geometry_functions
+from ssduck.database.pinning import PinnedWorlds
 from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import (
+    ReadData,
     ReferencedTables,
     StatementWords,
     check_length,
@@ -123,13 +124,18 @@ class Database:
         """
         if self.connection.meter.limits.seconds is not None:
             check_length(sql)
-        words = words_of(sql)
         with self._lock:
+            statement = None if parameters else self._raw_sql.ready(sql)
+            if statement is not None and statement.reads is not None:
+                with PinnedWorlds(self._lock, self._worlds, statement.reads):
+                    return self._raw_sql.ready_rows(statement)
             self._confine(sql)
+            words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
-            with self.pinned(tables, self._references.worlds(words, self._worlds.bound)):
+            reads = ReadData(tables, self._references.worlds(words, self._worlds.bound))
+            with PinnedWorlds(self._lock, self._worlds, reads):
                 self._describe(words)
-                return self._raw_sql.rows(sql, parameters, words)
+                return self._raw_sql.rows(sql, parameters, words, reads)
 
     def _confine(self, sql: str) -> None:
         """Checks a user's statement, and switches files off before the first one.
@@ -163,34 +169,19 @@ class Database:
                 if bound.history is not None and bound.reference() is not None:
                     bound.history.record.warn_of_masses()
 
-    @contextmanager
     def pinned(
         self,
         tables: AbstractSet[str] = frozenset(),
         worlds: Collection[World] | None = None,
-    ) -> Iterator[None]:
+    ) -> PinnedWorlds:
         """Pins all worlds at their tick while statements run.
 
         Args:
             tables: the tables to read, from the simulators if need be.
             worlds: the worlds whose tables are read; None for all.
         """
-        with ExitStack() as stack:
-            stack.enter_context(self._lock)
-            # In the same order in all databases, so that there is no deadlock.
-            present = [
-                (world, bound)
-                for bound in self._worlds.bound
-                if (world := bound.reference()) is not None
-            ]
-            for world, _ in sorted(present, key=lambda item: item[0].serial):
-                reads = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.pinned(tables if reads else (), is_read=reads))
-            for _, bound in present:
-                if bound.history is not None and bound.history.recorder is not None:
-                    stack.enter_context(bound.history.recorder.read_lock)
-                self._worlds.register(bound)
-            yield
+        serials = None if worlds is None else [world.serial for world in worlds]
+        return PinnedWorlds(self._lock, self._worlds, ReadData(tables, serials))
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""
@@ -218,6 +209,8 @@ class Database:
 
         No statement may be running, and no plan may be used after that.
         """
+        if not self._worlds.has_unused:
+            return False
         with self._lock:
             return self._worlds.sweep()
 

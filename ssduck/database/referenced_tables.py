@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +15,6 @@ from ssduck.database.macros import TABLE_MACROS, relations_with_tables
 from ssduck.errors import LimitError, SourceSpan
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.world.world import World
 
 # The tables that are read for a column.
 _READ = {"mass": MASSES, "margin": MARGINS}
@@ -106,6 +105,19 @@ def words_of(sql: str) -> StatementWords:
     )
 
 
+@dataclass(frozen=True)
+class ReadData:
+    """The data that a statement may read.
+
+    Attributes:
+        tables: the tables.
+        worlds: the serial numbers of the worlds; None for all.
+    """
+
+    tables: AbstractSet[str]
+    worlds: Collection[int] | None
+
+
 class ReferencedTables:
     """The tables and worlds that users' statements refer to.
 
@@ -127,8 +139,8 @@ class ReferencedTables:
             self.persistent |= words.tables
         return words.tables | self.persistent if self.persistent else words.tables
 
-    def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[World] | None:
-        """Returns the worlds that a statement may read; None for all, if it may use others.
+    def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[int] | None:
+        """Returns the serial numbers of the worlds that a statement may read; None for all.
 
         The schema of the first world may be omitted: it is read if a table has no schema.
         """
@@ -136,7 +148,7 @@ class ReferencedTables:
         if self.persistent or self.search_path_changes or words.stores_a_query:
             return None
         return [
-            world
+            world.serial
             for number, entry in enumerate(bound)
             if (world := entry.reference()) is not None
             and (

@@ -284,6 +284,9 @@ def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
     is_all_read = any(join.method for join in statement.find_all(exp.Join)) or any(
         not isinstance(star.parent, exp.Count) for star in statement.find_all(exp.Star, exp.Columns)
     )
+    # A column may be named by its position: `#3`, `entities AS e(a, b)`.
+    is_all_read = is_all_read or "#" in sql
+    is_all_read = is_all_read or any(a.columns for a in statement.find_all(exp.TableAlias))
     is_all_read = is_all_read or any(
         not column.table and column.name.lower() in names and not _is_argument(column)
         for column in statement.find_all(exp.Column)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -33,8 +33,10 @@ from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.proofs.gjk import ABOVE, BELOW, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
+# Questions that the narrow phase decides pose by pose.
+PlacedKind: TypeAlias = Literal["inside", "contains", "enclosed"]
 QuestionKind: TypeAlias = Literal[
-    PredicateKind, "clearance", "penetration", "on", "supports", "resting"
+    PredicateKind, PlacedKind, "clearance", "penetration", "on", "supports", "resting"
 ]
 
 # After so many rounds, the clearances that are left are computed one by one.
@@ -60,7 +62,7 @@ class PairQuestion:
 
     Attributes:
         kind: the kind of a `PairPredicate`; or else a method of `ShapeQueries`, which is `rests_on`
-            for "resting".
+            for "resting" and `encloses` for "enclosed".
         distance: that of the predicate, m.
     """
 
@@ -78,12 +80,17 @@ class PairQuestion:
     @property
     def is_symmetric(self) -> bool:
         """Whether the order of the entities does not matter."""
-        return self.kind not in ("on", "supports", "resting")
+        return self.kind not in ("on", "supports", "resting", *get_args(PlacedKind))
 
     @property
     def is_number(self) -> bool:
         """Whether the answer is a number, and not True or False."""
-        return self.kind in ("clearance", "penetration")
+        return self.kind in ("clearance", "penetration", "inside")
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether entities are placed, and compared, once for each two of their poses."""
+        return self.kind in get_args(PlacedKind)
 
     @property
     def uses_margins(self) -> bool:

@@ -280,17 +280,6 @@ class ShapeQueries:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
         return [id for id, number in self._numbers.items() if not self._narrow.is_known(number)]
 
-    def rows_of(self, ids: Ids) -> Indices:
-        """Returns the places of entities' ids in `ids`, (n,)."""
-        ascending, order = self._ascending_ids
-        return order[np.searchsorted(ascending, ids)]
-
-    @cached_property
-    def _ascending_ids(self) -> tuple[Ids, Indices]:
-        """The ids in ascending order, and their places."""
-        order = np.argsort(self._ids, kind="stable")
-        return self._ids[order], order
-
     @cached_property
     def _boxes_with_margins(self) -> Array:
         """The boxes, grown by the largest margin of their shapes, (6, n)."""
@@ -366,6 +355,23 @@ class ShapeQueries:
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return math.inf
         return 0.0 if self._are_overlapping_links(a, b) else self._narrow.clearance(i, j)
+
+    def clearance_up_to(self, a: int, b: int, limit: float) -> float | None:
+        """Returns the distance of the nearest points of two entities, m; infinite beyond a limit.
+
+        It is infinite for an entity without shapes, too.
+        """
+        i, j = self._pair(a, b)
+        if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
+            return math.inf
+        return self._narrow.clearance(i, j, limit)
+
+    @property
+    def reaches(self) -> Array:
+        """The largest distances of the points of shapes from the origins of their frames, m."""
+        centres = np.sqrt((self._table.centre**2).sum(axis=1))
+        reaches: Array = centres + self._table.bounding_radius
+        return reaches
 
     def near(self, a: int, b: int, max_distance: float) -> bool | None:
         """Checks whether two entities are at most a distance apart, m; False without shapes."""

@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from ssduck.geometry.arrays import Array
 from ssduck.schema import RECORDED
+from ssduck.world.live_tables import new_version
 
 # The largest number of buffered rows of a table.
 MAX_BUFFERED_ROWS = 1 << 17
@@ -26,7 +27,7 @@ class RowBuffer:
 
     Attributes:
         arrow: the table; its unused rows have tick -1.
-        version: is incremented whenever `arrow` becomes another object.
+        version: a number that changes whenever `arrow` becomes another object.
         count: the number of buffered rows.
         capacity: the number of rows that fit.
         ticks: the tick of each row, (capacity,).
@@ -37,7 +38,6 @@ class RowBuffer:
         self, integers: tuple[str, ...], doubles: tuple[str, ...], booleans: tuple[str, ...] = ()
     ) -> None:
         self._names = integers, doubles, booleans
-        self.version = 0
         self.count = 0
         self._lent_buffers: list[list[npt.NDArray[Any]]] = []
         self._allocate(_MIN_ROWS)
@@ -64,7 +64,7 @@ class RowBuffer:
             for c in columns
         ]
         self.arrow = pa.table(arrow_columns, names=[*integers, *doubles, *booleans])
-        self.version += 1
+        self.version = new_version()
 
     def _take_arrays(self, capacity: int) -> list[npt.NDArray[Any]]:
         """Returns arrays of integers, doubles and booleans: released ones if possible, or new ones.

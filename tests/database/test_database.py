@@ -208,7 +208,7 @@ def test_the_nine_pairs_are_a_range_join_without_python(ss):
 
 def test_selectscript_pairs_are_a_range_join_too(ss):
     sql = ss.explain(
-        "SELECT to(id(a.this), 'a'), to(id(b.this), 'b') FROM a=kitchen, b=kitchen WHERE above(a.this, b.this);"
+        "SELECT to(id(a.this), 'a'), to(id(b.this), 'b') FROM a=kitchen, b=kitchen WHERE overlaps(a.this, b.this);"
     )
     plan = ss.sql(f"EXPLAIN {sql}").fetchall()[0][1].upper()
     assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))

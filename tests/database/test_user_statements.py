@@ -7,6 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.adapters.result import Result
+from ssduck.database.referenced_tables import words_of
 from ssduck.errors import EvaluationError, LimitError, SqlError
 from tests.support.cases import sampled
 
@@ -20,6 +21,9 @@ SEARCHED = {
     "restsOn": "",
     "contains": "",
     "enclosed": "",
+    "above": "",
+    "below": "",
+    "within": "",
 }
 OTHERS = {"penetration": " > 0", "clearance": " < 0.05", "inside": " > 0", "nextTo": ""}
 # Statements over entities a and b; {r} is a call of the relation.
@@ -109,6 +113,7 @@ def row_by_row(ss, sql):
     """The result of a statement as DuckDB runs it, with the macros of relations."""
     ss.sql("SELECT e.mass, s.margin FROM sim.entities e, sim.shapes s LIMIT 1")
     with ss._database.pinned({"shapes"}):
+        ss._database._describe(words_of(sql))
         return Result(ss._database.connection.table(sql, None))
 
 
@@ -335,8 +340,17 @@ def test_what_users_define_comes_first(traced):
 def test_what_a_simulator_is_asked_for(traced):
     ss, client, _ = traced
     whole = "SELECT sum(e.m.mass) FROM (SELECT e AS m FROM entities e) e"
-    for sql in ("SELECT sum(mass) FROM entities", whole, "SELECT * FROM entities"):
-        for mass in (2.0, 3.0, 4.0):
+    columns = ss.sql("SELECT * FROM entities").columns
+    place = columns.index("mass")
+    renamed = ", ".join(f"c{number}" for number in range(len(columns)))
+    for sql in (
+        "SELECT sum(mass) FROM entities",
+        whole,
+        "SELECT * FROM entities",
+        f"SELECT #{place + 1} FROM entities",
+        f"SELECT e.c{place} FROM entities AS e({renamed})",
+    ):
+        for mass in (2.0, 3.0, 4.0, 5.0):
             pybullet.changeDynamics(0, -1, mass=mass, physicsClientId=client)
             ss.call_variable("sim").tick()
             assert rows(ss.sql(sql)) == rows(row_by_row(ss, sql))
@@ -399,6 +413,7 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
         "ON a.id < b.id AND sim.collides(a, b)",
         "SELECT a.name, b.mass FROM entities a, entities b WHERE near(a, b, 0.05) AND a.name > b.name",
         "FROM entities a, entities b SELECT b.vx WHERE touching(a, b) AND b.id <> a.id",
+        "SELECT a.name, b.name FROM entities a, sim.entities b WHERE sim.above(a, b)",
     ],
 )
 def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
@@ -426,6 +441,7 @@ def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
         "SELECT a.name FROM entities a LEFT JOIN entities b ON true WHERE collides(a, b)",
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND near(a, b, 0)",
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND b.name < a.kind",
+        "SELECT a.name FROM entities a, entities b WHERE above(a, b) AND b.kind = 'kinbody'",
     ],
 )
 def test_a_query_that_does_more_runs_as_a_statement(traced, sql):

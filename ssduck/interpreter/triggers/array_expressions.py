@@ -14,8 +14,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any, Literal, Protocol, TypeAlias
 
@@ -24,6 +25,8 @@ import numpy.typing as npt
 from sqlglot import exp
 
 from ssduck.schema import TABLES
+from ssduck.sql.relations.geometry_query import MARGINS_UDF, GeometryUdf
+from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.types import EXACT
 from ssduck.world.live_tables import LiveTable
 
@@ -127,18 +130,37 @@ class TickArrays:
         return self._booleans[name]
 
 
+class Calls(Protocol):
+    """The interface of the narrow phase to expressions."""
+
+    def values(
+        self, udf: GeometryUdf, arguments: Sequence[Values], active: Values | None, count: int
+    ) -> Values:
+        """Returns the values of a function of shapes at the places that are active."""
+
+    @property
+    def margins(self) -> float:
+        """The largest distance, m, of shapes that touch by their margins."""
+
+
 class Operands(Protocol):
     """The values that expressions of one shape are evaluated over.
 
     Attributes:
         tick: the columns.
+        active: the places at which values matter, (k, n) or (1, n); None for all.
         known: the values of parts that were evaluated already at this tick.
         fixed: those that stay the same until the table is replaced.
     """
 
     tick: TickArrays
+    active: Values | None
     known: dict[str, Any]
     fixed: dict[str, Any]
+
+    @property
+    def calls(self) -> Calls:
+        """The narrow phase."""
 
     @property
     def slots(self) -> Sequence[Values]:
@@ -158,12 +180,14 @@ class ArrayExpression:
         key: a text that identifies its shape, given the slots.
         values: a function that returns its values at a tick.
         is_fixed: whether its values are the same until the table is replaced.
+        has_calls: whether they are computed only where they matter, by the narrow phase.
     """
 
     kind: Kind
     key: str
     values: Callable[[Operands], Any]
     is_fixed: bool = False
+    has_calls: bool = False
 
 
 class ArrayCompiler:
@@ -172,13 +196,16 @@ class ArrayCompiler:
     Args:
         parameters: the slots of the SQL's parameters, by name.
 
+        schema: the schema of their world.
+
     Attributes:
         slots: the slots of all expressions.
         columns: the columns that they read, also those of entities.
     """
 
-    def __init__(self, parameters: Mapping[str, Slot]) -> None:
+    def __init__(self, parameters: Mapping[str, Slot], schema: str) -> None:
         self._parameters = parameters
+        self._schema = schema
         self.slots: list[Slot] = []
         self.columns: set[str | None] = set()
         self._places: dict[tuple[Any, ...], int] = {}
@@ -213,7 +240,10 @@ class ArrayCompiler:
             case exp.Not():
                 inner = self._boolean(sql.this)
                 return ArrayExpression(
-                    "boolean", f"not {inner.key}", lambda o: np.logical_not(inner.values(o))
+                    "boolean",
+                    f"not {inner.key}",
+                    lambda o: np.logical_not(inner.values(o)),
+                    has_calls=inner.has_calls,
                 )
             case exp.Between() if not sql.args.get("symmetric"):
                 low = exp.GTE(this=sql.this.copy(), expression=sql.args["low"].copy())
@@ -229,8 +259,20 @@ class ArrayCompiler:
                 if negated.kind != "double" and not isinstance(sql.this, exp.Literal):
                     raise NotArraysError
                 return ArrayExpression(
-                    negated.kind, f"(- {negated.key})", lambda o: -negated.values(o)
+                    negated.kind,
+                    f"(- {negated.key})",
+                    lambda o: -negated.values(o),
+                    has_calls=negated.has_calls,
                 )
+            case exp.Cast() if sql.to.sql("duckdb") == "DOUBLE":
+                cast = self.expression(sql.this)
+                if cast.kind not in ("double", "decimal"):
+                    raise NotArraysError
+                return replace(cast, kind="double")
+            case exp.Case() if sql.this is None:
+                return self._case(sql)
+            case exp.Anonymous():
+                return self._call(sql)
             case exp.Sqrt() | exp.Pow():
                 return self._function(sql)
             case exp.Array():
@@ -255,9 +297,76 @@ class ArrayCompiler:
     def _logic(self, sql: exp.Expr) -> ArrayExpression:
         """Returns AND or OR of two conditions, neither of which is ever NULL."""
         left, right = self._boolean(sql.this), self._boolean(sql.expression)
-        combine = np.logical_and if isinstance(sql, exp.And) else np.logical_or
+        is_and = isinstance(sql, exp.And)
+        combine = np.logical_and if is_and else np.logical_or
         key = f"({left.key} {sql.key} {right.key})"
-        return _once("boolean", key, lambda o: combine(left.values(o), right.values(o)))
+        if left.has_calls and not right.has_calls:  # the narrow phase has the last word
+            left, right = right, left
+        if not right.has_calls:
+            return _once("boolean", key, lambda o: combine(left.values(o), right.values(o)))
+
+        def values(o: Operands) -> Values:
+            known = np.atleast_2d(left.values(o))
+            with _active(o, known if is_and else ~known):
+                result: Values = combine(known, right.values(o))
+                return result
+
+        return ArrayExpression("boolean", key, values, has_calls=True)
+
+    def _case(self, sql: exp.Case) -> ArrayExpression:
+        """Returns the value of the first condition that holds; one of them has to, or ELSE."""
+        branches = [
+            (self._boolean(b.this), self.expression(b.args["true"])) for b in sql.args["ifs"]
+        ]
+        default = sql.args.get("default")
+        otherwise = None if default is None else self.expression(default)
+        parts = [part for _, part in branches] + ([] if otherwise is None else [otherwise])
+        kind = parts[0].kind
+        if any(part.kind != kind for part in parts) or any(c.has_calls for c, _ in branches):
+            raise NotArraysError
+        keys = [f"{condition.key}: {part.key}" for condition, part in branches]
+        keys += [] if otherwise is None else [otherwise.key]
+
+        def values(o: Operands) -> Values:
+            shape = (1, o.tick.table.count)
+            left = np.ones(shape, np.bool_) if o.active is None else o.active
+            result: Values = np.zeros(shape, np.bool_ if kind == "boolean" else np.float64)
+            for condition, part in branches:
+                holds = left & condition.values(o)
+                with _active(o, holds):
+                    result = np.where(holds, part.values(o), result)
+                left = left & ~holds
+            if otherwise is not None:
+                with _active(o, left):
+                    return np.where(left, otherwise.values(o), result)
+            if left.any():  # it is NULL there
+                raise NotArraysError
+            return result
+
+        return ArrayExpression(kind, f"case {'; '.join(keys)}", values, has_calls=True)
+
+    def _call(self, sql: exp.Anonymous) -> ArrayExpression:
+        """Returns a function of shapes; the narrow phase computes it where it matters."""
+        name, arguments = sql.name.lower(), sql.expressions
+        if not arguments or not arguments[0].is_string or arguments[0].name != self._schema:
+            raise NotArraysError
+        if name == MARGINS_UDF:
+            return ArrayExpression("double", name, lambda o: np.array([[o.calls.margins]]))
+        udf = GEOMETRY_UDFS.get(name)
+        if udf is None or not udf.entities or udf.result not in ("BOOLEAN", "DOUBLE"):
+            raise NotArraysError
+        last = 2 + 2 * udf.entities  # each entity has its tick and its id
+        parts = [self.expression(part) for part in (*arguments[2:last:2], *arguments[last - 1 :])]
+        if any(part.kind not in _NUMBERS for part in parts):
+            raise NotArraysError
+
+        def values(o: Operands) -> Values:
+            numbers = [np.asarray(part.values(o)) for part in parts]
+            return o.calls.values(udf, numbers, o.active, o.tick.table.count)
+
+        kind: Kind = "boolean" if udf.result == "BOOLEAN" else "double"
+        key = f"{name}({', '.join(part.key for part in parts)})"
+        return ArrayExpression(kind, key, values, has_calls=True)
 
     def _comparison(self, sql: exp.Expr) -> ArrayExpression:
         """Returns a comparison of numbers, or of a column of texts with a text."""
@@ -280,7 +389,9 @@ class ArrayCompiler:
         if not _are_comparable(left, right):
             raise NotArraysError
         key = f"({left.key} {sql.key} {right.key})"
-        return _once("boolean", key, lambda o: compare(left.values(o), right.values(o)))
+        return _once(
+            "boolean", key, lambda o: compare(left.values(o), right.values(o)), left, right
+        )
 
     def _arithmetic(self, sql: exp.Expr) -> ArrayExpression:
         """Returns a sum, a difference or a product of which one operand is a double."""
@@ -293,7 +404,7 @@ class ArrayCompiler:
         def values(o: Operands) -> Any:
             return _no_nan(operate(left.values(o), right.values(o)))
 
-        return _once("double", f"({left.key} {sql.key} {right.key})", values)
+        return _once("double", f"({left.key} {sql.key} {right.key})", values, left, right)
 
     def _function(self, sql: exp.Expr) -> ArrayExpression:
         """Returns a root, or a square: the power of the C library, as in DuckDB."""
@@ -303,17 +414,22 @@ class ArrayCompiler:
         if isinstance(sql, exp.Sqrt):
             # Negative numbers, for which DuckDB fails, become NaN.
             return _once(
-                "double", f"sqrt {argument.key}", lambda o: _no_nan(np.sqrt(argument.values(o)))
+                "double",
+                f"sqrt {argument.key}",
+                lambda o: _no_nan(np.sqrt(argument.values(o))),
+                argument,
             )
         exponent = sql.expression
         if not (isinstance(exponent, exp.Literal) and exponent.name == "2"):
             raise NotArraysError
-        return _once("double", f"square {argument.key}", lambda o: _squares(argument.values(o)))
+        return _once(
+            "double", f"square {argument.key}", lambda o: _squares(argument.values(o)), argument
+        )
 
     def _list(self, sql: exp.Array) -> ArrayExpression:
         """Returns a list of doubles for each row, (k, n, length)."""
         parts = [self.expression(part) for part in sql.expressions]
-        if not parts or any(part.kind != "double" for part in parts):
+        if not parts or any(part.kind != "double" or part.has_calls for part in parts):
             raise NotArraysError
 
         def values(o: Operands) -> Values:
@@ -347,8 +463,15 @@ def _either(left: exp.Expr, right: exp.Expr) -> exp.Expr:
     return exp.Or(this=left, expression=right)
 
 
-def _once(kind: Kind, key: str, compute: Callable[[Operands], Any]) -> ArrayExpression:
-    """Returns an expression that is evaluated once at a tick, however often it occurs."""
+def _once(
+    kind: Kind, key: str, compute: Callable[[Operands], Any], *parts: ArrayExpression
+) -> ArrayExpression:
+    """Returns an expression that is evaluated once at a tick, however often it occurs.
+
+    That is not possible if its parts have calls.
+    """
+    if any(part.has_calls for part in parts):
+        return ArrayExpression(kind, key, compute, has_calls=True)
 
     def values(o: Operands) -> Any:
         if key not in o.known:
@@ -356,6 +479,17 @@ def _once(kind: Kind, key: str, compute: Callable[[Operands], Any]) -> ArrayExpr
         return o.known[key]
 
     return ArrayExpression(kind, key, values)
+
+
+@contextmanager
+def _active(operands: Operands, places: Values) -> Iterator[None]:
+    """Restricts the places at which values matter."""
+    before = operands.active
+    operands.active = places if before is None else before & places
+    try:
+        yield
+    finally:
+        operands.active = before
 
 
 def _column(name: str) -> ArrayExpression:

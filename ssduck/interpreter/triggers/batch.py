@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any, Protocol
 from weakref import WeakKeyDictionary, WeakSet
 
@@ -19,6 +20,7 @@ from ssduck.interpreter.triggers.array_expressions import (
     Values,
 )
 from ssduck.interpreter.triggers.formulas import ROWS, Formula
+from ssduck.interpreter.triggers.geometric_calls import GeometricCalls
 from ssduck.interpreter.triggers.selection import FormulaSelection
 from ssduck.interpreter.triggers.table_state import TIME_COLUMNS
 from ssduck.world.layout import TableLayout
@@ -52,6 +54,12 @@ class FormulaBatches:
         self._session = session
         self._by_world: WeakKeyDictionary[World, _FormulaBatch] = WeakKeyDictionary()
 
+    def release_worlds(self) -> None:
+        """Drops what refers to worlds."""
+        for batch in self._by_world.values():
+            batch.close()
+        self._by_world.clear()
+
     def evaluate(
         self, world: World, layout: TableLayout, formulas: tuple[Formula, ...]
     ) -> int | None:
@@ -70,7 +78,7 @@ class FormulaBatches:
         if batch is None:
             batch = self._by_world[world] = _FormulaBatch(self._session.database)
         batch.prepare(formulas)
-        pinned = world.pinned(batch.tables)
+        pinned: AbstractContextManager[None] = world.pinned(batch.tables)
         if batch.needs_sql:
             self._session.begin_program()
             pinned = self._session.database.pinned(batch.tables, [world])
@@ -92,6 +100,7 @@ class _FormulaBatch:
         self.tables: frozenset[str] = frozenset()
         self.needs_sql = False
         self._statement = _FormulaStatement(database)
+        self._calls = GeometricCalls()
         self._rows: _Rows | None = None
         self._formulas: tuple[Formula, ...] = ()
         self._selections: list[FormulaSelection] = []
@@ -99,6 +108,10 @@ class _FormulaBatch:
         # The formulas that numpy could not evaluate at some tick, and those that DuckDB could not.
         self._alone: WeakSet[Formula] = WeakSet()
         self._failed: WeakSet[Formula] = WeakSet()
+
+    def close(self) -> None:
+        """Drops the prepared statement."""
+        self._statement.close()
 
     def prepare(self, formulas: tuple[Formula, ...]) -> None:
         """Sets the formulas to evaluate."""
@@ -114,7 +127,7 @@ class _FormulaBatch:
             return None  # numpy would take an unknown number for NaN
         if self._rows is None or self._rows.tick.table is not table:
             self._rows, self._selections = _Rows(table), []
-        self._rows.update()
+        self._rows.update(self._calls.begin(snapshot) if "shapes" in self.tables else 0)
         if not self._selections:
             self._selections = self._selected(self._rows.tick, snapshot)
         stale = []
@@ -161,7 +174,7 @@ class _FormulaBatch:
         if len(selection.formulas) == 1:
             return
         for formula in selection.formulas:
-            single = FormulaSelection(rows.tick, snapshot.rows, [formula])
+            single = FormulaSelection(rows.tick, self._calls, snapshot.rows, [formula])
             try:
                 single.evaluate(snapshot.number, fetched)
             except NotArraysError:
@@ -174,7 +187,10 @@ class _FormulaBatch:
         for formula in self._formulas:
             key = formula if formula in self._alone else formula.shape
             by_shape.setdefault(key, []).append(formula)
-        return [FormulaSelection(tick, snapshot.rows, members) for members in by_shape.values()]
+        return [
+            FormulaSelection(tick, self._calls, snapshot.rows, members)
+            for members in by_shape.values()
+        ]
 
 
 class _Rows:
@@ -185,7 +201,7 @@ class _Rows:
 
     Attributes:
         tick: its columns.
-        state: a number that changes whenever a value does, other than the time.
+        state: a number that changes whenever a value does, other than the time, or a shape moves.
     """
 
     def __init__(self, table: LiveTable) -> None:
@@ -194,9 +210,14 @@ class _Rows:
         self._version = 0
         self._before: Values = np.zeros((0, 0), np.int64)
         self._columns: list[int] = []
+        self._shapes = 0
 
-    def update(self) -> None:
-        """Takes note of the rows of the tick."""
+    def update(self, shapes: int) -> None:
+        """Takes note of the rows of the tick.
+
+        Args:
+            shapes: a number that changes whenever shapes move.
+        """
         table = self.tick.table
         self.tick.update()
         if table.version != self._version:
@@ -205,9 +226,9 @@ class _Rows:
             self._columns = [place for place, n in enumerate(names) if n not in TIME_COLUMNS]
             self.state += 1
         now = table.block[self._columns].view(np.int64)
-        if not np.array_equal(now, self._before):
+        if shapes != self._shapes or not np.array_equal(now, self._before):
             self.state += 1
-        self._before = now
+        self._before, self._shapes = now, shapes
 
 
 class _FormulaStatement:
@@ -257,12 +278,16 @@ class _FormulaStatement:
         """Checks whether the statement has all parts of a formula."""
         return all(part.text in self._places for part in formula.sql_parts)
 
-    def _prepare(self) -> None:
-        """Makes the statement for all formulas that exist."""
-        self._missed = 0
+    def close(self) -> None:
+        """Drops the prepared statement."""
         if self._statement is not None:
             self._statement.forget()
             self._statement = None
+
+    def _prepare(self) -> None:
+        """Makes the statement for all formulas that exist."""
+        self._missed = 0
+        self.close()
         self._places.clear()
         self._types.clear()
         select = exp.Select()

@@ -1,7 +1,7 @@
 """Finds the triggers whose programs are formulas over the rows of one world's entities.
 
 A *formula* is a query whose condition and columns are SQL expressions over one row: no other
-source, no geometry, no function of a user, nothing left to Python. `ssduck.interpreter.triggers.
+source, no function of a user, nothing left to Python. `ssduck.interpreter.triggers.
 batch` evaluates the formulas of many triggers together.
 """
 
@@ -36,7 +36,7 @@ from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import node_key
-from ssduck.schema import MASSES
+from ssduck.schema import MARGINS, MASSES
 from ssduck.sql.from_clause import world_table
 from ssduck.sql.plan import Plan
 from ssduck.sql.sql_values import with_values
@@ -49,7 +49,7 @@ ROWS = "entities"
 # The parts of a SELECT that a formula may have.
 _CLAUSES = frozenset(("expressions", "from_", "where", "order", "limit", "offset"))
 # What one expression over a row does not contain.
-_NO_FORMULA = (exp.Anonymous, exp.AggFunc, exp.Window, exp.Select, exp.Subquery, exp.Unnest)
+_NO_FORMULA = (exp.AggFunc, exp.Window, exp.Select, exp.Subquery, exp.Unnest)
 _CONSTANT_NODES = (Name, Literal, Unary, Binary)
 
 
@@ -226,7 +226,7 @@ class FormulaPlanner:
         if not isinstance(world, World):
             raise _NoFormulaError
         tables = self._execution.tables_read(query)
-        if not tables <= {MASSES}:
+        if not tables <= {MASSES, MARGINS, "shapes"}:
             raise _NoFormulaError
         names, texts = {}, {}
         types: dict[str, Number] = {}
@@ -258,7 +258,7 @@ class FormulaPlanner:
             column.set("table", exp.to_identifier(ROWS))
         slots = {key: Slot(types[key], value) for key, value in constants.items()}
         slots |= {key: Slot(types[key], *value) for key, value in entity_columns.items()}
-        parts = _Parts(slots)
+        parts = _Parts(slots, str(source_type.schema))
         where = select.args.get("where")
         condition = None if where is None else parts.expression(where.this, is_condition=True)
         columns = [parts.expression(column) for column in select.expressions]
@@ -287,22 +287,29 @@ class _Parts:
 
     Args:
         slots: the parameters by name.
+        schema: the schema of the world.
 
     Attributes:
         compiler: makes those that numpy evaluates.
         in_sql: those that DuckDB evaluates.
     """
 
-    def __init__(self, slots: dict[str, Slot]) -> None:
+    def __init__(self, slots: dict[str, Slot], schema: str) -> None:
         self._slots = slots
-        self.compiler = ArrayCompiler(slots)
+        self.compiler = ArrayCompiler(slots, schema)
         self.in_sql: list[SqlExpression] = []
 
     def expression(self, sql: exp.Expr, *, is_condition: bool = False) -> ArrayExpression:
-        """Returns an expression that numpy evaluates if it can, and else DuckDB."""
+        """Returns an expression that numpy evaluates if it can, and else DuckDB.
+
+        Raises:
+            _NoFormulaError: it has a function that neither does for many formulas.
+        """
         try:
             return self.compiler.expression(sql)
         except NotArraysError:
+            if isinstance(sql, exp.Anonymous) or sql.find(exp.Anonymous):
+                raise _NoFormulaError from None
             text = sql.sql("duckdb")
             self.in_sql.append(SqlExpression(sql, text))
             self.compiler.columns.update(column.name for column in sql.find_all(exp.Column))

@@ -284,6 +284,8 @@ class TriggerRegistry:
         with self._lock:
             self._trigger(name).remove()
             self._by_name = {n: t for n, t in self._by_name.items() if n != name}
+        if not self._by_name:
+            self._release_worlds()
 
     def pause(self, name: str) -> None:
         """Stops the evaluations of a trigger."""
@@ -305,8 +307,7 @@ class TriggerRegistry:
 
     def states(self) -> list[TriggerState]:
         """Returns the state of each trigger, in the order in which they were added."""
-        for world in list(self._idle):
-            self._end_idle(world)
+        self._end_all_idle()
         return [trigger.state() for trigger in self._by_name.values()]
 
     def close(self) -> None:
@@ -318,6 +319,7 @@ class TriggerRegistry:
         for world in list(self._observed):
             world.unfollow(self)
         self._observed.clear()
+        self._release_worlds()
         for trigger in triggers:
             if trigger.queue is not None and not trigger.queue.join(PATIENCE):
                 warn(
@@ -365,6 +367,11 @@ class TriggerRegistry:
         self._skip(due)
         if state is not None and readers.are_always_due:
             self._idle[world] = _IdleTicks(state, evaluated, due)
+
+    def _end_all_idle(self) -> None:
+        """Counts the evaluations at the idle ticks of all worlds."""
+        for world in list(self._idle):
+            self._end_idle(world)
 
     def _end_idle(self, world: World) -> None:
         """Counts the evaluations at idle ticks."""
@@ -439,10 +446,18 @@ class TriggerRegistry:
 
     def rebound(self) -> None:
         """Observes the worlds that triggers read, after a name was bound to another world."""
+        self._release_worlds()
         for trigger in self._by_name.values():
             if self._batches is not None:
                 self._batches.forget(trigger)
             self._observe(trigger)
+
+    def _release_worlds(self) -> None:
+        """Drops what refers to worlds, which may be gone."""
+        self._end_all_idle()
+        self._readers.clear()
+        if self._batches is not None:
+            self._batches.release_worlds()
 
     def _evaluate(self, trigger: Trigger, batch: TickBatch | None = None) -> None:
         if not trigger.begin():

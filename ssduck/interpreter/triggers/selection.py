@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Flags
 from ssduck.interpreter.triggers.array_expressions import (
     ArrayExpression,
+    Calls,
     Slot,
     TickArrays,
     Values,
@@ -24,6 +25,7 @@ class FormulaSelection:
 
     Args:
         tick: the columns of their world.
+        calls: the narrow phase of their world.
         row_of: the row of each entity, by its id.
         formulas: k formulas.
 
@@ -33,6 +35,8 @@ class FormulaSelection:
         state: the state of the table at that evaluation.
         reads_time: whether the rows may differ though nothing has moved.
         tick: the columns.
+        calls: the narrow phase.
+        active: the places at which values matter; None for all.
         slots: the values of the slots at this tick.
         known: the values of parts that were evaluated at this tick.
         fixed: those that stay the same until the table is replaced.
@@ -40,11 +44,17 @@ class FormulaSelection:
     """
 
     def __init__(
-        self, tick: TickArrays, row_of: Mapping[int, int], formulas: Sequence[Formula]
+        self,
+        tick: TickArrays,
+        calls: Calls,
+        row_of: Mapping[int, int],
+        formulas: Sequence[Formula],
     ) -> None:
         self.formulas = tuple(formulas)
         self.number = self.state = 0
         self.tick = tick
+        self.calls = calls
+        self.active: Values | None = None
         self.slots: list[Values] = []
         self.known: dict[str, Any] = {}
         self.fixed: dict[str, Any] = {}
@@ -96,6 +106,7 @@ class FormulaSelection:
         """
         table = self.tick.table
         self.known.clear()
+        self.active = None
         self.fetched = fetched
         is_replaced = self._version != table.version
         if is_replaced:
@@ -104,7 +115,9 @@ class FormulaSelection:
         mask = np.ones((1, table.count), dtype=np.bool_)
         if self._condition is not None:
             mask = self._rows(self._condition)
+        self.active = mask
         values = [self._rows(part).copy() for part in self._changing]
+        self.active = None
         keys = [_bits(part) for part in values]
         changed: Flags = np.ones(1, dtype=np.bool_)
         if not is_replaced:

@@ -118,6 +118,12 @@ class TriggerBatches:
         trigger.batched = Batched()
         self._generation += 1
 
+    def release_worlds(self) -> None:
+        """Drops what refers to worlds."""
+        with self._execution.lock:
+            self._last_due.clear()
+            self._batches.release_worlds()
+
     def formulas(self, world: World, due: tuple[Trigger, ...], stamp: object) -> _DueFormulas:
         """Returns the formulas of the triggers that are due; the same ones while they are."""
         last, layout = self._last_due.get(world), world.snapshot.layout
