@@ -145,7 +145,7 @@ class PairQueries:
         return are_resting
 
     def _below(self, upper: int, ticks: set[int], lower: int = 0) -> list[tuple[int, int]]:
-        """Returns the ticks at which an entity is on another one, or on any, each with the other."""
+        """Returns the ticks at which an entity is on another one or any, each with the other."""
         if not ticks:
             return []
         request = PairRequest(min(ticks), max(ticks), lower, upper, 0.0)
