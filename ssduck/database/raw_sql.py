@@ -67,6 +67,11 @@ class RawSql:
         # A file may have tables and macros from before.
         self._may_have_own_names = connection.is_file
 
+    def is_query(self, sql: str, words: StatementWords) -> bool:
+        """Checks whether a text is a single query."""
+        self._names()
+        return self.statements.statement(sql, words.tables) is not None
+
     def unread(self, sql: str) -> frozenset[str]:
         """Returns the data of a simulator that a text refers to and is known not to read."""
         statement = self.statements.known(sql)

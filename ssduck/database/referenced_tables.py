@@ -44,6 +44,12 @@ _MASS_HISTORIES = re.compile(
 _MASS_OR_ALL = re.compile(
     r"\bmass\b|(?<!count\()\*|(^|\()\s*FROM\b", re.IGNORECASE | re.ASCII | re.MULTILINE
 )
+# What reads the catalog, or runs a text that an expression makes.
+_READS_CATALOG = re.compile(
+    r"\b(?:duckdb_\w+|pg_\w+|pragma_\w+|sqlite_\w+|information_schema|show|describe|summarize|query|"
+    r"query_table|sql_auto_complete|json_execute_serialized_sql)\b|(?:^|[(/\n])\s*desc\b",
+    re.IGNORECASE,
+)
 # The words by which the schema of another world than the first may be omitted.
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
@@ -71,20 +77,24 @@ class StatementWords:
     """What the words in a user's statement say.
 
     Attributes:
+        words: the words, in small letters.
         tables: the tables that they refer to.
         stores_a_query: whether it makes a view, a macro or a prepared statement.
         changes_search_path: whether it may change the schemas that may be omitted.
         formulas: the relations without tables that it may call with a schema before them.
         reads_recorded_masses: whether it reads recorded masses: the column, or all columns.
+        reads_catalog: whether it may read the catalog, or names that its text does not have.
         omits_schema: whether a table has no schema before it.
         folded: its text in small letters.
     """
 
+    words: frozenset[str]
     tables: frozenset[str]
     stores_a_query: bool
     changes_search_path: bool
     formulas: frozenset[str]
     reads_recorded_masses: bool
+    reads_catalog: bool
     omits_schema: bool
     folded: str
 
@@ -92,15 +102,17 @@ class StatementWords:
 @lru_cache(maxsize=256)
 def words_of(sql: str) -> StatementWords:
     """Returns what the words in a statement say."""
-    words = {word.lower() for word in _WORD.findall(sql)}
+    words = frozenset(word.lower() for word in _WORD.findall(sql))
     unqualified = {_OF_RECORDS.sub("", word.lower()) for word in _UNQUALIFIED.findall(sql)}
     return StatementWords(
+        words=words,
         tables=frozenset(table for word in words for table in _tables_of(word)),
         stores_a_query=_STORES_A_QUERY.search(sql) is not None,
         changes_search_path=_CHANGES_SEARCH_PATH.search(sql) is not None,
         formulas=frozenset(qualified_formulas(sql)),
         reads_recorded_masses=_MASS_HISTORIES.search(sql) is not None
         and _MASS_OR_ALL.search(sql) is not None,
+        reads_catalog=_READS_CATALOG.search(sql) is not None,
         omits_schema=any(map(_tables_of, unqualified)),
         folded=sql.casefold(),
     )
