@@ -221,6 +221,11 @@ class Connection:
         self._attached = self.has_records = True
         return _ATTACHED
 
+    @property
+    def may_have_views(self) -> bool:
+        """Whether a file is open or attached: its views and macros may call relations."""
+        return self.is_file or self._attached
+
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table readable under a name."""
         self._connection.register(name, table)
@@ -317,6 +322,7 @@ class Connection:
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
         """Returns all rows of a user's statement; the caller pins the worlds."""
         self._is_altered = True
+        self.on_demand.provide(sql, self)
         max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:
@@ -342,6 +348,8 @@ class Connection:
         Returns:
             The rows; None if the types of the columns require an Arrow table.
         """
+        if not sql.startswith(_EXECUTE):
+            self.on_demand.provide(sql, self)
         max_rows = self.meter.limits.rows
         most = None if max_rows is None else max_rows + 1
 
@@ -355,6 +363,7 @@ class Connection:
 
     def columns(self, sql: str, parameters: Parameters) -> list[tuple[str, str]]:
         """Returns the names and the types of a query's columns; the query does not run."""
+        self.on_demand.provide(sql, self)
         described = self._execute(
             sql, lambda: self._connection.execute(f"DESCRIBE {sql}", parameters).fetchall()
         )
@@ -377,7 +386,7 @@ class Connection:
         self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=False)
 
     def define(self, sql: str) -> None:
-        """Runs a statement that makes a view; it is not traced, as any statement may need it."""
+        """Runs a statement that makes a view or a macro; it is not traced: any may need it."""
         tracer, self._tracer = self._tracer, None
         try:
             self.run(sql)

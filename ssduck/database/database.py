@@ -33,7 +33,7 @@ from ssduck.database.select_check import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
-from ssduck.errors import EvaluationError
+from ssduck.errors import EvaluationError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.export import export
@@ -134,6 +134,14 @@ class Database:
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
             reads = ReadData(tables, self._references.worlds(words, self._worlds.bound))
             with PinnedWorlds(self._lock, self._worlds, reads):
+                if self._names_all(sql, words):
+                    self._describe(words, is_all=False)
+                    try:
+                        return self._raw_sql.rows(sql, parameters, words, reads)
+                    except SqlError as error:
+                        if not error.is_refused:
+                            raise
+                # DuckDB's message suggests the names that there are.
                 self._describe(words)
                 return self._raw_sql.rows(sql, parameters, words, reads)
 
@@ -156,13 +164,33 @@ class Database:
         """Lets ssduck's views read the folder of a record when files are switched off."""
         self._record_folders.append(folder.absolute())
 
-    def _describe(self, words: StatementWords) -> None:
-        """Creates the views, macros and comments that a user's statement may need."""
-        self.connection.on_demand.make_all(self.connection)
+    def _names_all(self, sql: str, words: StatementWords) -> bool:
+        """Checks whether a statement names all views and macros that it needs.
+
+        Views and macros of users may need more.
+        """
+        return not (
+            self._schemas.has_comments
+            or self.connection.may_have_views
+            or words.reads_catalog
+            or not self._raw_sql.is_query(sql, words)
+        )
+
+    def _describe(self, words: StatementWords, *, is_all: bool = True) -> None:
+        """Creates the views, macros and comments that a user's statement may need.
+
+        Args:
+            words: the words of the statement.
+            is_all: whether it may need all of them; otherwise, it names what it needs.
+        """
         schemas = list(self._worlds.by_schema)
-        if not self._schemas.are_described(schemas):
-            only = schemas[0] if len(self.worlds) == 1 else None
-            self._schemas.describe(schemas, only, self.records)
+        only = schemas[0] if len(self.worlds) == 1 else None
+        if not is_all:
+            self._schemas.provide(words.words, schemas, only)
+        else:
+            self.connection.on_demand.make_all(self.connection)
+            if not self._schemas.are_described(schemas):
+                self._schemas.describe(schemas, only, self.records)
         self._schemas.make_formulas(words.formulas, schemas)
         if words.reads_recorded_masses:
             for bound in self._worlds.bound:

@@ -94,6 +94,11 @@ class RawSql:
         assert self._world_names is not None
         return self.statements.rows(statement, None, self._world_names)
 
+    def is_query(self, sql: str, words: StatementWords) -> bool:
+        """Checks whether a text is a single query."""
+        self._names()
+        return self.statements.statement(sql, words.tables) is not None
+
     def unread(self, sql: str) -> frozenset[str]:
         """Returns the data of a simulator that a text refers to and is known not to read."""
         statement = self.statements.known(sql)

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import cache, partial
 
 from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld, Buffer, WorldHistory
 from ssduck.database.connection import Connection
-from ssduck.database.macros import description_script, drop_statements, formula_statements
+from ssduck.database.macros import (
+    description_script,
+    drop_macro,
+    drop_statements,
+    formula_statements,
+    macro_statement,
+    macros_among,
+)
 from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
@@ -40,6 +48,9 @@ class Schemas:
         self._connection = connection
         # The schemas with macros and comments; None if there are no macros at all.
         self._described: set[str] | None = None
+        # Before that, the macros that queries have named, by schema and name, and the worlds.
+        self._named: set[tuple[str | None, str]] = set()
+        self._named_for: tuple[tuple[str, ...], str | None] = ((), None)
         # The relations without tables that are macros of each schema.
         self._formulas: dict[str, set[str]] = {}
         self._is_searched = False
@@ -58,8 +69,7 @@ class Schemas:
         In memory, a view is made when a statement names it. In a file, statements of other programs
         read the views, too.
         """
-        if self._described is not None:
-            self._described.discard(name)
+        self._forget(name)
         on_demand = self._connection.on_demand
         for table in HISTORIES.values():
             maker = partial(_make_history_view, name, bound, table)
@@ -71,10 +81,46 @@ class Schemas:
         if self._connection.is_file:
             on_demand.make_schema(name, self._connection)
 
+    @property
+    def has_comments(self) -> bool:
+        """Whether all macros and comments have been made once."""
+        return self._described is not None
+
+    def provide(self, words: AbstractSet[str], names: Sequence[str], only: str | None) -> None:
+        """Creates the views and macros that a query names.
+
+        Args:
+            words: the words of the query, in small letters.
+            names: the names of all schemas of worlds.
+            only: the schema of the only world; None if there are several worlds.
+        """
+        connection = self._connection
+        if self._named_for != (worlds := (tuple(names), only)):
+            self._drop_named()
+            self._named_for = worlds
+        connection.on_demand.make_named(words, connection)
+        for name in sorted(macros_among(words)):
+            for schema in (None, *names):
+                if (schema, name) in self._named:
+                    continue
+                statement = macro_statement(name, schema, only)
+                if statement is not None:
+                    connection.on_demand.provide(statement, connection)
+                    connection.define(statement)
+                self._named.add((schema, name))
+
+    def _drop_named(self) -> None:
+        """Drops the macros that have no schema before their name: they depend on the worlds."""
+        for schema, name in sorted(self._named, key=str):
+            if schema is None:
+                self._connection.define(drop_macro(name))
+        self._named = {named for named in self._named if named[0] is not None}
+
     def forget(self, name: str) -> None:
         """Has the macros and comments of a schema made anew."""
         self._described = None
         self._formulas.pop(name, None)
+        self._named = {named for named in self._named if named[0] != name}
 
     def are_described(self, names: Collection[str]) -> bool:
         """Checks whether the macros and comments are those of these schemas."""
@@ -88,6 +134,7 @@ class Schemas:
             only: the schema of the only world; None if there are several worlds.
             recorded: the schemas of recorded worlds.
         """
+        self._drop_named()
         known = None if self._described is None else frozenset(self._described)
         script = description_script(tuple(names), only, known, frozenset(recorded))
         self._connection.run(script)
@@ -122,8 +169,13 @@ class Schemas:
             place = exp.to_identifier(schema, quoted=True).sql("duckdb")
             self._connection.run(f"DROP SCHEMA IF EXISTS {place} CASCADE")
         self._connection.on_demand.withdraw_schema(schema)
+        self._forget(schema)
+
+    def _forget(self, schema: str) -> None:
+        """Takes note that a schema lacks its macros."""
         if self._described is not None:
             self._described.discard(schema)
+        self._named = {named for named in self._named if named[0] != schema}
 
     def detach(self, schema: str, history: WorldHistory | None) -> None:
         """Drops the parts of a schema that need ssduck."""

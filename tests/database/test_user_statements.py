@@ -112,6 +112,7 @@ def ss():
 def row_by_row(ss, sql):
     """The result of a statement as DuckDB runs it, with the macros of relations."""
     ss.sql("SELECT e.mass, s.margin FROM sim.entities e, sim.shapes s LIMIT 1")
+    ss.sql("SELECT count(*) FROM duckdb_functions()")  # makes all macros
     with ss._database.pinned({"shapes"}):
         ss._database._describe(words_of(sql))
         return Result(ss._database.connection.table(sql, None))
