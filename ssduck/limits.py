@@ -1,4 +1,4 @@
-"""The limits of a program: time, rows, memory, depth, files, `eval` and progress."""
+"""The limits of a program: time, rows, memory, depth, files, statements, `eval` and progress."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ class Limits:
         eval: whether programs may call `eval('text')`.
         files: whether SQL may read and write files, load extensions and change settings, and
             result forms may write files.
+        select_only: whether SQL is one SELECT of tables and functions that compute values, ssduck's
+            own or the user's, and of nothing that ssduck keeps for itself.
         progress: whether programs that take longer than a second show their progress on a terminal
             (on standard error) or in a notebook.
 
@@ -42,6 +44,7 @@ class Limits:
     depth: int = 1000
     eval: bool = True
     files: bool = True
+    select_only: bool = False
     progress: bool = True
 
     def __post_init__(self) -> None:
@@ -55,14 +58,16 @@ class Limits:
             else:
                 value = validation.integer_above_0(value, f"{rule}, and a whole number")
             object.__setattr__(self, name, value)
-        for name in ("eval", "files", "progress"):
+        for name in ("eval", "files", "select_only", "progress"):
             object.__setattr__(
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
-        """Returns limits for untrusted programs: 10 s, a million rows, 1 GB, no `eval`, no files.
+        """Returns limits for untrusted programs.
+
+        10 s, a million rows, 1 GB, no `eval`, no files, and of SQL only SELECT.
 
         Args:
             changes: limits that differ from these.
@@ -74,6 +79,7 @@ class Limits:
                 "memory": 10**9,
                 "eval": False,
                 "files": False,
+                "select_only": True,
                 **changes,
             }
         )

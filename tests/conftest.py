@@ -26,9 +26,11 @@ settings.load_profile("ssduck")
 
 
 def pytest_configure():
-    """Let Ctrl-C reach the processes of tests, which a background job of a shell would ignore."""
+    """Let signals reach the processes of tests that a background job or nohup would ignore."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture

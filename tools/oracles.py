@@ -5,7 +5,8 @@ the exit status is 1 if one exceeds its bound. `--write` also writes docs/refere
 table of combinations and errors. 100,000 pairs take many minutes.
 
 The pairs are random, of all combinations of shapes; half of them have parallel edges and touching
-faces. The decisions for many convex pairs at once are compared with the distances.
+faces. The decisions for many convex pairs at once are compared with the distances, and with the
+contact normals.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from tests.support import hollows, pairs
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "shapes.md"
@@ -33,6 +35,8 @@ PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "shapes.m
 BOUND, ROUND_BOUND = 1e-9, 1e-6
 # The gaps with which all pairs of convex shapes are compared at once.
 LIMITS = (-1e-6, 0.0, 1e-3, 0.1)
+# The least heights of upward normals, with which they are compared at once, too.
+MIN_HEIGHTS = (0.05, MIN_RISING, 0.5, MIN_UP, 0.99)
 # One pair in so many is also compared swapped and moved.
 MOVED_EVERY = 4
 HEAD = """\
@@ -104,13 +108,14 @@ def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], W
     """Returns the worst errors of some pairs of a combination."""
     kinds, first, count = task
     worst = Worst()
-    compared_pairs, gaps = [], []
+    compared_pairs, gaps, rises = [], [], []
     for seed in range(first, first + count):
         a, b = pairs.pair(kinds, seed)
         started = time.perf_counter()
         result = pairs.gap(a, b)
         compared_pairs.append((a, b))
         gaps.append(result.distance)
+        rises.append(math.nan if result.normal is None else -result.normal[2])
         worst.micros += 1e6 * (time.perf_counter() - started)
         error, _ = pairs.error_of(a, b)
         if seed % MOVED_EVERY == 0:
@@ -127,6 +132,9 @@ def compared(task: tuple[tuple[str, str], int, int]) -> tuple[tuple[str, str], W
         for limit in LIMITS:
             wrong = pairs.wrong_verdicts(compared_pairs, np.array(gaps), limit)
             worst.failures += [f"{' '.join(kinds)}, seed {first + n}: not {limit}" for n in wrong]
+        for min_height in MIN_HEIGHTS:
+            wrong, _ = pairs.wrong_normals(compared_pairs, np.array(rises), min_height)
+            worst.failures += [f"{' '.join(kinds)}, seed {first + n}: normal" for n in wrong]
     return kinds, worst
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 from ssduck.errors import ArgumentError
 from ssduck.language.clauses import Rows
 from ssduck.language.tree import Query
+from ssduck.limits import Limits, UsageMeter
 from ssduck.world.handles import Handle
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class Selection:
         read: returns at most the given number of rows, all of them for None.
         query: the query.
         worlds: returns the worlds of the query, each at its tick.
+        meter: the use of the program's limits.
     """
 
     def __init__(
@@ -38,7 +40,9 @@ class Selection:
         read: Callable[[int | None], Rows],
         query: Query,
         worlds: Callable[[], Sequence[World]],
+        meter: UsageMeter,
     ) -> None:
+        self._meter = meter
         self._read = read
         self._worlds = worlds
         self._rows: Rows | None = None
@@ -53,6 +57,19 @@ class Selection:
     def close(self) -> None:
         """Refuses further reading: rows read later would be of another tick."""
         self._read = _refuse_reading
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of the program."""
+        return self._meter.limits
+
+    def check_time(self) -> None:
+        """Checks that the program has time left; an adapter that takes long calls it now and then.
+
+        Raises:
+            LimitError: the time is up.
+        """
+        self._meter.check_time()
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:

@@ -83,6 +83,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     raster, rasterizer = Raster((lower[0], lower[1]), size, (nx, ny)), Rasterizer(placed)
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
+        selection.check_time()
         ground = lower[2] + layer * size
         cells[:, :, layer] = rasterizer.cells(
             raster, ground, ground + size, min_overlap=CELL_TOLERANCE
@@ -113,6 +114,7 @@ def _sensor_grid(
         x, y = np.meshgrid(raster.centres(0)[batch], raster.centres(1), indexing="ij")
         points = np.stack((x.ravel(), y.ravel(), np.full(x.size, z)), axis=1)
         for sensor in sensors:
+            selection.check_time()
             cells[batch].reshape(-1)[_visible_points(sensor, placed, points, size / 2)] += 1
     return SensorGrid(cells, raster.origin, size, z, tuple(sensor.name for sensor in sensors))
 

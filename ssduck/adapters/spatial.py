@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from typing import TYPE_CHECKING, Any
@@ -14,8 +15,9 @@ from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.highlight import highlighted
 from ssduck.adapters.point_cloud import PointCloud, sample_points
 from ssduck.adapters.shapes import SHAPES, shapes_of
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, LimitError
 from ssduck.geometry.solids import Solid
+from ssduck.limits import Limits
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 # In glTF, y points up and cameras look along -z.
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+# The renderer's speed on a slow machine, and the memory that it and the outlines take.
+PIXELS_PER_SECOND, BYTES_PER_PIXEL = 1_000_000, 128
 _COLOURS = {
     "robot": (214, 120, 40, 255),
     "kinbody": (150, 160, 175, 255),
@@ -101,7 +105,26 @@ def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.I
         validation.integer_between(width, "width", 1, validation.MAX_PIXELS),
         validation.integer_between(height, "height", 1, validation.MAX_PIXELS),
     )
+    _check_pixels(selection.limits, *size)
     return highlighted(selection.world, selection.entities, *size)
+
+
+def _check_pixels(limits: Limits, width: int, height: int) -> None:
+    """Checks that a picture can be rendered within limits; rendering cannot be interrupted.
+
+    Raises:
+        LimitError: it may take more time or memory.
+    """
+    most = math.inf
+    if limits.seconds is not None:
+        most = limits.seconds * PIXELS_PER_SECOND
+    if limits.memory is not None:
+        most = min(most, limits.memory / BYTES_PER_PIXEL)
+    if width * height > most:
+        raise LimitError(
+            f"{width} x {height} pixels are more than {most:,.0f}, which the limits of time and "
+            "memory allow"
+        )
 
 
 SPATIAL = (

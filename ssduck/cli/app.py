@@ -294,7 +294,12 @@ _Episode = Annotated[
     ),
 ]
 _Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse probable mistakes instead of warning.")
+    bool,
+    typer.Option(
+        "--strict",
+        help="For programs from elsewhere: limit time, memory, rows and SQL, switch files off, and "
+        "refuse probable mistakes instead of warning.",
+    ),
 ]
 
 
@@ -356,6 +361,7 @@ def query(
     text = _program_text(program, file)
 
     from ssduck.interpreter.shown_rows import rows_to_show
+    from ssduck.limits import Limits
     from ssduck.simulators.scenes import find_scene
 
     if steps is not None or seconds is not None:
@@ -364,7 +370,8 @@ def query(
         description = find_scene(scene)
         steps = steps if seconds is None else whole_steps(seconds, description.timestep)
     # The output of a program is not its result.
-    with open_or_load(scene, episode) as ss, contextlib.redirect_stdout(sys.stderr):
+    limits = Limits.strict() if strict else None
+    with open_or_load(scene, episode, limits) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)
@@ -400,6 +407,37 @@ def _writer_of_result(
 
 for command in (record, export, episodes):
     app.command()(command)
+
+
+@app.command()
+def mcp(
+    location: Annotated[
+        str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
+    ],
+    seconds: _Seconds = None,
+    episode: _Episode = None,
+) -> None:
+    """Answer agents over the Model Context Protocol, on standard input and output.
+
+    Programs are confined as with `query --strict`. The extra mcp brings the protocol:
+    pip install 'ssduck[mcp]'
+    """
+    from ssduck.adapters.optional import library
+    from ssduck.limits import Limits
+    from ssduck.simulators.scenes import find_scene
+
+    library("mcp", "mcp")
+    from ssduck.mcp.server import create_server
+
+    if seconds is not None and is_record(location):
+        raise typer.BadParameter("--seconds: a record cannot be simulated further")
+    record = Path(location) if is_record(location) else None
+    with open_or_load(location, episode, Limits.strict(progress=False)) as ss:
+        ss.strict = True
+        if seconds is not None:
+            description = find_scene(location)
+            ss.call_variable(description.name).step(whole_steps(seconds, description.timestep))
+        create_server(ss, record).run("stdio")
 
 
 @app.command()

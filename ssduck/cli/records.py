@@ -16,6 +16,7 @@ from ssduck.adapters.display import DisplayTable, print_line, print_table
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
+    from ssduck.limits import Limits
     from ssduck.recording.episode import Episode
     from ssduck.world.world import World
 
@@ -232,7 +233,7 @@ def _episodes(path: Path) -> list[Episode]:
     return episodes_of(path)
 
 
-def open_or_load(location: str, episode: int | None) -> Interpreter:
+def open_or_load(location: str, episode: int | None, limits: Limits | None = None) -> Interpreter:
     """Returns an interpreter for a record or a scene.
 
     Raises:
@@ -241,7 +242,7 @@ def open_or_load(location: str, episode: int | None) -> Interpreter:
     from ssduck.interpreter import opening
 
     if is_record(location):
-        return opening.open_record(location, episode=episode)
+        return opening.open_record(location, episode=episode, limits=limits)
     if episode is not None:
         raise typer.BadParameter(f"--episode: {location} is no record")
-    return opening.load(location)
+    return opening.load(location, limits=limits)

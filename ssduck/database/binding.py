@@ -22,11 +22,14 @@ from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
 from ssduck.simulators.joints import EntityJoints
-from ssduck.world.live_tables import LiveTable
+from ssduck.world.live_tables import LiveTable, last_version
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
 # The poses of entities by id: x, y, z, qw, qx, qy, qz; None for what is not known.
 Poses: TypeAlias = dict[int, tuple[float | None, ...]]
+# Rows that DuckDB reads in place, with their table and their name.
+Buffer: TypeAlias = tuple[str, str, LiveTable | VisibleRows]
 # The approximate number of poses that are cached.
 MAX_POSES = 100_000
 _NO_SHAPES = (
@@ -61,7 +64,7 @@ class BoundWorld:
         key: the prefix of its buffers' names among DuckDB's temporary views.
         schemas: its names; ssduck's own statements use the first.
         versions: the versions of the tables that DuckDB has registered.
-        registered: the versions of all buffers, and the margins, that DuckDB has.
+        registered: the `state` of the rows that DuckDB has.
         planned_margins: the margins, m, that DuckDB's plans assume.
         history: its recorded ticks; None if they are not recorded.
         named_world: the world, if the user named it; it keeps the world alive.
@@ -71,7 +74,7 @@ class BoundWorld:
     key: str
     schemas: list[str] = field(default_factory=list)
     versions: dict[str, int] = field(default_factory=dict)
-    registered: tuple[tuple[object, ...], float] | None = None
+    registered: tuple[object, ...] | None = None
     history: WorldHistory | None = None
     named_world: World | None = None
     planned_margins: float = 0.0
@@ -154,23 +157,30 @@ class BoundWorld:
             numbers = [[None if math.isnan(one) else one for one in pose] for pose in numbers]
         return poses | dict(zip(ids.tolist(), map(tuple, numbers), strict=True))
 
-    def buffers(self) -> list[tuple[str, str, LiveTable | VisibleRows]]:
-        """Returns the rows that DuckDB reads in place, each with its table and its name."""
-        buffers: list[tuple[str, str, LiveTable | VisibleRows]] = [
-            (table, self.live_view(table), live)
-            for table, live in self.world.snapshot.tables.items()
-        ]
-        for part, tables in enumerate(self.history.visible_rows if self.history else ()):
-            for table, rows in tables.items():
-                buffers.append((RECORDED[table].history_view, self.buffer_views(table)[part], rows))
-        return buffers
+    def buffers(self) -> list[Buffer]:
+        """Returns the rows that DuckDB reads in place; of the current tick if it is in memory."""
+        live = self.live_buffers() if self.world.is_restored else []
+        return live + self.history_buffers()
 
-    def buffer_versions(self) -> tuple[object, ...]:
-        """Returns the history, and the versions of the rows that DuckDB reads in place."""
-        versions: list[object] = [live.version for live in self.world.snapshot.tables.values()]
-        for tables in self.history.visible_rows if self.history else ():
-            versions += [rows.version for rows in tables.values()]
-        return (self.history, *versions)
+    def live_buffers(self) -> list[Buffer]:
+        """Returns the rows of the current tick."""
+        tables = self.world.snapshot.tables
+        return [(table, self.live_view(table), live) for table, live in tables.items()]
+
+    def history_buffers(self) -> list[Buffer]:
+        """Returns the rows of recorded ticks that DuckDB reads in place."""
+        return [
+            (RECORDED[table].history_view, self.buffer_views(table)[part], rows)
+            for part, tables in enumerate(self.history.visible_rows if self.history else ())
+            for table, rows in tables.items()
+        ]
+
+    def state(self) -> tuple[object, ...]:
+        """Returns what is equal as long as no buffer is replaced, and no margin changes."""
+        history = self.history
+        recorded_margins = 0.0 if history is None else history.record.margins
+        snapshot = self.world.snapshot if self.world.is_restored else None
+        return last_version(), snapshot, history, recorded_margins
 
     def live_view(self, table: str) -> str:
         """Returns the name of a table's buffers among DuckDB's temporary views."""
@@ -202,7 +212,7 @@ class BoundWorld:
     @property
     def margins(self) -> float:
         """The largest distance, m, of shapes that touch by their collision margins, at any tick."""
-        now = self.world.snapshot.margins
+        now = self.world.snapshot.margins if self.world.is_restored else 0.0
         return now if self.history is None else max(now, self.history.record.margins)
 
     def warn_of_changed_margins(self, tick: int | None) -> None:
@@ -216,7 +226,7 @@ class BoundWorld:
             return
         new = [
             name
-            for name in snapshot.names_with_changed_margins
+            for name in _names_with_changed_margins(snapshot)
             if name not in self._changed_margins
         ]
         if new:
@@ -283,6 +293,15 @@ class BoundWorld:
             UnsupportedError: they are not recorded.
         """
         return LOOKUPS[kind](partial(self._recorded, tick=tick), a, b)
+
+
+def _names_with_changed_margins(snapshot: Snapshot) -> list[str]:
+    """Returns the entities whose margins differ from the initial ones, which records store."""
+    shapes = [(id, shape) for id, body in snapshot.layout.bodies for shape in body.shapes]
+    current = snapshot.tables["shapes"]["margin"].tolist()
+    pairs = zip(shapes, current, strict=True)
+    changed = {id for (id, shape), margin in pairs if shape.margin != margin}
+    return [info.name for info in snapshot.entities if info.id in changed]
 
 
 def _pose_text(pose: Sequence[float | None]) -> str:

@@ -50,6 +50,8 @@ _BY_ROW = 100
 # The types whose columns NumPy represents exactly.
 _BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
 _EXECUTE = "EXECUTE "
+# Has DuckDB plan nested loops in place of all range joins.
+NO_RANGE_JOINS = "SET nested_loop_join_threshold = 1000000000"
 # The name of an attached file with a record; no world can have it.
 _ATTACHED = "ssduck record file"
 _ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
@@ -116,23 +118,34 @@ class Connection:
             self.run("SET wal_autocheckpoint = '1TB'")  # see WriterConnection.checkpoint
 
     def apply_limits(self) -> None:
-        """Applies the limits of memory and files to all later statements."""
+        """Applies the limit of memory to all later statements."""
         limits = self.meter.limits
-        self._is_altered |= limits.memory is not None or not limits.files
+        self._is_altered |= limits.memory is not None
         if limits.memory is not None:
             memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
             self.run(f"SET memory_limit = {memory}")
             # A query that exceeds the limit fails instead of writing to the working directory.
             self.run("SET temp_directory = ''")
-        if not limits.files:
-            self.run("SET enable_external_access = false")
-            self.run("SET lock_configuration = true")
+
+    def seal(self, readable: Sequence[Path]) -> None:
+        """Switches files off for all later statements, and changes of settings.
+
+        Args:
+            readable: the folders whose files statements can still reach.
+        """
+        self._is_altered = True
+        if readable:
+            names = [exp.Literal.string(f"{folder}{os.sep}").sql("duckdb") for folder in readable]
+            self.run(f"SET allowed_directories = [{', '.join(names)}]")
+        self.run(NO_RANGE_JOINS)  # it cannot be set later
+        self.run("SET enable_external_access = false")
+        self.run("SET lock_configuration = true")
 
     def forbid_merge_joins(self) -> None:
-        """Lets DuckDB plan other joins than merge joins.
+        """Lets DuckDB plan other joins than IE joins, but for SEMI and ANTI joins.
 
-        In DuckDB 2.0.0, a merge join (a range join of 1,000 rows or more) in a prepared statement
-        invalidates the database at its second run. A nested loop is correct.
+        In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
+        statement invalidates the database at its second run.
         """
         self.run("SET merge_join_threshold = 1000000000")
 
@@ -207,6 +220,11 @@ class Connection:
             raise RecordError(_open_error_text(str(path), error)) from error
         self._attached = self.has_records = True
         return _ATTACHED
+
+    @property
+    def may_have_views(self) -> bool:
+        """Whether a file is open or attached: its views and macros may call relations."""
+        return self.is_file or self._attached
 
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table readable under a name."""
@@ -304,6 +322,7 @@ class Connection:
     def table(self, sql: str, parameters: Parameters) -> pa.Table:
         """Returns all rows of a user's statement; the caller pins the worlds."""
         self._is_altered = True
+        self.on_demand.provide(sql, self)
         max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:
@@ -329,6 +348,8 @@ class Connection:
         Returns:
             The rows; None if the types of the columns require an Arrow table.
         """
+        if not sql.startswith(_EXECUTE):
+            self.on_demand.provide(sql, self)
         max_rows = self.meter.limits.rows
         most = None if max_rows is None else max_rows + 1
 
@@ -342,25 +363,30 @@ class Connection:
 
     def columns(self, sql: str, parameters: Parameters) -> list[tuple[str, str]]:
         """Returns the names and the types of a query's columns; the query does not run."""
+        self.on_demand.provide(sql, self)
         described = self._execute(
             sql, lambda: self._connection.execute(f"DESCRIBE {sql}", parameters).fetchall()
         )
         return [(name, type) for name, type, *_ in described]
 
-    def is_query(self, sql: str) -> bool:
-        """Checks whether a text is one statement that only reads."""
+    def statements(self, sql: str) -> list[tuple[str, str]] | None:
+        """Returns the type and the text of each statement; None if DuckDB cannot parse them."""
         try:
             statements = self._connection.extract_statements(sql)
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
-            return False
-        return len(statements) == 1 and statements[0].type == duckdb.StatementType.SELECT
+            return None
+        return [(statement.type.name, statement.query) for statement in statements]
+
+    def is_query(self, sql: str) -> bool:
+        """Checks whether a text is one statement that only reads."""
+        return [kind for kind, _ in self.statements(sql) or ()] == ["SELECT"]
 
     def run(self, sql: str) -> None:
         """Runs a statement of ssduck's own, which no limit cuts off."""
         self._execute(sql, lambda: self._connection.execute(sql).fetchall(), timed=False)
 
     def define(self, sql: str) -> None:
-        """Runs a statement that makes a view; it is not traced, as any statement may need it."""
+        """Runs a statement that makes a view or a macro; it is not traced: any may need it."""
         tracer, self._tracer = self._tracer, None
         try:
             self.run(sql)

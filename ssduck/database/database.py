@@ -8,9 +8,8 @@ they read. Each world is a schema of views on its buffers. Nothing outside this 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from collections.abc import Set as AbstractSet
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pyarrow as pa
@@ -19,19 +18,22 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.functions import add_user_function, converter_of, offer_geometry_functions
+from ssduck.database.pinning import PinnedWorlds
 from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
 from ssduck.database.referenced_tables import (
+    ReadData,
     ReferencedTables,
     StatementWords,
     check_length,
     words_of,
 )
 from ssduck.database.schemas import Schemas
+from ssduck.database.select_check import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
-from ssduck.errors import EvaluationError
+from ssduck.errors import EvaluationError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.export import export
@@ -76,7 +78,13 @@ class Database:
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
         )
-        self._raw_sql = RawSql(self.connection, self.plans, self._references, self._worlds)
+        self._raw_sql = RawSql(
+            self.connection, self.plans, self._references, self._worlds, self._schemas
+        )
+        # The folders of records, which ssduck's own views read.
+        self._record_folders: list[Path] = []
+        self._is_sealed = False
+        self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
         if self.connection.is_file:
             self._schemas.drop_stale_views()
         offer_geometry_functions(self.connection, self._worlds.by_schema)
@@ -111,59 +119,97 @@ class Database:
             parameters: the values of its parameters.
 
         Raises:
-            LimitError: it exceeds a limit.
+            LimitError: it exceeds a limit, or is not permitted.
             SqlError: DuckDB cannot run it.
         """
         if self.connection.meter.limits.seconds is not None:
             check_length(sql)
-        words = words_of(sql)
         with self._lock:
+            statement = None if parameters else self._raw_sql.ready(sql)
+            if statement is not None and statement.reads is not None:
+                with PinnedWorlds(self._lock, self._worlds, statement.reads):
+                    return self._raw_sql.ready_rows(statement)
+            self._confine(sql)
+            words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
-            with self.pinned(tables, self._references.worlds(words, self._worlds.bound)):
+            reads = ReadData(tables, self._references.worlds(words, self._worlds.bound))
+            with PinnedWorlds(self._lock, self._worlds, reads):
+                if self._names_all(sql, words):
+                    self._describe(words, is_all=False)
+                    try:
+                        return self._raw_sql.rows(sql, parameters, words, reads)
+                    except SqlError as error:
+                        if not error.is_refused:
+                            raise
+                # DuckDB's message suggests the names that there are.
                 self._describe(words)
-                return self._raw_sql.rows(sql, parameters, words)
+                return self._raw_sql.rows(sql, parameters, words, reads)
 
-    def _describe(self, words: StatementWords) -> None:
-        """Creates the views, macros and comments that a user's statement may need."""
-        self.connection.on_demand.make_all(self.connection)
+    def _confine(self, sql: str) -> None:
+        """Checks a user's statement, and switches files off before the first one.
+
+        Opening a record attaches its file, so files are switched off after that.
+
+        Raises:
+            LimitError: the statement is not permitted.
+        """
+        limits = self.connection.meter.limits
+        if not (limits.files or self._is_sealed):
+            self.connection.seal(self._record_folders)
+            self._is_sealed = True
+        if limits.select_only:
+            self._select_check.check(sql)
+
+    def allow_record(self, folder: Path) -> None:
+        """Lets ssduck's views read the folder of a record when files are switched off."""
+        self._record_folders.append(folder.absolute())
+
+    def _names_all(self, sql: str, words: StatementWords) -> bool:
+        """Checks whether a statement names all views and macros that it needs.
+
+        Views and macros of users may need more.
+        """
+        return not (
+            self._schemas.has_comments
+            or self.connection.may_have_views
+            or words.reads_catalog
+            or not self._raw_sql.is_query(sql, words)
+        )
+
+    def _describe(self, words: StatementWords, *, is_all: bool = True) -> None:
+        """Creates the views, macros and comments that a user's statement may need.
+
+        Args:
+            words: the words of the statement.
+            is_all: whether it may need all of them; otherwise, it names what it needs.
+        """
         schemas = list(self._worlds.by_schema)
-        if not self._schemas.are_described(schemas):
-            only = schemas[0] if len(self.worlds) == 1 else None
-            self._schemas.describe(schemas, only, self.records)
+        only = schemas[0] if len(self.worlds) == 1 else None
+        if not is_all:
+            self._schemas.provide(words.words, schemas, only)
+        else:
+            self.connection.on_demand.make_all(self.connection)
+            if not self._schemas.are_described(schemas):
+                self._schemas.describe(schemas, only, self.records)
         self._schemas.make_formulas(words.formulas, schemas)
         if words.reads_recorded_masses:
             for bound in self._worlds.bound:
                 if bound.history is not None and bound.reference() is not None:
                     bound.history.record.warn_of_masses()
 
-    @contextmanager
     def pinned(
         self,
         tables: AbstractSet[str] = frozenset(),
         worlds: Collection[World] | None = None,
-    ) -> Iterator[None]:
+    ) -> PinnedWorlds:
         """Pins all worlds at their tick while statements run.
 
         Args:
             tables: the tables to read, from the simulators if need be.
             worlds: the worlds whose tables are read; None for all.
         """
-        with ExitStack() as stack:
-            stack.enter_context(self._lock)
-            # In the same order in all databases, so that there is no deadlock.
-            present = [
-                (world, bound)
-                for bound in self._worlds.bound
-                if (world := bound.reference()) is not None
-            ]
-            for world, _ in sorted(present, key=lambda item: item[0].serial):
-                reads = worlds is None or any(world is other for other in worlds)
-                stack.enter_context(world.pinned(tables if reads else (), is_read=reads))
-            for _, bound in present:
-                if bound.history is not None and bound.history.recorder is not None:
-                    stack.enter_context(bound.history.recorder.read_lock)
-                self._worlds.register(bound)
-            yield
+        serials = None if worlds is None else [world.serial for world in worlds]
+        return PinnedWorlds(self._lock, self._worlds, ReadData(tables, serials))
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""
@@ -191,6 +237,8 @@ class Database:
 
         No statement may be running, and no plan may be used after that.
         """
+        if not self._worlds.has_unused:
+            return False
         with self._lock:
             return self._worlds.sweep()
 

@@ -57,6 +57,7 @@ class FetchedRows:
         self._header = header
         self._first = first
         self._rest = rest
+        self._count = len(first) + (len(rest[0]) if rest else 0)
 
     @property
     def columns(self) -> Sequence[str]:
@@ -71,7 +72,7 @@ class FetchedRows:
     @property
     def header(self) -> Header:
         """The columns, and whether there are many rows."""
-        is_long = len(self) >= MAX_TUPLES
+        is_long = self._count >= MAX_TUPLES
         return (
             self._header
             if self._header.is_long is is_long
@@ -79,7 +80,7 @@ class FetchedRows:
         )
 
     def __len__(self) -> int:
-        return len(self._first) + (len(self._rest[0]) if self._rest else 0)
+        return self._count
 
     def renamed(self, columns: tuple[str, ...]) -> FetchedRows:
         """Returns the same rows with other names of the columns."""
@@ -126,15 +127,16 @@ def fetched(
     Args:
         result: a connection that has executed a statement.
         max_rows: the number of rows after which no more are fetched; None for all.
-        header: the columns, with the expected number of rows; None if they are not known.
+        header: the columns of rows that were fetched before, with the expected number of rows;
+            None if they are not known.
     """
     if header is None:
         description = result.description
         names = tuple(column[0] for column in description)
         header = Header(names, tuple(str(column[1]) for column in description))
-    if not are_plain(header.types):
-        result.abort()
-        return None
+        if not are_plain(header.types):
+            result.abort()
+            return None
     if max_rows is not None:
         rows = result.fetchmany(max_rows)
         result.abort()

@@ -213,6 +213,9 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
             return None
         if world not in worlds:
             raise UnknownNameError(f"there is no world {world!r} here any more")
+        if udf.of_boxes:
+            boxes = worlds[world].world.snapshot.boxes()
+            return boxes.numbers(udf.function(boxes))
         shapes = worlds[world].shapes(None, None)
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(None)

@@ -16,13 +16,17 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from signal import set_wakeup_fd
+from threading import get_ident, main_thread
 from typing import TypeAlias
 
 from ssduck.world.ctrl_c import handler_of
 
 Stop: TypeAlias = Callable[[], None]
 
-_write_to = partial(signal.set_wakeup_fd, warn_on_full_buffer=False)
+_write_to = partial(set_wakeup_fd, warn_on_full_buffer=False)
+# Plain values are faster than the attributes of modules: each statement uses them.
+_SIGINT, _python_handler = int(signal.SIGINT), signal.default_int_handler
 
 
 class _SignalSocket:
@@ -83,6 +87,8 @@ class InterruptListener:
         pressed: whether Ctrl-C was pressed; final after `leave`.
     """
 
+    __slots__ = ("_before", "_line", "_outer", "_stop", "pressed")
+
     def __init__(self, stop: Stop) -> None:
         self.pressed = False
         self._stop = stop
@@ -93,15 +99,16 @@ class InterruptListener:
 
     def enter(self) -> None:
         """Starts to listen, in the main thread only, and not if the user has a handler."""
-        main = threading.current_thread() is threading.main_thread()
-        if not main or handler_of(signal.SIGINT) is not signal.default_int_handler:
+        if get_ident() != main_thread().ident or handler_of(_SIGINT) is not _python_handler:
             return
         self._line = line = _open_socket()
-        with line.lock:
-            if line.current is not None:
-                line.take()
-            self._outer = line.current
+        if line.current is None:  # only this thread sets it
             line.current = self
+        else:
+            with line.lock:
+                line.take()
+                self._outer = line.current
+                line.current = self
         # In one C call, so that no exception between the calls loses the result.
         self._before.extend(map(_write_to, (line.number,)))
 
@@ -111,7 +118,7 @@ class InterruptListener:
         if line is None or line.current is not self:
             return
         for before in self._before:
-            signal.set_wakeup_fd(before, warn_on_full_buffer=before != line.number)
+            set_wakeup_fd(before, warn_on_full_buffer=before != line.number)
         with line.lock:
             line.take(stops=False)
             line.current = self._outer

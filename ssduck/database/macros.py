@@ -1,12 +1,13 @@
 """The macros and comments in DuckDB's catalog: relations as macros, and the meaning of tables.
 
-They serve users' SQL, and are made when the first such statement runs. The SQL of SelectScript
-contains the relations' formulas instead.
+They serve users' SQL: a query gets the macros that it names, other statements get all macros and
+comments. The SQL of SelectScript contains the relations' formulas instead.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -136,7 +137,7 @@ def _description_statements(
             yield table.macro(("temp",), only)
             yield table.comment(("temp",))
         elif described:
-            yield f"DROP MACRO TABLE IF EXISTS {_dotted(('temp', 'main'), table.name)}"
+            yield drop_macro(table.name)
     for schema in worlds:
         if schema in (described or ()):
             continue
@@ -149,14 +150,63 @@ def _description_statements(
         yield from _comments(schema, recorded=schema in recorded)
 
 
+_RELATIONS = {relation.name.lower(): relation for relation in RELATIONS.values()}
+_PAIR_TABLES = {table.name: table for table in TABLE_MACROS}
+_INTERVALS = "intervals"
+# The macros that have a table; those of `TABLE_MACROS` depend on the worlds.
+TABLE_MACRO_NAMES = frozenset((_INTERVALS, *_PAIR_TABLES))
+_MACRO_NAMES = frozenset((*_RELATIONS, *RELATIONS_OF_INTERVALS)) | TABLE_MACRO_NAMES
+
+
+def macros_among(words: AbstractSet[str]) -> AbstractSet[str]:
+    """Returns the words in small letters that are names of macros."""
+    return _MACRO_NAMES & words
+
+
+def macro_statement(name: str, schema: str | None, only: str | None) -> str | None:
+    """Returns the statement that creates a macro; None if there is no such macro in that place.
+
+    Args:
+        name: its name, in small letters.
+        schema: the schema of a world; None for the macro that has no schema before its name.
+        only: the schema of the only world; None if there are several worlds.
+    """
+    relation, pairs = _RELATIONS.get(name), _PAIR_TABLES.get(name)
+    if relation is not None:
+        if schema is None:
+            return relation.macro(only)
+        return relation.macro(schema, inside=True) if relation.tables else None
+    if pairs is not None:
+        if schema is None:
+            return None if only is None else pairs.macro(("temp",), only)
+        return pairs.macro((schema,), schema)
+    if schema is not None:
+        return None
+    return _intervals_macro() if name == _INTERVALS else _interval_macro(name)
+
+
+def drop_macro(name: str) -> str:
+    """Returns the statement that drops a macro that has no schema before its name."""
+    kind = "MACRO TABLE" if name in TABLE_MACRO_NAMES else "MACRO"
+    return f"DROP {kind} IF EXISTS {_dotted(('temp', 'main'), name)}"
+
+
+def _intervals_macro() -> str:
+    return f"CREATE OR REPLACE TEMP MACRO {_INTERVALS}(source) AS TABLE {INTERVALS}"
+
+
+def _interval_macro(name: str) -> str:
+    return f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({RELATIONS_OF_INTERVALS[name].formula})"
+
+
 def _interval_statements() -> Iterator[str]:
     """Yields the statements for intervals of rows, and for the relations of intervals."""
-    yield f"CREATE OR REPLACE TEMP MACRO intervals(source) AS TABLE {INTERVALS}"
+    yield _intervals_macro()
     about = exp.Literal.string(ABOUT_INTERVALS).sql("duckdb")
     yield f"COMMENT ON MACRO TABLE temp.main.intervals IS {about}"
     for name, allen in RELATIONS_OF_INTERVALS.items():
         if name not in RELATIONS:  # otherwise the relation's macro has it
-            yield f"CREATE OR REPLACE TEMP MACRO {name}(a, b) AS ({allen.formula})"
+            yield _interval_macro(name)
             about = exp.Literal.string(allen.about).sql("duckdb")
             yield f"COMMENT ON MACRO temp.main.{name} IS {about}"
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from collections.abc import Set as AbstractSet
 from functools import lru_cache
 from typing import Generic, TypeAlias, TypeVar
 
@@ -59,6 +60,11 @@ class OnDemand(Generic[T]):
         """Makes everything, for a statement that may read anything."""
         while self._makers:
             self.make(next(iter(self._makers)), connection)
+
+    def make_named(self, words: AbstractSet[str], connection: T) -> None:
+        """Makes what words in small letters name; names in a user's query may omit the schema."""
+        for name in [name for name in self._makers if name[1].casefold() in words]:
+            self.make(name, connection)
 
     def make_schema(self, schema: str, connection: T) -> None:
         """Makes the views of a schema."""

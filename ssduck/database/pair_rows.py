@@ -37,13 +37,8 @@ def pair_rows(
     Raises:
         ArgumentError: the search does not take the distance.
     """
-    shapes, entities = bound.shapes(None, None), bound.world.snapshot.tables["entities"]
-    distance = lookup.distance
-    value = float(parameters[distance]) if isinstance(distance, str) else distance
-    search = lookup.search
-    numbers = search.function(shapes, value) if search.takes_distance else search.function(shapes)
-    pairs = np.array(numbers, np.int64)
-    rows = shapes.rows_of(pairs // ID_FACTOR), shapes.rows_of(pairs % ID_FACTOR)
+    entities = bound.world.snapshot.tables["entities"]
+    rows = _found(lookup, bound, parameters)
     for comparison in lookup.comparisons:
         ranks = entities["id"] if comparison.column == "id" else _ranks(entities)
         left, right = (ranks[rows[side]] for side in comparison.sides)
@@ -56,6 +51,23 @@ def pair_rows(
     if not lookup.columns:  # the SQL selects a constant
         return [(1,)] * len(rows[0])
     return list(zip(*(values[column] for column in lookup.columns), strict=True))
+
+
+def _found(
+    lookup: PairLookup, bound: BoundWorld, parameters: Mapping[str, Any]
+) -> tuple[Indices, Indices]:
+    """Returns the rows of the two entities of each pair that the search of a look-up finds."""
+    snapshot, search, distance = bound.world.snapshot, lookup.search, lookup.distance
+    if search.of_boxes:
+        return search.function(snapshot.boxes())  # type: ignore[no-any-return]
+    value = float(parameters[distance]) if isinstance(distance, str) else distance
+    shapes = bound.shapes(None, None)
+    numbers = search.function(shapes, value) if search.takes_distance else search.function(shapes)
+    pairs = np.array(numbers, np.int64)
+    ids = snapshot.tables["entities"]["id"]
+    order = np.argsort(ids, kind="stable")
+    first, second = np.searchsorted(ids, [pairs // ID_FACTOR, pairs % ID_FACTOR], sorter=order)
+    return order[first], order[second]
 
 
 def _ranks(entities: LiveTable) -> Indices:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pyarrow as pa
 
-from ssduck.database.connection import Connection, Parameters
+from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
-from ssduck.database.referenced_tables import ReferencedTables, StatementWords
+from ssduck.database.own_catalog import OwnCatalog
+from ssduck.database.referenced_tables import ReadData, ReferencedTables, StatementWords
+from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans
 from ssduck.database.statement_names import WorldNames
-from ssduck.database.user_statements import UserStatements
+from ssduck.database.user_statements import UserStatement, UserStatements
 from ssduck.database.worlds import WorldRegistry
-from ssduck.schema import HISTORIES, TABLES
+from ssduck.schema import HISTORIES, MARGINS, MASSES, ON_DEMAND, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
 _COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
@@ -28,6 +31,8 @@ _NAMES = frozenset(
     name.lower()
     for name in (*TABLES, *(table.history_view for table in HISTORIES.values()), *RELATIONS)
 )
+# What a world reads for a statement; the other tables are always there.
+READ_ON_REQUEST = frozenset((*ON_DEMAND, MASSES, MARGINS))
 _MERGE_JOINS = re.compile(r"merge_join|\bRESET\b", re.IGNORECASE)
 # The names of what users have defined in the schema that comes before that of the first world.
 _OWN_NAMES = (
@@ -46,6 +51,7 @@ class RawSql:
         plans: the plans of prepared statements.
         references: the tables that users' statements refer to.
         worlds: the worlds of the database.
+        schemas: the schemas of their tables.
     """
 
     def __init__(
@@ -54,18 +60,44 @@ class RawSql:
         plans: PreparedPlans,
         references: ReferencedTables,
         worlds: WorldRegistry,
+        schemas: Schemas,
     ) -> None:
+        self._own_catalog = OwnCatalog(connection, worlds, schemas)
         self._connection = connection
         self._references = references
         self._worlds = worlds
         self.statements = UserStatements(connection, plans, worlds.by_schema)
         self._world_names: WorldNames | None = None
-        # The worlds that `_world_names` are of.
-        self._key: tuple[tuple[str, str], ...] = ()
+        # The version of the worlds that `_world_names` are of.
+        self._version = 0
         # The tables and relations that users' statements have defined anew.
         self._redefined: set[str] = set()
         # A file may have tables and macros from before.
         self._may_have_own_names = connection.is_file
+        # Whether DuckDB may plan range joins.
+        self._has_range_joins = connection.meter.limits.files
+
+    def ready(self, sql: str) -> UserStatement | None:
+        """Returns a query that has run before and only has to be executed; None if there is none.
+
+        Args:
+            sql: its text; it has no parameters.
+        """
+        if self._world_names is None or self._version != self._worlds.version:
+            return None
+        if self._references.search_path_changes:
+            return None
+        return self.statements.ready(sql)
+
+    def ready_rows(self, statement: UserStatement) -> FetchedRows | pa.Table:
+        """Returns the rows of a query from `ready`; the caller pins the worlds that it reads."""
+        assert self._world_names is not None
+        return self.statements.rows(statement, None, self._world_names)
+
+    def is_query(self, sql: str, words: StatementWords) -> bool:
+        """Checks whether a text is a single query."""
+        self._names()
+        return self.statements.statement(sql, words.tables) is not None
 
     def unread(self, sql: str) -> frozenset[str]:
         """Returns the data of a simulator that a text refers to and is known not to read."""
@@ -73,7 +105,11 @@ class RawSql:
         return frozenset() if statement is None else statement.unread
 
     def rows(
-        self, sql: str, parameters: Parameters, words: StatementWords
+        self,
+        sql: str,
+        parameters: Parameters,
+        words: StatementWords,
+        reads: ReadData,
     ) -> FetchedRows | pa.Table:
         """Returns all rows of a user's statement; the caller pins the worlds.
 
@@ -81,32 +117,55 @@ class RawSql:
             sql: the statement.
             parameters: the values of its parameters.
             words: what its words say.
+            reads: the data that it may read.
 
         Raises:
             LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
-        names = self._names()
-        statement = self.statements.statement(sql, words.tables)
-        if statement is not None and not self._references.search_path_changes:
-            return self.statements.rows(statement, parameters, names)
+        if not (words.has_semi_joins and self._has_range_joins):
+            return self._rows(sql, parameters, reads, is_kept=True)
+        # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
+        # rows, and invalidates the database at the second run of a prepared statement.
+        self._connection.run(NO_RANGE_JOINS)
         try:
-            return self._connection.table(sql, parameters)
+            return self._rows(sql, parameters, reads, is_kept=False)
         finally:
-            if statement is None:
-                self._update(sql)
+            if words.stores_a_query:  # any later statement may read it
+                self._has_range_joins = False
+            elif self._connection.is_open:
+                self._connection.run("RESET nested_loop_join_threshold")
+
+    def _rows(
+        self, sql: str, parameters: Parameters, reads: ReadData, *, is_kept: bool
+    ) -> FetchedRows | pa.Table:
+        names = self._names()
+        statement = self.statements.statement(sql, reads.tables)
+        if statement is not None and not self._references.search_path_changes:
+            rows = self.statements.rows(statement, parameters, names)
+            if is_kept:
+                statement.reads = replace(
+                    reads, tables=(reads.tables - statement.unread) & READ_ON_REQUEST
+                )
+            return rows
+        if statement is not None:
+            return self._connection.table(sql, parameters)
+        try:
+            with self._own_catalog.guarded(sql):
+                return self._connection.table(sql, parameters)
+        finally:
+            self._update(sql)
 
     def _names(self) -> WorldNames:
         """Returns the names of the worlds; forgets all statements when these have changed."""
         worlds = self._worlds
-        key = tuple((schema, bound.schemas[0]) for schema, bound in worlds.by_schema.items())
-        if self._world_names is None or key != self._key:
+        if self._world_names is None or self._version != worlds.version:
             self.statements.forget()
             first = next((bound.schemas[0] for bound in worlds.bound if bound.schemas), None)
-            schemas = {schema.lower(): name for schema, name in key}
+            schemas = {name.lower(): bound.schemas[0] for name, bound in worlds.by_schema.items()}
             only = first if len(set(schemas.values())) == 1 else None
             self._world_names = WorldNames(schemas, first, only, self._hidden_names())
-            self._key = key
+            self._version = worlds.version
         return self._world_names
 
     def _hidden_names(self) -> frozenset[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,11 +11,10 @@ from functools import lru_cache
 import duckdb
 
 from ssduck.database.binding import BoundWorld
-from ssduck.database.macros import TABLE_MACROS, relations_with_tables
+from ssduck.database.macros import TABLE_MACROS
 from ssduck.errors import LimitError, SourceSpan
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.world.world import World
 
 # The tables that are read for a column.
 _READ = {"mass": MASSES, "margin": MARGINS}
@@ -26,27 +25,17 @@ def _with_read_columns(table: str) -> frozenset[str]:
     return frozenset((table, *(_READ[name] for name in TABLES[table].names if name in _READ)))
 
 
-# The tables that a word in a statement refers to: a table's name, or a relation that reads tables.
-_TABLES_OF = {
-    **{name.lower(): _with_read_columns(name) for name in TABLES},
-    **{relation.name.lower(): relation.macro_inputs for relation in relations_with_tables()},
-    **{table.name: frozenset(("shapes",)) for table in TABLE_MACROS},
-}
-_TABLE_WORDS = re.compile(rf"\b({'|'.join(_TABLES_OF)})\b", re.IGNORECASE | re.ASCII)
-# The same and the views of histories and models, where no schema stands before it.
-_UNQUALIFIED_TABLE = re.compile(
-    rf'(?<!\.)(?<!\.")\b({"|".join(_TABLES_OF)})(_history|_model)?\b', re.IGNORECASE | re.ASCII
-)
-# Relations that read no table become macros of a world's schema when a statement calls them so.
-_FORMULAS = {
-    relation.name.lower(): relation.name for relation in RELATIONS.values() if not relation.tables
-}
-_BETWEEN = r"(?:\s|/\*.*?\*/|--[^\n]*)*"
-_QUALIFIED_CALL = re.compile(
-    rf'\.{_BETWEEN}"?({"|".join(_FORMULAS)})"?{_BETWEEN}\(',
-    re.IGNORECASE | re.ASCII | re.DOTALL,
-)
+_WORLD_TABLES = {name.lower(): name for name in TABLES}
+_PAIR_TABLES = frozenset(table.name for table in TABLE_MACROS)
+_RELATIONS = {relation.name.lower(): relation for relation in RELATIONS.values()}
+_WORD = re.compile(r"\w+", re.ASCII)
+# Words with no schema before them.
+_UNQUALIFIED = re.compile(r'(?<!\.)(?<!\.")\b\w+', re.ASCII)
+_OF_RECORDS = re.compile(r"_(?:history|model)$")
+_BETWEEN = r"(?:\s|/\*(?:(?!\*/).)*\*/|--[^\n]*(?:\n|\Z))*"
+_QUALIFIED_CALL = re.compile(rf'\.{_BETWEEN}"?(\w+)"?{_BETWEEN}\(', re.ASCII | re.DOTALL)
 _STORES_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
+_SEMI_JOINS = re.compile(r"\b(SEMI|ANTI)\b", re.IGNORECASE)
 _MASS_TABLES = [name for name in TABLES if MASSES in _with_read_columns(name)]
 _MASS_HISTORIES = re.compile(
     rf"\b({'|'.join(_MASS_TABLES)})_(history|model)\b", re.IGNORECASE | re.ASCII
@@ -54,6 +43,12 @@ _MASS_HISTORIES = re.compile(
 # The column, or all columns: a star outside count(*), or FROM without SELECT.
 _MASS_OR_ALL = re.compile(
     r"\bmass\b|(?<!count\()\*|(^|\()\s*FROM\b", re.IGNORECASE | re.ASCII | re.MULTILINE
+)
+# What reads the catalog, or runs a text that an expression makes.
+_READS_CATALOG = re.compile(
+    r"\b(?:duckdb_\w+|pg_\w+|pragma_\w+|sqlite_\w+|information_schema|show|describe|summarize|query|"
+    r"query_table|sql_auto_complete|json_execute_serialized_sql)\b|(?:^|[(/\n])\s*desc\b",
+    re.IGNORECASE,
 )
 # The words by which the schema of another world than the first may be omitted.
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
@@ -63,43 +58,80 @@ MAX_TOKENS = 200_000
 MAX_BRACKETS = 100
 
 
+def _tables_of(word: str) -> frozenset[str]:
+    """Returns the tables that a word refers to: a table's name, or a relation that reads tables.
+
+    Args:
+        word: the word, in small letters.
+    """
+    if word in _WORLD_TABLES:
+        return _with_read_columns(_WORLD_TABLES[word])
+    if word in _PAIR_TABLES:
+        return frozenset(("shapes",))
+    relation = _RELATIONS.get(word)
+    return relation.macro_inputs if relation is not None and relation.tables else frozenset()
+
+
 @dataclass(frozen=True)
 class StatementWords:
     """What the words in a user's statement say.
 
     Attributes:
+        words: the words, in small letters.
         tables: the tables that they refer to.
         stores_a_query: whether it makes a view, a macro or a prepared statement.
         changes_search_path: whether it may change the schemas that may be omitted.
         formulas: the relations without tables that it may call with a schema before them.
         reads_recorded_masses: whether it reads recorded masses: the column, or all columns.
+        reads_catalog: whether it may read the catalog, or names that its text does not have.
         omits_schema: whether a table has no schema before it.
+        has_semi_joins: whether it may have SEMI or ANTI joins.
         folded: its text in small letters.
     """
 
+    words: frozenset[str]
     tables: frozenset[str]
     stores_a_query: bool
     changes_search_path: bool
     formulas: frozenset[str]
     reads_recorded_masses: bool
+    reads_catalog: bool
     omits_schema: bool
+    has_semi_joins: bool
     folded: str
 
 
 @lru_cache(maxsize=256)
 def words_of(sql: str) -> StatementWords:
     """Returns what the words in a statement say."""
-    words = {word.lower() for word in _TABLE_WORDS.findall(sql)}
+    words = frozenset(word.lower() for word in _WORD.findall(sql))
+    unqualified = {_OF_RECORDS.sub("", word.lower()) for word in _UNQUALIFIED.findall(sql)}
     return StatementWords(
-        tables=frozenset(table for word in words for table in _TABLES_OF[word]),
+        words=words,
+        tables=frozenset(table for word in words for table in _tables_of(word)),
         stores_a_query=_STORES_A_QUERY.search(sql) is not None,
         changes_search_path=_CHANGES_SEARCH_PATH.search(sql) is not None,
         formulas=frozenset(qualified_formulas(sql)),
         reads_recorded_masses=_MASS_HISTORIES.search(sql) is not None
         and _MASS_OR_ALL.search(sql) is not None,
-        omits_schema=_UNQUALIFIED_TABLE.search(sql) is not None,
+        reads_catalog=_READS_CATALOG.search(sql) is not None,
+        omits_schema=any(map(_tables_of, unqualified)),
+        has_semi_joins=_SEMI_JOINS.search(sql) is not None,
         folded=sql.casefold(),
     )
+
+
+@dataclass(frozen=True)
+class ReadData:
+    """The data that a statement may read.
+
+    Attributes:
+        tables: the tables.
+        worlds: the serial numbers of the worlds; None for all.
+    """
+
+    tables: AbstractSet[str]
+    worlds: Collection[int] | None
 
 
 class ReferencedTables:
@@ -123,8 +155,8 @@ class ReferencedTables:
             self.persistent |= words.tables
         return words.tables | self.persistent if self.persistent else words.tables
 
-    def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[World] | None:
-        """Returns the worlds that a statement may read; None for all, if it may use others.
+    def worlds(self, words: StatementWords, bound: Sequence[BoundWorld]) -> list[int] | None:
+        """Returns the serial numbers of the worlds that a statement may read; None for all.
 
         The schema of the first world may be omitted: it is read if a table has no schema.
         """
@@ -132,7 +164,7 @@ class ReferencedTables:
         if self.persistent or self.search_path_changes or words.stores_a_query:
             return None
         return [
-            world
+            world.serial
             for number, entry in enumerate(bound)
             if (world := entry.reference()) is not None
             and (
@@ -144,7 +176,8 @@ class ReferencedTables:
 
 def qualified_formulas(sql: str) -> set[str]:
     """Returns the relations without tables that a statement may call with a schema before them."""
-    return {_FORMULAS[name.lower()] for name in _QUALIFIED_CALL.findall(sql)}
+    called = (_RELATIONS.get(name.lower()) for name in _QUALIFIED_CALL.findall(sql))
+    return {relation.name for relation in called if relation is not None and not relation.tables}
 
 
 def check_length(sql: str) -> None:

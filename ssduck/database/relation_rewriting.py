@@ -1,4 +1,4 @@
-"""Rewrites users' SQL so that relations of shapes use all pairs of the tick, found at once.
+"""Rewrites users' SQL so that relations use all pairs of the tick, found at once.
 
 A statement is changed only where a relation is called for two rows of entities that come from a
 world's table unchanged; the rest of its text stays as it is. There are three forms:
@@ -8,6 +8,9 @@ world's table unchanged; the rest of its text stays as it is. There are three fo
   in the table. The macro answers for an entity whose pose is unknown.
 - A call whose pairs cannot be found at once becomes its formula, without the check that the row
   belongs to the tick.
+
+Of a relation of a box and a position (`above`), only a join of two whole tables is rewritten: the
+macro is a formula, which DuckDB evaluates fast where other conditions leave few rows.
 """
 
 from __future__ import annotations
@@ -33,14 +36,18 @@ from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import SqlValue
 from ssduck.sql.types import DOUBLE, SqlType
 
-_RELATIONS = {r.name.lower(): r for r in RELATIONS.values() if r.geometry is not None}
+_RELATIONS = {
+    relation.name.lower(): relation
+    for relation in RELATIONS.values()
+    if relation.geometry is not None or relation.candidate_pairs is not None
+}
 _MENTIONED = re.compile(rf"\b({'|'.join(_RELATIONS)})\b", re.IGNORECASE | re.ASCII)
 # Longer statements are not rewritten: sqlglot's time grows with them.
 MAX_LENGTH = 20_000
 
 
 def mentions_relations(sql: str) -> bool:
-    """Checks whether a statement may call a relation of shapes."""
+    """Checks whether a statement may call a relation that can be rewritten."""
     return len(sql) <= MAX_LENGTH and _MENTIONED.search(sql) is not None
 
 
@@ -151,7 +158,23 @@ class _Call:
         pairs = self.relation.candidate_pairs
         if pairs is None or any(entity.is_selected for entity in self.entities):
             return None
+        if pairs.search.of_boxes and not self._is_of_whole_tables():
+            return None
         return pairs.search
+
+    def _is_of_whole_tables(self) -> bool:
+        """Checks whether only conditions on both rows restrict the two sources of its SELECT."""
+        sources = self.scope.sources
+        if [*sources.values()] not in ([*self.entities], [*self.entities][::-1]):
+            return False
+        if not all(isinstance(item, exp.Table) for item in self.scope.items):
+            return False
+        for part in self.scope.conditions():
+            columns = list(part.find_all(exp.Column))
+            names = {(column.table or column.name).lower() for column in columns}
+            if part.find(exp.Query) is not None or names != sources.keys():
+                return False
+        return True
 
     def edits(self, name: str) -> Iterator[_Edit]:
         """Yields the changes of the statement.
@@ -184,7 +207,7 @@ class _Call:
         while isinstance(position.parent, exp.Paren | exp.And):
             position = position.parent
         parent = position.parent
-        is_condition = isinstance(parent, exp.Where) or (
+        is_condition = (parent is not None and parent is select.args.get("where")) or (
             isinstance(parent, exp.Join) and is_inner(parent) and parent.args.get("on") is position
         )
         owner = None if parent is None else parent.find_ancestor(exp.Select)
@@ -272,7 +295,7 @@ class _Call:
 
 
 def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> Iterator[_Call]:
-    """Yields the calls of relations of shapes that can be rewritten."""
+    """Yields the calls of relations that can be rewritten."""
     ends = _closing_brackets(tokens)
     for node in tree.find_all(exp.Anonymous, exp.Contains):
         name = "contains" if isinstance(node, exp.Contains) else node.name.lower()
@@ -297,11 +320,15 @@ def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> 
         if isinstance(outer, exp.Dot):
             schema = _schema_of(outer, scope, names)
         sources = [entity for entity in entities if entity is not None]
+        if relation.geometry is None and sources:  # its macro takes rows of any world
+            schema = sources[0].schema
         is_of_world = all(source.schema == schema for source in sources)
         is_one_pair = len({source.text.lower() for source in sources}) == entity_count
         if schema is None or len(sources) < entity_count or not (is_of_world and is_one_pair):
             continue
-        yield _Call(sql, outer, start, end, relation, tuple(sources), numbers, schema, scope)
+        call = _Call(sql, outer, start, end, relation, tuple(sources), numbers, schema, scope)
+        if relation.geometry is not None or call.join_place() is not None:
+            yield call
 
 
 def _entity(argument: exp.Expr, scope: Scope) -> Source | None:

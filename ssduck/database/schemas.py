@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import cache, partial
 
 from sqlglot import exp
 
-from ssduck.database.binding import BoundWorld, WorldHistory
+from ssduck.database.binding import BoundWorld, Buffer, WorldHistory
 from ssduck.database.connection import Connection
-from ssduck.database.macros import description_script, drop_statements, formula_statements
+from ssduck.database.macros import (
+    description_script,
+    drop_macro,
+    drop_statements,
+    formula_statements,
+    macro_statement,
+    macros_among,
+)
 from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
@@ -40,6 +48,9 @@ class Schemas:
         self._connection = connection
         # The schemas with macros and comments; None if there are no macros at all.
         self._described: set[str] | None = None
+        # Before that, the macros that queries have named, by schema and name, and the worlds.
+        self._named: set[tuple[str | None, str]] = set()
+        self._named_for: tuple[tuple[str, ...], str | None] = ((), None)
         # The relations without tables that are macros of each schema.
         self._formulas: dict[str, set[str]] = {}
         self._is_searched = False
@@ -49,9 +60,7 @@ class Schemas:
         self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {quoted(name)}")
         on_demand = self._connection.on_demand
         for table in TABLES.values():
-            reason = bound.world.snapshot.unavailable.get(table.name)
-            maker = partial(_make_live_view, name, bound, table, reason)
-            on_demand.offer((name, table.name), maker)
+            on_demand.offer((name, table.name), partial(_make_live_view, name, bound, table))
         self.make_history(name, bound)
 
     def make_history(self, name: str, bound: BoundWorld) -> None:
@@ -60,8 +69,7 @@ class Schemas:
         In memory, a view is made when a statement names it. In a file, statements of other programs
         read the views, too.
         """
-        if self._described is not None:
-            self._described.discard(name)
+        self._forget(name)
         on_demand = self._connection.on_demand
         for table in HISTORIES.values():
             maker = partial(_make_history_view, name, bound, table)
@@ -72,6 +80,47 @@ class Schemas:
                 on_demand.offer((name, view), partial(_make_model_view, name, view, models))
         if self._connection.is_file:
             on_demand.make_schema(name, self._connection)
+
+    @property
+    def has_comments(self) -> bool:
+        """Whether all macros and comments have been made once."""
+        return self._described is not None
+
+    def provide(self, words: AbstractSet[str], names: Sequence[str], only: str | None) -> None:
+        """Creates the views and macros that a query names.
+
+        Args:
+            words: the words of the query, in small letters.
+            names: the names of all schemas of worlds.
+            only: the schema of the only world; None if there are several worlds.
+        """
+        connection = self._connection
+        if self._named_for != (worlds := (tuple(names), only)):
+            self._drop_named()
+            self._named_for = worlds
+        connection.on_demand.make_named(words, connection)
+        for name in sorted(macros_among(words)):
+            for schema in (None, *names):
+                if (schema, name) in self._named:
+                    continue
+                statement = macro_statement(name, schema, only)
+                if statement is not None:
+                    connection.on_demand.provide(statement, connection)
+                    connection.define(statement)
+                self._named.add((schema, name))
+
+    def _drop_named(self) -> None:
+        """Drops the macros that have no schema before their name: they depend on the worlds."""
+        for schema, name in sorted(self._named, key=str):
+            if schema is None:
+                self._connection.define(drop_macro(name))
+        self._named = {named for named in self._named if named[0] is not None}
+
+    def forget(self, name: str) -> None:
+        """Has the macros and comments of a schema made anew."""
+        self._described = None
+        self._formulas.pop(name, None)
+        self._named = {named for named in self._named if named[0] != name}
 
     def are_described(self, names: Collection[str]) -> bool:
         """Checks whether the macros and comments are those of these schemas."""
@@ -85,6 +134,7 @@ class Schemas:
             only: the schema of the only world; None if there are several worlds.
             recorded: the schemas of recorded worlds.
         """
+        self._drop_named()
         known = None if self._described is None else frozenset(self._described)
         script = description_script(tuple(names), only, known, frozenset(recorded))
         self._connection.run(script)
@@ -119,8 +169,13 @@ class Schemas:
             place = exp.to_identifier(schema, quoted=True).sql("duckdb")
             self._connection.run(f"DROP SCHEMA IF EXISTS {place} CASCADE")
         self._connection.on_demand.withdraw_schema(schema)
+        self._forget(schema)
+
+    def _forget(self, schema: str) -> None:
+        """Takes note that a schema lacks its macros."""
         if self._described is not None:
             self._described.discard(schema)
+        self._named = {named for named in self._named if named[0] != schema}
 
     def detach(self, schema: str, history: WorldHistory | None) -> None:
         """Drops the parts of a schema that need ssduck."""
@@ -163,14 +218,12 @@ def _make_view(connection: Connection, schema: str, name: str, rows: str) -> Non
     connection.define(f"CREATE OR REPLACE VIEW {view} AS {rows}")
 
 
-def _make_live_view(
-    schema: str, bound: BoundWorld, table: Table, reason: str | None, connection: Connection
-) -> None:
+def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Connection) -> None:
     """Creates the view of a table at the current tick."""
     if table.view_columns:
         connection.on_demand.make((schema, "entities"), connection)
-    _register(connection, bound, [bound.live_view(table.name)])
-    rows = _live_rows(bound, table, reason)
+    _register(connection, bound, bound.live_buffers(), [bound.live_view(table.name)])
+    rows = _live_rows(bound, table, bound.world.snapshot.unavailable.get(table.name))
     _make_view(connection, schema, table.name, _with_view_columns(table, rows, schema))
 
 
@@ -186,10 +239,11 @@ def _make_history_view(
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
         tables = {table.name, entities.name} & set(history.store.tables)
-        _register(connection, bound, [name for t in tables for name in bound.buffer_views(t)])
+        names = [name for table_name in tables for name in bound.buffer_views(table_name)]
+        _register(connection, bound, bound.history_buffers(), names)
         rows = history.store.select(table.name, waiting)
     if rows is None:
-        _register(connection, bound, [bound.live_view(table.name)])
+        _register(connection, bound, bound.live_buffers(), [bound.live_view(table.name)])
         rows = _live_rows(bound, table, _not_recorded(table, schema, history))
     columns = _with_view_columns(table, rows, schema, entities.history_view)
     _make_view(connection, schema, table.history_view, columns)
@@ -202,9 +256,11 @@ def _make_model_view(
     _make_view(connection, schema, name, models()[name])
 
 
-def _register(connection: Connection, bound: BoundWorld, names: Collection[str]) -> None:
-    """Registers buffers of a world with DuckDB, unless they are."""
-    for _, name, rows in bound.buffers():
+def _register(
+    connection: Connection, bound: BoundWorld, buffers: Iterable[Buffer], names: Collection[str]
+) -> None:
+    """Registers some buffers of a world with DuckDB, unless they are."""
+    for _, name, rows in buffers:
         if name in names and name not in bound.versions:
             connection.register(name, rows.arrow)
             bound.versions[name] = rows.version

@@ -17,7 +17,7 @@ from ssduck.world.live_tables import LiveTable
 
 # The names of ssduck's prepared statements: this prefix, a number and the tables that they read,
 # for users who trace the statements.
-_NAME_PREFIX = "ssduck statement "
+NAME_PREFIX = "ssduck statement "
 # The tables of a world whose buffers may be replaced.
 _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
 # No source can have this name, because it has a space.
@@ -139,7 +139,7 @@ _numbers = count(1)
 
 def statement_name(reads: Iterable[str]) -> str:
     """Returns a new name for one of ssduck's prepared statements, with the tables it reads."""
-    return f"{_NAME_PREFIX}{next(_numbers)} {' '.join(sorted(_TABLES & set(reads)))}"
+    return f"{NAME_PREFIX}{next(_numbers)} {' '.join(sorted(_TABLES & set(reads)))}"
 
 
 def _read_parameters(tree: exp.Select, row: exp.Expr) -> None:

@@ -268,7 +268,7 @@ def reads_only_live_tables(statement: exp.Expr, names: WorldNames) -> bool:
 
 # The data that a simulator is asked for on behalf of one column, by the column.
 _READ_FOR = {"mass": MASSES, "margin": MARGINS}
-_INPUTS = {name.lower(): relation.macro_inputs for name, relation in RELATIONS.items()}
+_RELATIONS = {name.lower(): relation for name, relation in RELATIONS.items()}
 
 
 def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
@@ -279,11 +279,14 @@ def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
         sql: its text.
     """
     words = set(map(str.lower, _WORD.findall(sql)))
-    relations = [_INPUTS[word] for word in words if word in _INPUTS]
+    inputs = [_RELATIONS[word].macro_inputs for word in words if word in _RELATIONS]
     names = {table.alias_or_name.lower() for table in statement.find_all(exp.Table, exp.Subquery)}
     is_all_read = any(join.method for join in statement.find_all(exp.Join)) or any(
         not isinstance(star.parent, exp.Count) for star in statement.find_all(exp.Star, exp.Columns)
     )
+    # A column may be named by its position: `#3`, `entities AS e(a, b)`.
+    is_all_read = is_all_read or "#" in sql
+    is_all_read = is_all_read or any(a.columns for a in statement.find_all(exp.TableAlias))
     is_all_read = is_all_read or any(
         not column.table and column.name.lower() in names and not _is_argument(column)
         for column in statement.find_all(exp.Column)
@@ -293,11 +296,11 @@ def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
     return frozenset(
         data
         for column, data in _READ_FOR.items()
-        if column not in words and not any(data in inputs for inputs in relations)
+        if column not in words and not any(data in read for read in inputs)
     )
 
 
 def _is_argument(column: exp.Column) -> bool:
     """Checks whether a row is the argument of a relation, whose formula reads its columns."""
     call = column.parent
-    return isinstance(call, exp.Anonymous) and call.name.lower() in _INPUTS
+    return isinstance(call, exp.Anonymous) and call.name.lower() in _RELATIONS

@@ -22,6 +22,7 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters, execution_of
 from ssduck.database.fetched_rows import FetchedRows, Header, are_plain, has_plain_types
 from ssduck.database.pair_rows import pair_rows
+from ssduck.database.referenced_tables import ReadData
 from ssduck.database.relation_rewriting import (
     lookup_of,
     mentions_relations,
@@ -58,6 +59,7 @@ class UserStatement:
         is_planned_next: whether the next run prepares it, if it is not prepared.
         unread: the data of a simulator that its words refer to, and that it does not read.
         last_header: the columns of its last run, and whether it had many rows.
+        reads: the data that it reads; None if it is not known to be the same at each run.
     """
 
     text: str
@@ -71,6 +73,7 @@ class UserStatement:
     is_planned_next: bool = False
     unread: frozenset[str] = frozenset()
     last_header: Header | None = None
+    reads: ReadData | None = None
 
     @cached_property
     def execute(self) -> str:
@@ -105,6 +108,16 @@ class UserStatements:
     def known(self, sql: str) -> UserStatement | None:
         """Returns what is known of a text; None if it is not known, or not a single query."""
         return self._statements.get(sql)
+
+    def ready(self, sql: str) -> UserStatement | None:
+        """Returns a query whose rows are looked up, or whose plan is there; None for another."""
+        statement = self._statements.get(sql)
+        if statement is None or statement.reads is None:
+            return None
+        if not (statement.lookup or self._plans.has(statement.name)):
+            return None
+        self._statements.move_to_end(sql)
+        return statement
 
     def statement(self, sql: str, tables: AbstractSet[str]) -> UserStatement | None:
         """Returns what is known of a text; None if it is not a single query.

@@ -38,6 +38,7 @@ class WorldRegistry:
         bound: the worlds; the schema of the first may be omitted. A world that a program made is
             here while anything else refers to it (`sweep`), a world that the user named always.
         by_schema: the worlds by all their names.
+        version: is incremented whenever a name gets another meaning.
     """
 
     def __init__(
@@ -55,7 +56,10 @@ class WorldRegistry:
         self._recording = recording
         self.bound: list[BoundWorld] = []
         self.by_schema: dict[str, BoundWorld] = {}
+        self.version = 0
         self._numbers = count(1)
+        # The references to worlds that are gone; a list, as a callback must not keep this object.
+        self._gone: list[weakref.ref[World]] = []
 
     def bind(self, name: str, world: World) -> None:
         """Makes a schema of that name for a world's tables; a world may have several.
@@ -86,6 +90,7 @@ class WorldRegistry:
         names = {schema: bound for bound in self.bound for schema in bound.schemas}
         self.by_schema.clear()
         self.by_schema.update(names)
+        self.version += 1
 
     def _unbind(self, name: str, world: World) -> None:
         """Takes a name from another world; a world without names is dropped."""
@@ -99,8 +104,14 @@ class WorldRegistry:
                 for view in other.versions:
                     self._connection.unregister(view)
 
+    @property
+    def has_unused(self) -> bool:
+        """Whether `sweep` would drop a world."""
+        return bool(self._gone)
+
     def sweep(self) -> bool:
         """Drops worlds to which nothing else refers; returns whether there were any."""
+        self._gone.clear()
         unused = [bound for bound in self.bound if bound.reference() is None]
         for bound in unused:
             self.bound.remove(bound)
@@ -156,7 +167,7 @@ class WorldRegistry:
         for bound in self.bound:
             if bound.reference() is world:
                 return bound
-        bound = BoundWorld(weakref.ref(world), f"world {next(self._numbers)}")
+        bound = BoundWorld(weakref.ref(world, self._gone.append), f"world {next(self._numbers)}")
         self.bound.append(bound)
         try:
             if isinstance(world, ReplayedWorld):
@@ -202,10 +213,10 @@ class WorldRegistry:
 
     def register(self, bound: BoundWorld) -> None:
         """Registers replaced buffers with DuckDB, of those that views read already."""
-        versions = bound.buffer_versions(), bound.margins
-        if versions == bound.registered:
+        state = bound.state()
+        if state == bound.registered:
             return
-        bound.registered = versions
+        bound.registered = state
         new = [
             entry
             for entry in bound.buffers()

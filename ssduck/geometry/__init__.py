@@ -2,9 +2,10 @@
 
 The package knows nothing of simulators, worlds or queries. `shapes`, `poses`, `bounds` and
 `mesh_files` hold the kinds of shapes, their poses, their boxes and their files. `broad_phase`
-finds the candidate pairs, and `narrow_phase` compares the shapes of a pair, one pair at a time or
-all pairs of a tick in a `batch`. `queries` answers by the ids of entities. `rasterize` finds the
-cells of a `raster` that shapes occupy, and `line_of_sight` finds the points that shapes hide.
+finds the candidate pairs, and `narrow_phase` compares the shapes of a pair, one pair at a time. A
+`batch` compares all pairs of a tick by `proofs`. `queries` answers by the ids of entities.
+`rasterize` finds the cells of a `raster` that shapes occupy, and `line_of_sight` finds the points
+that shapes hide.
 """
 
 from typing import TYPE_CHECKING

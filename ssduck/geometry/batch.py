@@ -3,9 +3,9 @@
 The broad phase finds the pairs of shapes with overlapping boxes. Many of them are decided by
 spheres: those around the shapes are far apart, or those in the shapes overlap. Support functions
 decide half-spaces, separating axes decide boxes that may collide (Gottschalk, Lin and Manocha,
-OBBTree, 1996), and `ssduck.geometry.gjk` decides other convex shapes. The convex hull of a mesh
-shows that the mesh is far from something. Only the pairs that are left are compared one by one:
-pairs that are as near to the bound as rounding errors, and meshes that may collide.
+OBBTree, 1996), and `ssduck.geometry.proofs.gjk` decides other convex shapes. The convex hull of a
+mesh shows that the mesh is far from something. Only the pairs that are left are compared one by
+one: pairs that are as near to the bound as rounding errors, and meshes that may collide.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
-from ssduck.geometry.cores import ConvexCores, PlacedCores
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
 from ssduck.geometry.poses import rotate
-from ssduck.geometry.separating_axes import box_depths
+from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
+from ssduck.geometry.proofs.separating_axes import box_depths
+from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from ssduck.geometry.solids import Solid
-from ssduck.geometry.witnesses import KeptWitnesses
 
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8

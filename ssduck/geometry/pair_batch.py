@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -26,12 +26,17 @@ from ssduck.geometry.batch import (
 )
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
-from ssduck.geometry.gjk import ABOVE
-from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE, NarrowPhase
+from ssduck.geometry.narrow_phase import NarrowPhase
+from ssduck.geometry.on_pairs import contact_verdicts
 from ssduck.geometry.poses import rotate
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, Verdicts
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
+# Questions that the narrow phase decides pose by pose.
+PlacedKind: TypeAlias = Literal["inside", "contains", "enclosed"]
 QuestionKind: TypeAlias = Literal[
-    PredicateKind, "clearance", "penetration", "on", "supports", "resting"
+    PredicateKind, PlacedKind, "clearance", "penetration", "on", "supports", "resting"
 ]
 
 # After so many rounds, the clearances that are left are computed one by one.
@@ -57,7 +62,7 @@ class PairQuestion:
 
     Attributes:
         kind: the kind of a `PairPredicate`; or else a method of `ShapeQueries`, which is `rests_on`
-            for "resting".
+            for "resting" and `encloses` for "enclosed".
         distance: that of the predicate, m.
     """
 
@@ -75,12 +80,17 @@ class PairQuestion:
     @property
     def is_symmetric(self) -> bool:
         """Whether the order of the entities does not matter."""
-        return self.kind not in ("on", "supports", "resting")
+        return self.kind not in ("on", "supports", "resting", *get_args(PlacedKind))
 
     @property
     def is_number(self) -> bool:
         """Whether the answer is a number, and not True or False."""
-        return self.kind in ("clearance", "penetration")
+        return self.kind in ("clearance", "penetration", "inside")
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether entities are placed, and compared, once for each two of their poses."""
+        return self.kind in get_args(PlacedKind)
 
     @property
     def uses_margins(self) -> bool:
@@ -185,7 +195,7 @@ class PairBatch:
 
     def _matching(self, predicate: PairPredicate) -> Array:
         def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
-            return self._narrow.satisfies(s, t, predicate)
+            return self._narrow.shapes.satisfies(s, t, predicate)
 
         result = matching_pairs(self._scene, predicate, satisfies, self._all_shapes)
         values = np.zeros(self._count)
@@ -196,7 +206,7 @@ class PairBatch:
 
     def _distance(self, pair: int) -> float:
         """Returns the distance of a pair of shapes, m; 0 if they overlap."""
-        result = self._narrow.shape_distance(int(self._first[pair]), int(self._second[pair]))
+        result = self._narrow.shapes.distance(int(self._first[pair]), int(self._second[pair]))
         return 0.0 if result is None else max(0.0, result.distance)
 
     def _clearances(self) -> Array:
@@ -271,7 +281,7 @@ class PairBatch:
         first, second = self._first, self._second
         verdicts = proven_verdicts(self._scene, first, second, np.zeros(len(first)))
         for pair in np.flatnonzero(verdicts != ABOVE).tolist():
-            result = self._narrow.shape_signed_distance(int(first[pair]), int(second[pair]))
+            result = self._narrow.shapes.signed_distance(int(first[pair]), int(second[pair]))
             row = self._rows[pair]
             depths[row] = max(depths[row], -result.distance)
         return depths
@@ -298,31 +308,36 @@ class PairBatch:
             wanted = np.zeros(self._count, dtype=bool)
             wanted[rows] = is_over
             near = near[wanted[self._rows[near]]]
-        places = self._places()
-        last = -1
+        touch = (verdicts == BELOW)[near]
+        upward = self._upward(near, MIN_UP)
+        values[self._rows[near[touch & (upward == UPWARD)]]] = 1.0
+        left = values[self._rows[near]] == 0.0
+        upward, near = upward[left], near[left]
+        if needs_centre:
+            near = near[upward != NOT_UPWARD]
+        else:  # steep normals carry together with others
+            is_rising = upward != NOT_UPWARD
+            is_rising[~is_rising] = self._upward(near[~is_rising], MIN_RISING) != NOT_UPWARD
+            near = near[is_rising]
+        places, last = self._places(), -1
         for row, pairs in _groups(self._rows[near], near):
             # What carried it at the tick before probably does so still.
-            ordered = sorted(pairs.tolist(), key=lambda pair: places[pair] != last)
-            normals = []
-            for pair in ordered:
-                rise = self._rise(pair, float(bounds[pair]))
-                if rise is None:
-                    continue
-                if rise >= MIN_UP:
+            highest = -1.0
+            for pair in sorted(pairs.tolist(), key=lambda pair: places[pair] != last):
+                height = self._narrow.shapes.contact_height(
+                    int(self._first[pair]), int(self._second[pair])
+                )
+                highest = max(highest, -1.0 if height is None else height)
+                if highest >= MIN_UP:
                     values[row], last = 1.0, places[pair]
                     break
-                normals.append(rise)
-            else:  # steep normals carry together with others
-                is_open[row] = not needs_centre and any(rise >= MIN_RISING for rise in normals)
+            is_open[row] = not needs_centre and MIN_RISING <= highest < MIN_UP
         return values, is_open
 
-    def _rise(self, pair: int, bound: float) -> float | None:
-        """Returns the height of the contact normal of two shapes; None if they do not touch."""
-        s, t = int(self._first[pair]), int(self._second[pair])
-        result = self._narrow.shape_signed_distance(s, t)
-        if result.distance > bound or result.normal is None:
-            return None
-        return -result.normal[2]
+    def _upward(self, pairs: Indices, min_height: float) -> Verdicts:
+        """Returns whether the contact normals of pairs of shapes point up."""
+        first, second = self._first[pairs], self._second[pairs]
+        return contact_verdicts(self._scene, first, second, min_height)
 
     def _over_footprints(self, rows: Indices) -> tuple[Flags, Flags]:
         """Returns whether the centres of the second entities are surely over the first ones.

@@ -17,10 +17,10 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
-from ssduck.geometry.gjk import UNDECIDED
-from ssduck.geometry.narrow_phase import MIN_DEPTH, TOUCHING_DISTANCE, NarrowPhase
+from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
-from ssduck.geometry.on_pairs import NOT_ON, ON, entity_boxes, on_verdicts
+from ssduck.geometry.on_pairs import are_on
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
@@ -260,19 +260,15 @@ class ShapeQueries:
 
     def all_on(self) -> list[int]:
         """Returns the pairs of which the second is on the first."""
-        if self._on is None:
-            touching = PairPredicate("touching", TOUCHING_DISTANCE)
-            first, second = self._all_pairs(touching)
-            a, b = np.concatenate((first, second)), np.concatenate((second, first))
-            tick, starts = self._narrow.tick_shapes(self._table), self._narrow.starts
-            boxes = entity_boxes(tick.boxes.T, starts)
-            verdicts = on_verdicts(tick, boxes, starts, a, b)
-            for place in np.flatnonzero(verdicts == UNDECIDED).tolist():
-                verdicts[place] = ON if self._narrow.on(int(a[place]), int(b[place])) else NOT_ON
-            ids, are_on = self._ids_by_number, verdicts == ON
-            numbers = ids[a[are_on]] * ID_FACTOR + ids[b[are_on]]
-            self._on = np.sort(numbers).tolist()
-        return self._on
+        with self._lock:
+            if self._on is None:
+                first, second = self._all_pairs(PairPredicate("touching", TOUCHING_DISTANCE))
+                a, b = np.concatenate((first, second)), np.concatenate((second, first))
+                on = are_on(self._narrow.tick_shapes(self._table), self._narrow, a, b)
+                ids = self._ids_by_number
+                self._on = np.sort(ids[a[on]] * ID_FACTOR + ids[b[on]]).tolist()
+            on_numbers: list[int] = self._on
+        return on_numbers
 
     def all_resting(self) -> list[int]:
         """Returns the pairs of which the second rests on the first, directly or through others."""
@@ -283,17 +279,6 @@ class ShapeQueries:
     def all_unknown(self) -> list[int]:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
         return [id for id, number in self._numbers.items() if not self._narrow.is_known(number)]
-
-    def rows_of(self, ids: Ids) -> Indices:
-        """Returns the places of entities' ids in `ids`, (n,)."""
-        ascending, order = self._ascending_ids
-        return order[np.searchsorted(ascending, ids)]
-
-    @cached_property
-    def _ascending_ids(self) -> tuple[Ids, Indices]:
-        """The ids in ascending order, and their places."""
-        order = np.argsort(self._ids, kind="stable")
-        return self._ids[order], order
 
     @cached_property
     def _boxes_with_margins(self) -> Array:
@@ -370,6 +355,23 @@ class ShapeQueries:
         if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
             return math.inf
         return 0.0 if self._are_overlapping_links(a, b) else self._narrow.clearance(i, j)
+
+    def clearance_up_to(self, a: int, b: int, limit: float) -> float | None:
+        """Returns the distance of the nearest points of two entities, m; infinite beyond a limit.
+
+        It is infinite for an entity without shapes, too.
+        """
+        i, j = self._pair(a, b)
+        if self._narrow.is_without_shapes(i) or self._narrow.is_without_shapes(j):
+            return math.inf
+        return self._narrow.clearance(i, j, limit)
+
+    @property
+    def reaches(self) -> Array:
+        """The largest distances of the points of shapes from the origins of their frames, m."""
+        centres = np.sqrt((self._table.centre**2).sum(axis=1))
+        reaches: Array = centres + self._table.bounding_radius
+        return reaches
 
     def near(self, a: int, b: int, max_distance: float) -> bool | None:
         """Checks whether two entities are at most a distance apart, m; False without shapes."""

@@ -8,12 +8,11 @@ from typing import Any
 
 from ssduck.errors import ArgumentError
 from ssduck.formatting import type_in_words
-from ssduck.language.analysis import calls_of, variables_of
+from ssduck.language.analysis import cached_by_node, calls_of, variables_of
 from ssduck.language.builtins import Function
 from ssduck.language.tree import Index, Name, Node
 from ssduck.recording.replay.past import Past
 from ssduck.world.entities import Entity
-from ssduck.world.handles import Handle
 from ssduck.world.links import Link, Links
 from ssduck.world.world import World
 
@@ -77,12 +76,9 @@ def mentions_links(node: Node, variables: Mapping[str, Any]) -> bool:
     """
     if not calls_of(node).isdisjoint(LINK_FUNCTIONS):
         return True
-    values = [variables[name] for name in variables_of(node) if name in variables]
-    if any(_has_link(value) for value in values):
+    if any(_has_link(variables[name]) for name in variables_of(node) if name in variables):
         return True
-    return any(isinstance(value, World | Handle) for value in values) and any(
-        _indexes_link(part, variables) for part in node.walk()
-    )
+    return any(_is_link(base, count, variables) for base, count in _indices_of(node))
 
 
 def _has_link(value: Any) -> bool:
@@ -91,9 +87,16 @@ def _has_link(value: Any) -> bool:
     return isinstance(value, Link | Links) or (isinstance(value, Past) and value.table == "links")
 
 
-def _indexes_link(node: Node, variables: Mapping[str, Any]) -> bool:
-    """Checks whether a node is `kitchen.panda.panda_hand`, or `arm.panda_hand` of a variable."""
-    if not isinstance(node, Index) or not isinstance(node.base, Name):
-        return False
-    base = variables.get(node.base.name)
-    return isinstance(base, Entity) or (isinstance(base, World) and len(node.indices) > 1)
+@cached_by_node
+def _indices_of(node: Node) -> frozenset[tuple[str, int]]:
+    """Returns the names that a part indexes, each with the number of its indices."""
+    own: frozenset[tuple[str, int]] = frozenset()
+    if isinstance(node, Index) and isinstance(node.base, Name):
+        own = frozenset(((node.base.name, len(node.indices)),))
+    return own.union(*map(_indices_of, node.children()))
+
+
+def _is_link(base: str, count: int, variables: Mapping[str, Any]) -> bool:
+    """Checks whether indices give a link: `kitchen.panda.panda_hand`, `arm.panda_hand`."""
+    value = variables.get(base)
+    return isinstance(value, Entity) or (isinstance(value, World) and count > 1)

@@ -282,9 +282,12 @@ class Linter:
 
     def check_sql(self, sql: str) -> list[SelectScriptError]:
         """Returns the names in a statement of raw SQL that no entity has, as errors."""
+        comparisons = name_comparisons(sql)
+        if not comparisons:
+            return []
         worlds = list(self._worlds())
         mistakes: list[SelectScriptError] = []
-        for comparison in name_comparisons(sql) if worlds else ():
+        for comparison in comparisons if worlds else ():
             schema = comparison.schema
             owners = [w for w in worlds if w.name == schema] if schema else worlds[:1]
             if owners and not self._is_name(comparison.text, owners, ["entity"]):

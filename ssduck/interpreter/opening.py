@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from ssduck import validation
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scenes import find_scene
@@ -19,6 +21,7 @@ def load(
     database: str | Path = ":memory:",
     *,
     recording: Recording | Literal["default"] | None = "default",
+    limits: Limits | None = None,
 ) -> Interpreter:
     """Returns an interpreter with the world of a scene, bound to the name of the scene.
 
@@ -27,6 +30,7 @@ def load(
             MJCF).
         database: the path of a DuckDB file, or `":memory:"`.
         recording: the recording of the world; see `Interpreter`.
+        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
 
     Raises:
         UnknownNameError: no scene has that name; the error suggests the nearest names.
@@ -38,7 +42,7 @@ def load(
     ['fridge']
     """
     description = find_scene(scene)
-    interpreter = Interpreter(database, recording=recording)
+    interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
         world = World.load(description)
         interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
@@ -50,7 +54,11 @@ def load(
 
 
 def open_record(
-    path: str | Path, world: str | None = None, episode: int | None = None
+    path: str | Path,
+    world: str | None = None,
+    episode: int | None = None,
+    *,
+    limits: Limits | None = None,
 ) -> Interpreter:
     """Returns an interpreter on a record, without a simulation; it runs the same programs.
 
@@ -65,6 +73,8 @@ def open_record(
             record.
         world: the name of the world to open; None for all worlds.
         episode: the number of the episode; None for the last episode with ticks of each world.
+        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
+            `files=False`, SQL is one SELECT, since the record's own files can be reached.
 
     Raises:
         RecordError: there is no such record, or it is damaged, of a newer version, or in use by
@@ -73,12 +83,18 @@ def open_record(
     """
     if episode is not None:
         episode = validation.integer(episode, "open: episode", minimum=0)
-    interpreter = Interpreter(recording=None)
+    validation.instance(limits, Limits, "open: limits")
+    if limits is not None and not limits.files:
+        limits = replace(limits, select_only=True)
+    path = expand_path(path)
+    interpreter = Interpreter(recording=None, limits=limits)
     database = interpreter._database  # noqa: SLF001  # it reads the record
     try:
+        if path.is_dir():
+            database.allow_record(path)
         worlds = [
             replayed_world(run, database)
-            for run in select_runs(recorded_runs(expand_path(path), database), world, episode)
+            for run in select_runs(recorded_runs(path, database), world, episode)
         ]
         for replayed in worlds:
             interpreter.add_variable(replayed.name, replayed)

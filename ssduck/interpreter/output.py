@@ -65,7 +65,8 @@ class AsClause:
         Raises:
             LimitError: the form writes a file and files are switched off, or the time is up.
         """
-        if self.adapter.writes and not frame.scope.meter.limits.files:
+        meter = frame.scope.meter
+        if self.adapter.writes and not meter.limits.files:
             raise LimitError(f"AS {self.name}: files are switched off here", span=self.span)
         check = check_columns if self.adapter.needs == "columns" else _accept_columns
         worlds = partial(_source_worlds, query, frame)
@@ -78,11 +79,11 @@ class AsClause:
 
         def make(selection: Selection) -> Any:
             value = self._make(selection)
-            frame.scope.meter.check_time()  # a form is one step of the program, however long
+            meter.check_time()
             return value
 
         if self.adapter.needs == "query" and not query.group and query.recursion is None:
-            selection = Selection(read, query, worlds)
+            selection = Selection(read, query, worlds, meter)
             try:
                 return make(selection)
             finally:
@@ -98,7 +99,7 @@ class AsClause:
                     "leave it out: WHERE … IS NOT NULL",
                     span=query.span,
                 )
-        return formed(selected, lambda rows: make(Selection(lambda _: rows, query, worlds)))
+        return formed(selected, lambda rows: make(Selection(lambda _: rows, query, worlds, meter)))
 
     def _make(self, selection: Selection) -> Any:
         """Returns the result of the adapter; its errors name the form and the place."""

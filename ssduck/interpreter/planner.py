@@ -155,9 +155,7 @@ class Planner:
         """Returns the plan of a query for its SQL text, and the values of its parameters."""
         types = self._types_in(frame)
         try:
-            planned, values = self._plan_for(
-                query, frame, types, cautious=False, may_be_small=False
-            )
+            planned, values = self._plan_for(query, frame, types, cautious=False, portable=True)
         except NotSqlError:
             return None, {}
         return planned.plan, planned.parameters(types.frame(), values)
@@ -208,7 +206,7 @@ class Planner:
         types: InterpreterTypes,
         *,
         cautious: bool,
-        may_be_small: bool = True,
+        portable: bool = False,
     ) -> tuple[PlannedQuery, list[Any]]:
         """Returns the plan for the types of a query's sources, and the values of these.
 
@@ -217,7 +215,7 @@ class Planner:
             frame: the scope and the rows around it.
             types: the types and names in the frame.
             cautious: whether the plan leaves to Python all that may fail in SQL.
-            may_be_small: whether a small query is left to Python.
+            portable: whether its SQL is to be read, and not run.
 
         Raises:
             NotSqlError: the query runs row by row.
@@ -231,13 +229,13 @@ class Planner:
             if any(isinstance(value, Handle) and value.moment is not None for value in elements):
                 raise NotSqlError  # its handles depend on a row of an outer query
             shapes = source_types(query, values, self._database.schema_of)
-            if may_be_small and query.sources and is_small(query, shapes, values):
+            if not portable and query.sources and is_small(query, shapes, values):
                 raise _SmallQueryError(values, shapes)
-            planned = self._cached_plan(query, shapes, types, cautious=cautious)
+            planned = self._cached_plan(query, shapes, types, cautious=cautious, portable=portable)
             if planned is not None:
                 return planned, values
             try:
-                plan = translate(query, shapes, types, cautious=cautious)
+                plan = translate(query, shapes, types, cautious=cautious, portable=portable)
             except NotInlineError as error:
                 self._evaluated_aliases.setdefault(query, set()).add(str(error))
                 continue
@@ -263,10 +261,13 @@ class Planner:
         types: InterpreterTypes,
         *,
         cautious: bool,
+        portable: bool,
     ) -> PlannedQuery | None:
         """Returns the cached plan for these types; None if there is none."""
         for planned in self._plans.get(query, ()):
-            if planned.plan.cautious == cautious and types.fits(planned.plan, shapes):
+            plan = planned.plan
+            is_such = plan.cautious == cautious and plan.portable == portable
+            if is_such and types.fits(plan, shapes):
                 return planned
         return None
 

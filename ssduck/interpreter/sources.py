@@ -248,7 +248,7 @@ def _with_present_tick(value: Any, records: Mapping[World, Record]) -> Any:
     if not isinstance(world, World) or world not in records:
         return value
     table: EntityTable = "entities" if value is world else "links"
-    return PresentTick(records[world], world.snapshot.number, table)
+    return PresentTick(records[world], world.tick_number, table)
 
 
 def worlds_in(value: Any) -> list[World] | None:

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import pyarrow as pa
 
 from ssduck.world import ctrl_c
+from ssduck.world.live_tables import new_version
 
 # Held by a store while added rows become readable.
 CommitLock: TypeAlias = AbstractContextManager[None]
@@ -24,13 +25,13 @@ class BufferedRows:
     Attributes:
         empty: a table without rows that has the columns.
         parts: the parts, oldest first.
-        version: is incremented whenever `arrow` becomes another object.
+        version: a number that changes whenever `arrow` becomes another object.
     """
 
     def __init__(self, columns: pa.Schema) -> None:
         self.empty = columns.empty_table()
         self.parts: list[pa.Table] = []
-        self.version = 0
+        self.version = new_version()
 
     @property
     def arrow(self) -> pa.Table:
@@ -85,7 +86,7 @@ class BackgroundWriter:
         with self.lock:
             for table, batch in self.batches.items():
                 batch.parts.append(rows[table])
-                batch.version += 1
+                batch.version = new_version()
             self._count += 1
 
     def start(self) -> None:
@@ -118,7 +119,7 @@ class BackgroundWriter:
             yield
             for batch in self.batches.values():
                 del batch.parts[0]
-                batch.version += 1
+                batch.version = new_version()
             self._count -= 1
 
     def wait(self) -> None:

@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from ssduck.geometry.arrays import Array
 from ssduck.schema import RECORDED
+from ssduck.world.live_tables import new_version
 
 # The largest number of buffered rows of a table.
 MAX_BUFFERED_ROWS = 1 << 17
@@ -28,7 +29,7 @@ class RowBuffer:
 
     Attributes:
         arrow: the table; its unused rows have tick -1.
-        version: is incremented whenever `arrow` becomes another object.
+        version: a number that changes whenever `arrow` becomes another object.
         count: the number of buffered rows.
         capacity: the number of rows that fit.
         ticks: the tick of each row, (capacity,).
@@ -39,13 +40,12 @@ class RowBuffer:
         self, integers: tuple[str, ...], doubles: tuple[str, ...], booleans: tuple[str, ...] = ()
     ) -> None:
         self._names = integers, doubles, booleans
-        self.version = 0
         self.count = 0
         self._lent_buffers: list[list[npt.NDArray[Any]]] = []
         self._allocate(_MIN_ROWS)
 
     def _allocate(self, capacity: int) -> None:
-        integers, doubles, booleans = self._names
+        integers, _, booleans = self._names
         self.capacity = capacity
         # Which owner prefilled the rows, the rows per tick, and whether row 0 is among them.
         self._prefilled: tuple[object, int] | None = None
@@ -57,7 +57,7 @@ class RowBuffer:
         self.doubles = arrays[len(integers)]
         self.booleans = dict(zip(booleans, arrays[len(integers) + 1 :], strict=True))
         self.arrow = self._table(slice(0, capacity))
-        self.version += 1
+        self.version = new_version()
 
     def _table(self, rows: slice, *, copied: bool = False) -> pa.Table:
         """Returns rows as a table that shares their memory, unless it is to be copied."""

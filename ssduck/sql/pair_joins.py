@@ -34,7 +34,7 @@ class PairJoin:
         table: the table of candidate pairs.
         pairs: the search for these pairs, and the condition on a row of the sources and of the
             table.
-        position: the key of the order of the call's two arguments; None if they have links.
+        position: the key of the order of the call's two arguments; None if there is none.
         sides: the sources in that order.
     """
 
@@ -95,8 +95,8 @@ def pair_join(
     exact = () if search.is_exact else (holds,)
     condition = exp.and_(*result, *exact)
     joined = JoinedPairs(schema, search, distance, condition)
-    # Links are in the order of their entities, not of their ids.
-    position = pairs.position if kind == "entities" else None
+    # Links are in the order of their entities, not of their ids, and sensors are before bodies.
+    position = pairs.position if kind == "entities" and not search.of_boxes else None
     return PairJoin(pairs.table, joined, position, sides)
 
 

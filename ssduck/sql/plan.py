@@ -137,6 +137,7 @@ class Plan:
         bare: the resolved names, and whether there was a variable of that name.
         deferred: the lists in variables that the query evaluates.
         cautious: whether nothing in the SQL can fail.
+        portable: whether the SQL calls Python for shapes only, as it is to be read or sent away.
         may_fail: whether something in the SQL may fail, so that Python decides.
         lookup: the look-up that has the rows of the SQL, if there is one.
     """
@@ -160,6 +161,7 @@ class Plan:
     bare: dict[str, bool] = field(default_factory=dict)
     deferred: dict[str, Node | None] = field(default_factory=dict)
     cautious: bool = False
+    portable: bool = False
     may_fail: bool = False
     lookup: PairLookup | None = None
 

@@ -61,6 +61,7 @@ def translate(
     names: TypeEnvironment,
     *,
     cautious: bool = False,
+    portable: bool = False,
 ) -> Plan:
     """Plans a query.
 
@@ -76,13 +77,15 @@ def translate(
         source_types: the types of its sources, in order.
         names: the variables, the functions, and the types of constants.
         cautious: whether parts that may fail in SQL are left to Python.
+        portable: whether the SQL is to be read, or sent to another engine.
 
     Raises:
         SelectScriptError: a name or a number of arguments is wrong.
         NotInlineError: a source in SQL must be evaluated first.
         NotSqlError: the query is hierarchical, and runs row by row.
     """
-    return _Translator(query, tuple(source_types), names, cautious=cautious).plan()
+    types = tuple(source_types)
+    return _Translator(query, types, names, cautious=cautious, portable=portable).plan()
 
 
 class _Translator:
@@ -93,6 +96,7 @@ class _Translator:
         names: TypeEnvironment,
         *,
         cautious: bool,
+        portable: bool,
     ) -> None:
         self.names = names
         self.context = StatementContext(names, cautious, changing(query))
@@ -107,6 +111,7 @@ class _Translator:
             deferred=self.context.deferred,
             bare=self.context.bare,
             cautious=cautious,
+            portable=portable,
         )
         subqueries.check_sources(query)
         self.elements = self._sources(query, source_types)
@@ -146,8 +151,7 @@ class _Translator:
         result = [condition for condition in conditions if condition is not None]
         result.extend(self._tick_joins())
         order, keys = self._order(result)
-        positions = [None if p.position is None else p.position.this for p in self.pairs]
-        is_in_order_of_pairs = [key.this for key in order] == positions
+        is_in_order_of_pairs = self._is_order_of_pairs(order)
         is_group = is_one_group(self.query)
         limit, offset = self._limits(left=bool(left or keys or is_group or self.query.distinct))
         in_sql = limit is not None or offset is not None
@@ -164,7 +168,7 @@ class _Translator:
             None if in_sql else self.query.offset,
         )
         select = self._select(result, order)
-        if len(self.pairs) == 1 == len(self.elements) - 1 and is_in_order_of_pairs and not in_sql:
+        if len(self.elements) == 2 and is_in_order_of_pairs and not in_sql:
             tables = [source.table.alias for source in self.elements]
             plan.lookup = pair_lookup(self.pairs[0].pairs, tables, result, self.columns)
         select = select if limit is None else select.limit(limit)
@@ -299,7 +303,7 @@ class _Translator:
         order = [source_type.alias for source_type in self.result.source_types]
         first, second = sorted(sides, key=lambda side: order.index(str(side.alias)))
         result = pair_join(self.sql, node, (first, second), str(schemas.pop()))
-        if result is None:
+        if result is None or (self.result.portable and result.pairs.search.of_boxes):
             return None
         self.pairs.append(result)
         places = [order.index(str(side.alias)) for side in result.sides]
@@ -390,6 +394,18 @@ class _Translator:
                     ordered.extend(key.copy() for key in keys)
                 is_ordered = both is not None
         return ordered, left
+
+    def _is_order_of_pairs(self, order: Sequence[exp.Expr]) -> bool:
+        """Checks whether the order of the rows is that in which a search finds its pairs."""
+        if len(self.pairs) != 1:
+            return False
+        (pair,) = self.pairs
+        if pair.position is not None:
+            return [key.this for key in order] == [pair.position.this]
+        aliases = [source_type.alias for source_type in self.result.source_types]
+        is_in_order = [side.alias for side in pair.sides] == aliases
+        tables = [key for element in self.elements for key in element.position]
+        return pair.pairs.search.of_boxes and is_in_order and [*order] == tables
 
     def _limits(self, *, left: bool) -> tuple[int | None, int | None]:
         """Returns the numbers of LIMIT and OFFSET if SQL can apply them, else None for both."""

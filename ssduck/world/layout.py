@@ -107,7 +107,9 @@ class TableLayout:
     @cached_property
     def ids_of_handles(self) -> Indices:
         """The id of the entity for each handle of a body; 0 for the last one, -1."""
-        ids = np.zeros(max((body.handle for _, body in self.bodies), default=-1) + 2, dtype=np.int64)
+        ids = np.zeros(
+            max((body.handle for _, body in self.bodies), default=-1) + 2, dtype=np.int64
+        )
         for id, body in self.bodies:
             ids[body.handle] = id
         return ids

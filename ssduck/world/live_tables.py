@@ -31,6 +31,20 @@ ARROW_TYPES: dict[ColumnType, pa.DataType] = {
 _versions = count(1)
 # A table that becomes larger than its buffers gets such a part of its size more.
 _SPARE_FRACTION = 4
+# The version that was given out last; each is unique in the process, whatever thread asks.
+_last_version = 0
+
+
+def new_version() -> int:
+    """Returns a new version of a table that DuckDB reads in place."""
+    global _last_version  # noqa: PLW0603  # of all tables
+    _last_version = version = next(_versions)
+    return version
+
+
+def last_version() -> int:
+    """Returns a number that changes whenever any table gets a new version."""
+    return _last_version
 
 
 class LiveTable:
@@ -40,7 +54,7 @@ class LiveTable:
         columns: the declared columns.
         count: the number of rows.
         block: the columns of doubles, (columns, rows).
-        version: a number that changes whenever `arrow` is replaced; it is unique to the table.
+        version: a number that changes whenever `arrow` is replaced; see `new_version`.
         is_complete: whether every number is known; an unknown one is NaN in the buffers and NULL
             in `arrow`.
     """
@@ -118,7 +132,7 @@ class LiveTable:
     def publish(self) -> None:
         """Replaces the Arrow table; columns with unknown numbers are copied, others shared."""
         self.is_complete = not _has_nan(self.block)
-        self.version = next(_versions)
+        self.version = new_version()
         self._arrow: pa.Table | None = None
         # The values of columns without buffers, as far as they were asked for.
         self._python_values: dict[str, list[Any]] = {}
@@ -174,7 +188,10 @@ class LiveTable:
             if name not in self._python_values:
                 self._python_values[name] = self._arrays[name].to_pylist()
             values = self._python_values[name]
-            return values if rows is None else [values[row] for row in rows.tolist()]
+            if rows is None:
+                return values
+            objects: list[Any] = np.fromiter(values, object, len(values)).take(rows).tolist()
+            return objects
         column = self._numbers[name]
         selected = column if rows is None else column.take(rows)
         numbers: list[Any] = selected.tolist()

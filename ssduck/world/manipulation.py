@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, StateError
-from ssduck.geometry.narrow_phase import TOUCHING_DISTANCE
+from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.schema import MARGINS
 from ssduck.simulators.interface import Body
 from ssduck.simulators.kinematics import (

@@ -22,6 +22,7 @@ import numpy as np
 from ssduck.errors import UnsupportedError, warn
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.batch import ShapeTable
+from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
@@ -91,8 +92,7 @@ class Snapshot:
         self._link_poses: tuple[LinkPoses, ...] = ()
         # The poses of bodies that cannot move in the rows of links, and of shapes.
         self._written: dict[str, LinkPoses] = {}
-        self.disabled: frozenset[Body] = frozenset()
-        self.hidden: frozenset[Body] = frozenset()
+        self.disabled = self.hidden = frozenset[Body]()
         self._requested: dict[str, int] = {}
         # The tables that are read with every tick, requested or not.
         self.recorded: frozenset[str] = frozenset()
@@ -101,6 +101,7 @@ class Snapshot:
         self.sensing = SensorReader()
         self.calls = CallCounter()
         self._shapes: ShapeQueries | None = None
+        self._boxes: BoxQueries | None = None
         self._solids: tuple[TableLayout, Any] | None = None
         # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}
@@ -170,7 +171,7 @@ class Snapshot:
         for name in unavailable:
             clone.tables[name].fill(0, {})
         clone.unavailable = unavailable
-        clone.calls, clone._shapes = CallCounter(), None  # noqa: SLF001
+        clone.calls, clone._shapes, clone._boxes = CallCounter(), None, None  # noqa: SLF001
         clone.sensing = self.sensing.clone()
         clone._is_final = True  # noqa: SLF001  # one class
         clone._requested, clone._read, clone._written = {}, frozenset(), {}  # noqa: SLF001
@@ -304,6 +305,14 @@ class Snapshot:
             self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, table["link"])
         return self._shapes
 
+    def boxes(self) -> BoxQueries:
+        """Returns the boxes and the positions of the entities of this tick."""
+        if self._boxes is None:
+            entities = self.tables["entities"]
+            boxes, positions = entities.doubles("xmin", "zmax"), entities.doubles("x", "z")
+            self._boxes = BoxQueries(boxes.copy(), positions.copy(), entities["id"].copy())
+        return self._boxes
+
     @property
     def _comparable(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], ShapeTable]:
         """The solids; each shape's index among them; each entity's first shape; entity numbers."""
@@ -404,26 +413,18 @@ class Snapshot:
         if self._margins_tick == self.number:
             return
         self._margins_tick = self.number
-        margins = simulator.read_margins([body for _, body in self._layout.bodies])
-        current = np.array(list(chain(*margins)), np.float64)
-        column = self.tables["shapes"]["margin"]
-        if not np.array_equal(current, column):
-            column[:] = current
+        bodies = [body for _, body in self._layout.bodies]
+        current = np.array([*chain(*simulator.read_margins(bodies))], np.float64)
+        shapes = self.tables["shapes"]
+        if not np.array_equal(current, shapes["margin"]):
+            shapes["margin"][:] = current
+            shapes.publish()
             self._shapes = self._solids = None
 
     @property
     def margins(self) -> float:
         """The largest distance of two shapes whose margins touch, m."""
         return 2.0 * float(self.tables["shapes"]["margin"].max(initial=0.0))
-
-    @property
-    def names_with_changed_margins(self) -> list[str]:
-        """The entities whose margins differ from the initial ones, which records store."""
-        shapes = [(id, shape) for id, body in self._layout.bodies for shape in body.shapes]
-        current = self.tables["shapes"]["margin"].tolist()
-        pairs = zip(shapes, current, strict=True)
-        changed = {id for (id, shape), margin in pairs if shape.margin != margin}
-        return [info.name for info in self.entities if info.id in changed]
 
     # A diverging simulation has infinite numbers; `_finish` warns of them.
     @np.errstate(invalid="ignore")
@@ -446,7 +447,7 @@ class Snapshot:
             self._lay_out(layout)
             self.load_order = load_order
         self._read = frozenset(tables)
-        self._shapes = None
+        self._shapes = self._boxes = None
         self.number, self.time = number, simulator.time
         is_static_new = state.static is not self._static
         self._static = state.static

@@ -6,7 +6,7 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from itertools import count
 from typing import Never, Protocol, Self
 
@@ -51,6 +51,27 @@ class TickSink(Protocol):
         """Compares masses that were read anew with the recorded ones."""
 
 
+class Pin:
+    """Keeps a world at its tick in a context.
+
+    Args:
+        world: the world.
+        tables: the tables that the tick must include.
+        is_read: whether the query reads the world.
+    """
+
+    __slots__ = ("_is_read", "_tables", "_world")
+
+    def __init__(self, world: SteppedSimulation, tables: Collection[str], *, is_read: bool) -> None:
+        self._world, self._tables, self._is_read = world, tables, is_read
+
+    def __enter__(self) -> None:
+        self._world.pin(self._tables, is_read=self._is_read)
+
+    def __exit__(self, *_: object) -> None:
+        self._world.unpin()
+
+
 class SteppedSimulation(Observable):
     """A simulator with its last tick.
 
@@ -61,21 +82,34 @@ class SteppedSimulation(Observable):
         snapshot: the last tick.
     """
 
-    def _init_ticking(self, simulator: Simulator, snapshot: Snapshot, name: str) -> None:
+    def _init_ticking(self, name: str) -> None:
         self.name = name
         self.lock = threading.RLock()
         self._init_observers()
         self.serial = next(_serials)
-        self.snapshot = snapshot
         self._queries = 0
         self._waiting = 0
-        self._simulator = simulator
-        self._registry = EntityRegistry(snapshot.load_order)
         self._recorders: list[weakref.ref[TickSink]] = []
         self._stale_tick_check = StaleTickCheck()
         # The time of the first tick, and that of the first recorded one.
         self._start: float | None = None
         self._first_recorded: float | None = None
+
+    def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
+        """Sets the simulator and its last tick."""
+        self.snapshot = snapshot
+        self._simulator = simulator
+        self._registry = EntityRegistry(snapshot.load_order)
+
+    @property
+    def tick_number(self) -> int:
+        """The number of the last tick."""
+        return self.snapshot.number
+
+    @property
+    def is_restored(self) -> bool:
+        """Whether the last tick is in memory: a record is opened without it."""
+        return True
 
     @property
     def time(self) -> float:
@@ -284,28 +318,36 @@ class SteppedSimulation(Observable):
         # During a query nothing moves in a world that only ssduck steps.
         self._take()
 
-    @contextmanager
-    def pinned(self, tables: Iterable[str] = (), *, is_read: bool = True) -> Iterator[None]:
+    def pinned(self, tables: Collection[str] = (), *, is_read: bool = True) -> Pin:
         """Keeps the world at its tick, with tables included, while a query runs.
 
         Args:
             tables: the tables to include.
             is_read: whether the query reads the world, which warns of a stale tick.
         """
+        return Pin(self, tables, is_read=is_read)
+
+    def pin(self, tables: Collection[str] = (), *, is_read: bool = True) -> None:
+        """Does what entering `pinned` does; `unpin` ends it."""
         self._waiting += 1
-        self.lock.acquire()
-        self._waiting -= 1
         try:
-            if is_read and not self._queries:
-                self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
-            self.request_tables(tables)
-            self._queries += 1
-            try:
-                yield
-            finally:
-                self._queries -= 1
+            self.lock.acquire()
         finally:
+            self._waiting -= 1
+        try:
+            if is_read and not self._queries and self.is_restored:
+                self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
+            if tables:
+                self.request_tables(tables)
+            self._queries += 1
+        except BaseException:
             self.lock.release()
+            raise
+
+    def unpin(self) -> None:
+        """Ends what `pin` began."""
+        self._queries -= 1
+        self.lock.release()
 
     def _check_not_pinned(self) -> None:
         if self._queries:

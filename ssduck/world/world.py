@@ -85,7 +85,8 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
         sensors: Sequence[SensorSpec] = (),
         camera: Camera | None = None,
     ) -> None:
-        self._begin(simulator, Snapshot(), name, camera or Camera())
+        self._begin(name, camera or Camera())
+        self._set_state(simulator, Snapshot())
         self._registry.add_all(simulator, sensors)
         for info in self._registry.entities:
             if info.sensor is not None and not info.sensor.powered:
@@ -96,9 +97,9 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
             self._take_tick()
             self._read_recorded()
 
-    def _begin(self, simulator: Simulator, snapshot: Snapshot, name: str, camera: Camera) -> None:
+    def _begin(self, name: str, camera: Camera) -> None:
         self.camera = camera
-        self._init_ticking(simulator, snapshot, name)
+        self._init_ticking(name)
         self._origin: World | None = None
 
     @classmethod
@@ -299,7 +300,8 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
             }
             simulator, snapshot = what_if_tick(self.snapshot, body_poses, positions)
         world = World.__new__(World)
-        world._begin(simulator, snapshot, UNNAMED, self.camera)  # noqa: SLF001  # one class
+        world._begin(UNNAMED, self.camera)  # noqa: SLF001  # one class
+        world._set_state(simulator, snapshot)  # noqa: SLF001
         world._origin = self.origin  # noqa: SLF001
         return world.tick()
 

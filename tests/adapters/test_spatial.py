@@ -10,6 +10,7 @@ import pytest
 import trimesh
 
 import ssduck
+from ssduck.adapters import spatial
 from ssduck.adapters.highlight import OUTLINE
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError
 
@@ -197,6 +198,27 @@ def test_a_glb_may_be_forbidden(tmp_path):
 
 
 # -- pictures ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("limits", "most"),
+    [
+        ({"seconds": 2.0}, 2_000_000),
+        ({"memory": 128_000_000}, 1_000_000),
+        ({"seconds": 2.0, "memory": 10**9}, 2_000_000),
+    ],
+)
+def test_pictures_beyond_the_limits_are_refused_before_they_are_rendered(limits, most, monkeypatch):
+    rendered = []
+    monkeypatch.setattr(
+        spatial, "highlighted", lambda _world, _entities, *size: rendered.append(size)
+    )
+    with ssduck.load("hall", limits=ssduck.Limits(**limits), recording=None) as ss:
+        with pytest.raises(LimitError, match=f"1001 x {most // 1000} pixels .* {most:,}, which"):
+            ss.eval(f"SELECT obj FROM hall AS image(1001, {most // 1000});")
+        assert not rendered
+        ss.eval(f"SELECT obj FROM hall AS image(1000, {most // 1000});")
+    assert rendered == [(1000, most // 1000)]
 
 
 @pytest.fixture(scope="module")

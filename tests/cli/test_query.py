@@ -44,7 +44,7 @@ WIDE = (
 
 @pytest.mark.parametrize(("arguments", "format", "expected"), WRITTEN)
 def test_answers(here, loaded, monkeypatch, arguments, format, expected):
-    monkeypatch.setattr(opening, "load", lambda _: contextlib.nullcontext(loaded))
+    monkeypatch.setattr(opening, "load", lambda *_, **__: contextlib.nullcontext(loaded))
     *flags, program = arguments
     written = answer("query", "two.toml", "-F", format, *flags, "--", program)
     assert (json.loads(written) if format == "json" else written) == expected
@@ -219,7 +219,7 @@ def test_the_mark_stands_under_what_it_marks(here):
 
 
 def test_a_mistake_of_ours_is_a_traceback(here, monkeypatch):
-    monkeypatch.setattr(opening, "load", lambda _: 1 // 0)
+    monkeypatch.setattr(opening, "load", lambda *_, **__: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         ssduck_("query", "two.toml", "1;")
 
@@ -228,10 +228,10 @@ def test_a_mistake_of_ours_is_a_traceback(here, monkeypatch):
 def test_each_warning_is_written_once(here, monkeypatch):
     load = opening.load
 
-    def warn(scene):
+    def warn(scene, **options):
         for text in ("a [shape] is odd", "another", "a [shape] is odd"):
             warnings.warn(text, stacklevel=2)
-        return load(scene)
+        return load(scene, **options)
 
     monkeypatch.setattr(opening, "load", warn)
     result = ssduck_("query", "two.toml", "1;")
@@ -369,3 +369,12 @@ def test_a_table_is_no_picture(here):
     assert (result.exit_code, result.stdout) == (1, "")
     assert "this is no picture; AS image, mesh, points, graph" in result.stderr
     assert not (here / "picture.png").exists()
+
+
+def test_strict_queries_are_confined(here):
+    (here / "other.csv").write_text("a\n7\n")
+    text = "FROM read_csv('other.csv')"
+    assert "7" in ssduck_("query", "two.toml", "--sql", text).stdout
+    refused = ssduck_("query", "two.toml", "--strict", "--sql", text)
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "read_csv" in refused.stderr

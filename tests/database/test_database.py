@@ -208,7 +208,7 @@ def test_the_nine_pairs_are_a_range_join_without_python(ss):
 
 def test_selectscript_pairs_are_a_range_join_too(ss):
     sql = ss.explain(
-        "SELECT to(id(a.this), 'a'), to(id(b.this), 'b') FROM a=kitchen, b=kitchen WHERE above(a.this, b.this);"
+        "SELECT to(id(a.this), 'a'), to(id(b.this), 'b') FROM a=kitchen, b=kitchen WHERE overlaps(a.this, b.this);"
     )
     plan = ss.sql(f"EXPLAIN {sql}").fetchall()[0][1].upper()
     assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
@@ -488,15 +488,18 @@ def test_results_in_a_notebook(ss):
         ("SELECT $1 || $2", ["a", "b"], [("ab",)]),
         ("SELECT $name", {"name": "x'; --"}, [("x'; --",)]),
         ("SELECT 1 WHERE false", None, []),
-        ("CREATE TABLE kept AS SELECT 1 AS i", None, None),
-        ("FROM kept", None, [(1,)]),
-        ("DROP TABLE kept", None, None),
     ],
 )
-def test_parameters_and_other_statements(ss, sql, parameters, rows):
-    result = ss.sql(sql, parameters)
-    if rows is not None:
-        assert result.fetchall() == rows
+def test_parameters(ss, sql, parameters, rows):
+    assert ss.sql(sql, parameters).fetchall() == rows
+
+
+def test_other_statements(ss):
+    ss.sql("CREATE TABLE kept AS SELECT 1 AS i")
+    assert ss.sql("FROM kept").fetchall() == [(1,)]
+    ss.sql("DROP TABLE kept")
+    with pytest.raises(SqlError, match="kept does not exist"):
+        ss.sql("FROM kept")
 
 
 @pytest.mark.slow

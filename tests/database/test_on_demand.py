@@ -102,13 +102,87 @@ def test_a_program_makes_what_it_names(run: Path, monkeypatch: pytest.MonkeyPatc
         assert not _views(ss) & {"links", "joints", "shapes", "links_history", "shapes_model"}
 
 
+def _macros(ss: ssduck.Interpreter) -> set[tuple[str, str]]:
+    sql = (
+        "SELECT schema_name, function_name FROM duckdb_functions() "
+        "WHERE NOT internal AND function_type IN ('macro', 'table_macro')"
+    )
+    return set(ss._database.connection.internal_rows(sql))
+
+
+def test_a_users_query_makes_what_it_names(run: Path) -> None:
+    with ssduck.open(run) as ss:
+        assert ss.sql("SELECT 1").fetchall() == [(1,)]
+        assert (_views(ss), _functions(ss), _macros(ss)) == (set(), set(), set())
+        pairs = "FROM entities a, entities b WHERE a.name = 'box_1' AND b.name = 'box_0'"
+        assert ss.sql(f"SELECT ABOVE(a, b) {pairs}").fetchall() == [(False,)]
+        assert (_views(ss), _functions(ss)) == ({"entities"}, set())
+        assert _macros(ss) == {("main", "above"), ("main", "name")}  # a relation is called name
+        (gaps,) = ss.sql(f'SELECT "Clearance"(a, b), lab.clearance(a, b) {pairs}').fetchall()
+        assert gaps[0] == gaps[1] > 0
+        assert {schema for schema, name in _macros(ss) if name == "clearance"} == {"main", "lab"}
+        assert len(ss.sql("SELECT * FROM pairs_within(5)")) == BODIES * (BODIES - 1)
+        assert {name for _, name in _macros(ss)} == {"name", "above", "clearance", "pairs_within"}
+
+
+CATALOG = [
+    "SELECT table_name FROM information_schema.tables",
+    "SELECT view_name FROM duckdb_views()",
+    "SELECT viewname FROM pg_views",
+    "SELECT name FROM (SHOW ALL TABLES)",
+    "FROM (DESCRIBE) SELECT name",
+    "SELECT * FROM query('FROM ' || 'duckdb_' || 'views() SELECT view_name')",
+]
+
+
+@pytest.mark.parametrize("sql", CATALOG)
+def test_the_catalog_has_everything(run: Path, sql: str) -> None:
+    with ssduck.open(run) as ss:
+        names = {*TABLES, *(t.history_view for t in HISTORIES.values())}
+        shown = {name for (name,) in ss.sql(sql).fetchall()}
+        assert shown >= (names if "DESCRIBE" not in sql else set())
+        assert _views(ss) == names | {table.model_view for table in MODELS.values()}
+        assert _macros(ss) >= {("main", "above"), ("lab", "clearance"), ("main", "intervals")}
+
+
+@pytest.mark.parametrize(
+    ("sql", "suggested"),
+    [
+        ("SELECT abovee(a, a) FROM entities a", '"above"'),
+        ("SELECT * FROM pairs_withn(1)", '"pairs_within"'),
+        ("SELECT * FROM contacts_histori", '"contacts_history"'),
+    ],
+)
+def test_a_message_suggests_names_that_no_statement_had(
+    run: Path, sql: str, suggested: str
+) -> None:
+    with ssduck.open(run) as ss, pytest.raises(SqlError, match=suggested):
+        ss.sql(sql)
+
+
+def test_a_users_own_views_and_macros_find_everything(run: Path) -> None:
+    with ssduck.open(run) as ss:
+        ss.sql("SELECT 'entities'").fetchall()
+        ss.sql("CREATE MACRO up(a, b) AS above(a, b)")
+        ss.sql("CREATE VIEW first_two AS SELECT * FROM entities LIMIT 2")
+        query = "SELECT count(*) FROM first_two a, first_two b WHERE up(a, b)"
+        assert ss.sql(query).fetchall() == [(0,)]
+
+
+def test_macros_follow_the_worlds(run: Path) -> None:
+    touching = "SELECT count(*) FROM lab.entities a, lab.entities b WHERE {}clearance(a, b) < 5"
+    with ssduck.open(run) as ss:
+        (alone,) = ss.sql(touching.format("")).fetchall()
+        ss.sql("SELECT * FROM colliding_pairs()")
+        ss.add_variable("other", ss.call_variable("lab").what_if())
+        with pytest.raises(SqlError, match=r"world\.clearance"):
+            ss.sql(touching.format("")).fetchall()
+        assert ss.sql(touching.format("lab.")).fetchall() == [alone]
+        assert ss.sql("SELECT * FROM lab.colliding_pairs()").fetchall() == []
+
+
 def test_a_users_statement_finds_everything(run: Path) -> None:
     with ssduck.open(run) as ss:
-        ss.sql("SELECT 1")
-        names = {*TABLES, *(t.history_view for t in HISTORIES.values())}
-        assert _views(ss) == names | {table.model_view for table in MODELS.values()}
-        shown = ss.sql("SELECT table_name FROM information_schema.tables").fetchall()
-        assert {name for (name,) in shown} >= names
         ((count,),) = ss.sql("SELECT count(*) FROM entities_history").fetchall()
         assert count == BODIES * TICKS
         ((links,),) = ss.sql("SELECT count(*) FROM lab.links").fetchall()

@@ -108,6 +108,12 @@ def test_however_it_is_written(worlds, call):
     assert len(worlds[0].sql(f"SELECT {call} FROM sim.entities a, sim.entities b")) == 4
 
 
+@pytest.mark.parametrize("comment", ["-" * 400, "/**/" * 100], ids=["a line", "one by one"])
+def test_a_dot_before_long_comments_is_read_at_once(worlds, comment):
+    text = f"SELECT 1. {comment}"  # trying all ways to divide the comment would never end
+    assert worlds[0].sql(text).fetchall() == [(1,)]
+
+
 @pytest.mark.slow
 def test_it_stays_with_worlds_that_change(client):
     boxes(client)

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssduck.geometry import cores, gjk
 from ssduck.geometry.batch import PairPredicate
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.narrow_phase import MIN_DEPTH
+from ssduck.geometry.proofs import cores, gjk
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
-from ssduck.geometry.separating_axes import box_depths
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
@@ -203,7 +203,7 @@ def crowd(seed, *, is_round, side=1.5):
 
 def boxes_apart(tick, i, j):
     """How far apart two entities' boxes are along the axis where they are farthest."""
-    a, b = (tick._boxes[tick.starts[e] : tick.starts[e + 1]] for e in (i, j))
+    a, b = (tick._tick.boxes[tick.starts[e] : tick.starts[e + 1]] for e in (i, j))
     gaps = np.maximum(a[:, None, :3] - b[None, :, 3:], b[None, :, :3] - a[:, None, 3:]).max(2)
     return gaps.min(initial=math.inf)
 
@@ -309,7 +309,7 @@ def test_of_convex_shapes_fcl_is_not_asked():
     assert len(tick.all_pairs(COLLIDE, sorts).numbers) > 100
     assert len(tick.all_pairs(PairPredicate("within", 0.01), sorts).numbers) > 100
     assert tick.calls.calls == 0
-    assert not tick._placed_solids
+    assert not tick._tick._placed
 
 
 def test_pairs_count_once_a_tick():
@@ -349,7 +349,7 @@ def test_many_questions_are_answered_together():
         assert shapes.collides(j, i, MIN_DEPTH) is alone.collides(i, j)
         near = alone.clearance(i, j)
         assert shapes.near(j, i, 0.05) is (None if near is None else near <= 0.05)
-    assert len(tick._placed_solids) < len(alone._placed_solids)
+    assert len(tick._tick._placed) < len(alone._tick._placed)
 
 
 def test_ids_of_all_that_are_near():

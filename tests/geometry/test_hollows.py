@@ -107,7 +107,7 @@ def many_ticks(shapes, every, question):
     scene = tick.tick_shapes(sorts_of(tick))
 
     def satisfies(s, t):
-        return tick_of([shapes[s], shapes[t]]).satisfies(0, 1, question)
+        return tick_of([shapes[s], shapes[t]]).shapes.satisfies(0, 1, question)
 
     found = matching_pairs(scene, question, satisfies, tuple(np.array(every, np.intp).T))
     assert set(found.compared.tolist()) == {pair_number(*one) for one in every}

@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry.on_pairs import _CELL, _UPWARD
 from ssduck.schema import ID_FACTOR
 from tests.geometry.test_colliding import fill
 from tests.support.cases import sampled
@@ -93,16 +92,3 @@ def test_stacked_boxes_need_no_fcl(client):
         assert after.calls - before.calls <= 6  # those that only touch
         assert ss.eval(QUERY) == pairs
         assert ss.statistics()["w"] == after
-
-
-def test_directions_near_up_are_covered():
-    tilts = np.linspace(0, math.radians(30), 200)[:, None]
-    turns = np.linspace(0, 2 * math.pi, 400)[None]
-    parts = (
-        np.sin(tilts) * np.cos(turns),
-        np.sin(tilts) * np.sin(turns),
-        np.cos(tilts) + 0 * turns,
-    )
-    directions = np.stack(parts, axis=-1).reshape(-1, 3)
-    angles = np.arccos(np.clip(directions @ _UPWARD.T, -1, 1)).min(axis=1)
-    assert angles.max() < _CELL

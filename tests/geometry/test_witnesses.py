@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
-from ssduck.geometry.cores import PlacedCores
-from ssduck.geometry.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
-from ssduck.geometry.witnesses import KeptWitnesses
+from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from tests.geometry.test_colliding import fill
 from tests.support import pairs
 from tests.support.cases import sampled

@@ -28,8 +28,8 @@ def patient():
     yield from _confined(seconds=HANGS)
 
 
-def _confined(seconds):
-    limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000)
+def _confined(seconds, **changes):
+    limits = ssduck.Limits.strict(seconds=seconds, rows=1000, memory=200_000_000, **changes)
     with ssduck.Interpreter(limits=limits) as interpreter:
         interpreter.add_variable("n", list(range(100)))
         interpreter.eval("kept = 1;")
@@ -115,13 +115,20 @@ ESCAPES = [
 ]
 
 
+@pytest.fixture
+def without_files():
+    """One that takes any statement, so that DuckDB itself refuses those that reach files."""
+    yield from _confined(seconds=0.5, select_only=False)
+
+
 @sampled("text", ESCAPES, every=3)
-def test_sql_reaches_nothing_outside(strict, text, tmp_path, monkeypatch):
+def test_sql_reaches_nothing_outside(strict, without_files, text, tmp_path, monkeypatch):
     import pandas as pd
 
     monkeypatch.chdir(tmp_path)
     a_local = pd.DataFrame({"a": [1]})
-    fails(strict, lambda: strict.sql(text), SqlError, ".")
+    fails(without_files, lambda: without_files.sql(text), SqlError, ".")
+    fails(strict, lambda: strict.sql(text), LimitError, "select_only")
     assert list(tmp_path.iterdir()) == []
     assert len(a_local) == 1
 

@@ -202,6 +202,7 @@ CALLS = {
     "Limits(depth)": ("above 0", False, lambda _, v: ssduck.Limits(depth=v)),
     "Limits(eval)": ("flag", False, lambda _, v: ssduck.Limits(eval=v)),
     "Limits(files)": ("flag", False, lambda _, v: ssduck.Limits(files=v)),
+    "Limits(select_only)": ("flag", False, lambda _, v: ssduck.Limits(select_only=v)),
     "Limits(progress)": ("flag", False, lambda _, v: ssduck.Limits(progress=v)),
     "Recording(every)": ("above 0", False, lambda _, v: ssduck.Recording(every=v)),
     "Recording(changed)": ("flag", False, lambda _, v: ssduck.Recording(changed=v)),

@@ -40,6 +40,9 @@ RELATIONS = (
     "touching({0}, {1}, 0.1)",
     "restsOn({0}, {1})",
     "on({0}, {1})",
+    "above({0}, {1})",
+    "below({0}, {1})",
+    "within({0}, {1})",
 )
 SIDES = (("a", "b"), ("b", "a"), ("a.this", "b.this"), ("obj(a)", "obj(b)"))
 CONDITIONS = ("", " AND id(a) < id(b)", " AND id(b) <= id(a)", " AND id(a) != id(b)")

@@ -12,6 +12,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.database import recorders
+from ssduck.errors import RecordError, SqlError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 
 PARTS = 10
@@ -145,3 +146,67 @@ def test_few_parts_have_no_index(
     assert not (tmp_path / "run" / "index").exists()
     with ssduck.open(tmp_path / "run") as ss:
         assert len(ss.past("lab").ticks) == 2
+
+
+@pytest.fixture
+def checks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The files whose footers are read; a record has many parts if it has two."""
+    monkeypatch.setattr(parquet_archive, "MANY_PARTS", 2)
+    read: list[str] = []
+    footer = parquet_layout._footer
+
+    def counted(file: Path) -> bytes | None:
+        if "models" not in file.parts:
+            read.append(f"{file.parts[-4]} {int(file.stem[-6:])}")
+        return footer(file)
+
+    monkeypatch.setattr(parquet_layout, "_footer", counted)
+    return read
+
+
+def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None:
+    with ssduck.open(run) as ss:
+        record = ss._database.records["lab"]
+        assert checks == []
+        record.fetch("entities", 7, 8)
+        record.fetch("entities", 7, 9)
+        assert checks == ["entities 3", "entities 4"]
+        ss.eval("SELECT id FROM lab{} AS list;")
+        assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
+
+
+def test_parts_of_other_ticks_are_not_read(run: Path, checks: list[str]) -> None:
+    """Of another group DuckDB reads the first file, for its columns; the others may be anything."""
+    other = run / "entities" / PLACE.format(1) / "part-000007.parquet"
+    with ssduck.open(run) as ss:
+        assert ss.eval("SELECT tick FROM lab{} AS list;") == ALL
+        other.write_bytes(b"no Parquet file")
+        times = [time for time in ss.past("lab").times if time < 0.03]
+        for tick, time in enumerate(times, 1):
+            ss.add_variable("T", time)
+            assert ss.eval("SELECT tick FROM lab{T} AS value;") == tick
+        assert len(times) > 5
+        with pytest.raises(SqlError, match=other.name):
+            ss.eval("SELECT tick FROM lab{} AS list;")
+
+
+def test_missing_parts_are_noticed_at_once(run: Path, checks: list[str]) -> None:
+    (run / "entities" / PLACE.format(1) / "part-000004.parquet").unlink()
+    with pytest.raises(RecordError, match=r"part-000004.parquet is missing"):
+        ssduck.open(run)
+    assert checks == []
+
+
+def test_swapped_parts_are_noticed_when_they_are_read(run: Path, checks: list[str]) -> None:
+    parts = [run / "entities" / PLACE.format(1) / f"part-00000{n}.parquet" for n in (2, 5)]
+    shutil.move(parts[0], run / "other")
+    shutil.move(parts[1], parts[0])
+    shutil.move(run / "other", parts[1])
+    with ssduck.open(run) as ss:
+        record = ss._database.records["lab"]
+        assert record.fetch("entities", 1, 2)["tick"].to_pylist() == [1, 2]
+        assert checks == ["entities 0"]
+        with pytest.raises(RecordError, match=r"part-000002.parquet is another part"):
+            record.fetch("entities", 5, 6)
+        with pytest.raises(RecordError, match=r"part-000002.parquet is another part"):
+            ss.sql("SELECT count(*) FROM lab.entities_history")

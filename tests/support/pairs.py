@@ -14,11 +14,12 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, QhullError
 
-from ssduck.geometry.cores import ConvexCores, PlacedCores
 from ssduck.geometry.distance import CallCounter, SignedDistance, signed_distance
-from ssduck.geometry.gjk import ABOVE, BELOW, classify_gaps
 from ssduck.geometry.mesh_distance import mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
+from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
+from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 
@@ -180,6 +181,22 @@ def wrong_verdicts(shape_pairs, gaps, bound):
     for result in verdicts(shape_pairs, bound):
         wrong |= ((result == BELOW) & (gaps >= bound)) | ((result == ABOVE) & (gaps <= bound))
     return np.flatnonzero(wrong).tolist()
+
+
+def wrong_normals(shape_pairs, rises, min_height):
+    """Returns the indices of pairs of which a verdict contradicts the z of their contact normals.
+
+    And the number of undecided pairs; all are also compared swapped.
+    """
+    cores = bodies([shape for pair in shape_pairs for shape in pair])
+    first = np.arange(0, 2 * len(shape_pairs), 2)
+    wrong, undecided = np.zeros(len(shape_pairs), bool), 0
+    for sign, one, other in ((1.0, first, first + 1), (-1.0, first + 1, first)):
+        result = upward_verdicts(cores, one, other, min_height)
+        wrong |= (result == UPWARD) & (sign * rises < min_height)
+        wrong |= (result == NOT_UPWARD) & (sign * rises >= min_height)
+        undecided += int((result == UNDECIDED).sum())
+    return np.flatnonzero(wrong).tolist(), undecided
 
 
 # -- oracles -------------------------------------------------------------------------------

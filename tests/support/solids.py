@@ -67,4 +67,4 @@ def narrow(*entities):
 def sorts_of(tick):
     counts = np.diff(tick.starts)
     owners = np.repeat(np.arange(len(counts)), counts)
-    return ShapeTable(tick._solids, np.arange(len(owners)), owners)
+    return ShapeTable(tick._tick.solids, np.arange(len(owners)), owners)

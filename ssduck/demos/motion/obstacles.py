@@ -1,7 +1,7 @@
 """Tests many postures of a robot at once for clearance from obstacles and from itself.
 
 The shapes are those of the current tick, compared by the batched narrow phase of relations
-(`ssduck.geometry.gjk`); undecided pairs count as too near.
+(`ssduck.geometry.proofs.gjk`); undecided pairs count as too near.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from ssduck.demos.motion.kinematics import KinematicChain, poses
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs
-from ssduck.geometry.cores import ConvexCores, PlacedCores
-from ssduck.geometry.gjk import ABOVE, classify_gaps
+from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
+from ssduck.geometry.proofs.gjk import ABOVE, classify_gaps
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.entities import Entity

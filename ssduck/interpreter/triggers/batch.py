@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Sequence
-from contextlib import suppress
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
 from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
-import numpy.typing as npt
 from sqlglot import exp
 
 from ssduck.database.database import Database
 from ssduck.database.statement import Statement
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.triggers.array_expressions import (
-    ArrayExpression,
     NotArraysError,
     Number,
     TickArrays,
+    Values,
 )
-from ssduck.interpreter.triggers.formulas import ROWS, Formula, Part, SqlExpression
+from ssduck.interpreter.triggers.formulas import ROWS, Formula
+from ssduck.interpreter.triggers.geometric_calls import GeometricCalls
+from ssduck.interpreter.triggers.selection import FormulaSelection
+from ssduck.interpreter.triggers.table_state import TIME_COLUMNS
+from ssduck.world.layout import TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
@@ -30,57 +32,6 @@ from ssduck.world.world import World
 _SHARE = 4
 # For fewer formulas, one statement for all is no faster than one for each.
 _FEW = 2
-
-Values: TypeAlias = npt.NDArray[Any] | list[Any]
-
-
-class Outcome(NamedTuple):
-    """The rows of a formula at a tick.
-
-    Attributes:
-        tick: the number of the tick.
-        mask: whether each entity fulfils the condition.
-        arrays: the columns of the entities.
-        changing: the columns that may differ at the next tick, for the entities that fulfil the
-            condition.
-        fingerprint: a key that is the same at two ticks only if all rows are, bit for bit.
-    """
-
-    tick: int
-    mask: npt.NDArray[np.bool_]
-    arrays: TickArrays
-    changing: list[Values]
-    fingerprint: tuple[Any, ...]
-
-    def rows(self, formula: Formula) -> list[tuple[Any, ...]]:
-        """Returns the rows that the formula's SQL would return."""
-        if not formula.columns:
-            return [()] * int(self.mask.sum())
-        changing = iter(self.changing)
-        columns = [
-            part.values(self.arrays)[self.mask]
-            if isinstance(part, ArrayExpression) and part.is_fixed
-            else next(changing)
-            for part in formula.columns
-        ]
-        lists = [column if isinstance(column, list) else column.tolist() for column in columns]
-        return list(zip(*lists, strict=True))[formula.window]
-
-
-def _selected(column: Values, mask: npt.NDArray[np.bool_]) -> Values:
-    """Returns the values of the entities that fulfil a condition."""
-    if isinstance(column, list):
-        return [column[row] for row in np.flatnonzero(mask).tolist()]
-    return column[mask]
-
-
-def _bits(values: Values) -> Any:
-    """Returns a key of values that tells 0.0 from -0.0."""
-    if not isinstance(values, list):
-        return values.tobytes()
-    if all(type(value) is float for value in values):
-        return array("d", values).tobytes()
-    return repr(values)
 
 
 class Session(Protocol):
@@ -103,137 +54,244 @@ class FormulaBatches:
         self._session = session
         self._by_world: WeakKeyDictionary[World, _FormulaBatch] = WeakKeyDictionary()
 
-    def outcomes(self, world: World, formulas: Sequence[Formula]) -> dict[Formula, Outcome]:
-        """Returns the rows of formulas at the tick of their world.
+    def release_worlds(self) -> None:
+        """Drops what refers to worlds."""
+        for batch in self._by_world.values():
+            batch.close()
+        self._by_world.clear()
 
-        Formulas that are missing in the result have to be evaluated by themselves.
+    def evaluate(
+        self, world: World, layout: TableLayout, formulas: tuple[Formula, ...]
+    ) -> int | None:
+        """Evaluates formulas at the tick of their world, as far as they can be together.
 
         Args:
             world: the world.
-            formulas: formulas over this world.
+            layout: the entities for which the formulas were made.
+            formulas: formulas over this world; the same object as long as they are the same.
+
+        Returns:
+            A number that changes whenever the rows of a formula do; None if some of the formulas
+            have to be evaluated by themselves (see `Formula.is_evaluated_at`).
         """
         batch = self._by_world.get(world)
         if batch is None:
             batch = self._by_world[world] = _FormulaBatch(self._session.database)
-        self._session.begin_program()
-        tables = frozenset().union(*(formula.tables for formula in formulas))
-        with self._session.database.pinned(tables, [world]), np.errstate(all="ignore"):
-            return batch.outcomes(world.snapshot, formulas)
+        batch.prepare(formulas)
+        pinned: AbstractContextManager[None] = world.pinned(batch.tables)
+        if batch.needs_sql:
+            self._session.begin_program()
+            pinned = self._session.database.pinned(batch.tables, [world])
+        with pinned, np.errstate(all="ignore"):
+            # A tick that was taken just now may have other entities.
+            is_same = world.snapshot.layout is layout
+            return batch.evaluate(world.snapshot) if is_same else None
 
 
 class _FormulaBatch:
-    """The formulas over the entities of one world."""
+    """The formulas over the entities of one world.
+
+    Attributes:
+        tables: what they read beside the entities.
+        needs_sql: whether DuckDB evaluates parts of them.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self.tables: frozenset[str] = frozenset()
+        self.needs_sql = False
+        self._statement = _FormulaStatement(database)
+        self._calls = GeometricCalls()
+        self._rows: _Rows | None = None
+        self._formulas: tuple[Formula, ...] = ()
+        self._selections: list[FormulaSelection] = []
+        self._changes = 0
+        # The formulas that numpy could not evaluate at some tick, and those that DuckDB could not.
+        self._alone: WeakSet[Formula] = WeakSet()
+        self._failed: WeakSet[Formula] = WeakSet()
+
+    def close(self) -> None:
+        """Drops the prepared statement."""
+        self._statement.close()
+
+    def prepare(self, formulas: tuple[Formula, ...]) -> None:
+        """Sets the formulas to evaluate."""
+        if formulas is not self._formulas:
+            self._formulas, self._selections = formulas, []
+            self.tables = frozenset().union(*(formula.tables for formula in formulas))
+            self.needs_sql = any(formula.sql_parts for formula in formulas)
+
+    def evaluate(self, snapshot: Snapshot) -> int | None:
+        """Evaluates the formulas at a tick; see `FormulaBatches.evaluate`."""
+        table = snapshot.tables["entities"]
+        if not table.is_complete:
+            return None  # numpy would take an unknown number for NaN
+        if self._rows is None or self._rows.tick.table is not table:
+            self._rows, self._selections = _Rows(table), []
+        self._rows.update(self._calls.begin(snapshot) if "shapes" in self.tables else 0)
+        if not self._selections:
+            self._selections = self._selected(self._rows.tick, snapshot)
+        stale = []
+        for selection in self._selections:
+            if selection.state != self._rows.state or selection.reads_time:
+                stale.append(selection)
+            else:
+                selection.number = snapshot.number
+        if stale:
+            self._evaluate(snapshot, self._rows, stale)
+        is_whole = all(selection.number == snapshot.number for selection in self._selections)
+        return self._changes if is_whole else None
+
+    def _evaluate(
+        self, snapshot: Snapshot, rows: _Rows, selections: Sequence[FormulaSelection]
+    ) -> None:
+        """Evaluates selections of formulas, as far as numpy and DuckDB can."""
+        fetched: Mapping[str, Values] = {}
+        in_sql = [f for s in selections for f in s.formulas if f.sql_parts]
+        in_sql = [formula for formula in in_sql if formula not in self._failed]
+        if len(in_sql) >= _FEW:
+            try:
+                fetched = self._statement.columns(snapshot, rows.tick.table, in_sql)
+            except SelectScriptError:  # evaluated by itself, each gives its result or its error
+                self._failed.update(in_sql)
+        for selection in selections:
+            if any(part.text not in fetched for part in selection.formulas[0].sql_parts):
+                continue
+            try:
+                self._changes += selection.evaluate(snapshot.number, fetched)
+            except NotArraysError:
+                self._evaluate_singly(snapshot, rows, selection, fetched)
+            else:
+                selection.state = rows.state
+
+    def _evaluate_singly(
+        self,
+        snapshot: Snapshot,
+        rows: _Rows,
+        selection: FormulaSelection,
+        fetched: Mapping[str, Values],
+    ) -> None:
+        """Evaluates each formula of a selection; the next one has none that cannot be."""
+        if len(selection.formulas) == 1:
+            return
+        for formula in selection.formulas:
+            single = FormulaSelection(rows.tick, self._calls, snapshot.rows, [formula])
+            try:
+                single.evaluate(snapshot.number, fetched)
+            except NotArraysError:
+                self._alone.add(formula)
+        self._formulas = ()
+
+    def _selected(self, tick: TickArrays, snapshot: Snapshot) -> list[FormulaSelection]:
+        """Returns the formulas as selections of one shape each."""
+        by_shape: dict[Any, list[Formula]] = {}
+        for formula in self._formulas:
+            key = formula if formula in self._alone else formula.shape
+            by_shape.setdefault(key, []).append(formula)
+        return [
+            FormulaSelection(tick, self._calls, snapshot.rows, members)
+            for members in by_shape.values()
+        ]
+
+
+class _Rows:
+    """The rows of the entities, and whether they have changed.
+
+    Args:
+        table: the table of entities.
+
+    Attributes:
+        tick: its columns.
+        state: a number that changes whenever a value does, other than the time, or a shape moves.
+    """
+
+    def __init__(self, table: LiveTable) -> None:
+        self.tick = TickArrays(table)
+        self.state = 0
+        self._version = 0
+        self._before: Values = np.zeros((0, 0), np.int64)
+        self._columns: list[int] = []
+        self._shapes = 0
+
+    def update(self, shapes: int) -> None:
+        """Takes note of the rows of the tick.
+
+        Args:
+            shapes: a number that changes whenever shapes move.
+        """
+        table = self.tick.table
+        self.tick.update()
+        if table.version != self._version:
+            self._version = table.version
+            names = table.names_of_doubles
+            self._columns = [place for place, n in enumerate(names) if n not in TIME_COLUMNS]
+            self.state += 1
+        now = table.block[self._columns].view(np.int64)
+        if shapes != self._shapes or not np.array_equal(now, self._before):
+            self.state += 1
+        self._before, self._shapes = now, shapes
+
+
+class _FormulaStatement:
+    """The statement that evaluates what numpy cannot, for all formulas of a world."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
-        self._parameters: dict[str, float] = {}
-        self._arrays: TickArrays | None = None
-        # The formulas with parts that DuckDB evaluates, and the columns of their statement.
-        self._in_sql: WeakSet[Formula] = WeakSet()
+        self._formulas: WeakSet[Formula] = WeakSet()
         self._statement: Statement | None = None
         self._types: dict[str, Number] = {}
         self._places: dict[str, int] = {}
         self._missed = 0
-        self._failed: WeakSet[Formula] = WeakSet()
 
-    def outcomes(self, snapshot: Snapshot, formulas: Sequence[Formula]) -> dict[Formula, Outcome]:
-        """Returns the rows of formulas at a tick; see `FormulaBatches.outcomes`."""
-        table = snapshot.tables["entities"]
-        if not table.is_complete:
-            return {}  # numpy would take an unknown number for NaN
-        self._read_parameters(snapshot, table, formulas)
-        if self._arrays is None or self._arrays.table is not table:
-            self._arrays = TickArrays(table, self._parameters)
-        self._arrays.update()
-        in_sql = [f for f in formulas if f.sql_parts and f not in self._failed]
-        fetched = self._fetched(table, in_sql) if len(in_sql) >= _FEW else None
-        outcomes = {}
-        for formula in formulas:
-            if not formula.sql_parts or (fetched is not None and self._has(formula)):
-                with suppress(NotArraysError):  # DuckDB evaluates it
-                    outcomes[formula] = self._outcome(
-                        snapshot.number, self._arrays, formula, fetched
-                    )
-        return outcomes
-
-    def _read_parameters(
+    def columns(
         self, snapshot: Snapshot, table: LiveTable, formulas: Sequence[Formula]
-    ) -> None:
-        """Reads the values of the formulas' parameters at the tick."""
-        values = self._parameters
-        values.clear()
+    ) -> dict[str, Values]:
+        """Returns the columns of the statement by their text, in the order of the table's rows.
+
+        There are none if the statement has too few of the formulas.
+
+        Raises:
+            SelectScriptError: the statement fails.
+        """
+        self._formulas.update(formulas)
+        self._missed += sum(not self._has(formula) for formula in formulas)
+        if self._missed * _SHARE >= len(self._formulas):
+            self._prepare()
+        if self._statement is None or sum(map(self._has, formulas)) < _FEW:
+            return {}
+        values: dict[str, float] = dict.fromkeys(self._types, 0)
         for formula in formulas:
-            if not formula.types:
-                continue
-            values.update(formula.constants)
-            for name, (entity, column) in formula.entity_columns.items():
-                if name not in values:
+            for name in formula.types.keys() & values:
+                if name in formula.constants:
+                    values[name] = formula.constants[name]
+                else:
+                    entity, column = formula.entity_columns[name]
                     values[name] = table[column][snapshot.rows[entity.id]].item()
-
-    def _outcome(
-        self,
-        tick: int,
-        arrays: TickArrays,
-        formula: Formula,
-        fetched: list[list[Any]] | None,
-    ) -> Outcome:
-        """Returns the rows of a formula at a tick, as copies."""
-        if formula.condition is None:
-            mask = np.ones(arrays.table.count, dtype=np.bool_)
-        else:
-            mask = self._values(formula.condition, arrays, fetched)
-        changing = [
-            _selected(self._values(part, arrays, fetched), mask) for part in formula.changing
-        ]
-        fingerprint = (arrays.table.version, mask.tobytes(), *map(_bits, changing))
-        return Outcome(tick, mask, arrays, changing, fingerprint)
-
-    def _values(self, part: Part, arrays: TickArrays, fetched: list[list[Any]] | None) -> Any:
-        """Returns the values of an expression for all entities; of a condition, an array."""
-        if isinstance(part, SqlExpression):
-            assert fetched is not None
-            values = fetched[self._places[part.text]]
-            # A condition that is NULL does not hold.
-            return np.array(values, dtype=np.bool_) if part.is_condition else values
-        result = part.values(arrays)
-        if isinstance(result, np.ndarray) and result.ndim:
-            return result
-        return np.broadcast_to(np.asarray(result), arrays.table.count)
-
-    # -- the statement -----------------------------------------------------------------------
+        rows = self._statement.rows(values)
+        places = {row[-1]: number for number, row in enumerate(rows)}
+        ordered = [rows[places[id]] for id in table["id"].tolist()]
+        return {
+            text: np.fromiter((row[place] for row in ordered), np.object_, len(ordered))
+            for text, place in self._places.items()
+        }
 
     def _has(self, formula: Formula) -> bool:
         """Checks whether the statement has all parts of a formula."""
         return all(part.text in self._places for part in formula.sql_parts)
 
-    def _fetched(self, table: LiveTable, formulas: Sequence[Formula]) -> list[list[Any]] | None:
-        """Returns the columns of the statement, in the order of the table's rows; None for none."""
-        self._in_sql.update(formulas)
-        self._missed += sum(not self._has(formula) for formula in formulas)
-        if self._missed * _SHARE >= len(self._in_sql):
-            self._prepare()
-        if self._statement is None or sum(map(self._has, formulas)) < _FEW:
-            return None
-        values = {name: self._parameters.get(name, 0) for name in self._types}
-        try:
-            rows = self._statement.rows(values)
-        except SelectScriptError:  # evaluated by itself, each gives its result or its error
-            self._failed.update(formulas)
-            return None
-        places = {row[-1]: number for number, row in enumerate(rows)}
-        ordered = [rows[places[id]] for id in table["id"].tolist()]
-        return list(map(list, zip(*ordered, strict=True)))
+    def close(self) -> None:
+        """Drops the prepared statement."""
+        if self._statement is not None:
+            self._statement.forget()
+            self._statement = None
 
     def _prepare(self) -> None:
         """Makes the statement for all formulas that exist."""
         self._missed = 0
-        if self._statement is not None:
-            self._statement.forget()
-            self._statement = None
+        self.close()
         self._places.clear()
         self._types.clear()
         select = exp.Select()
-        for formula in self._in_sql:
+        for formula in self._formulas:
             for part in formula.sql_parts:
                 if part.text not in self._places:
                     self._places[part.text] = len(self._places)

@@ -1,7 +1,7 @@
 """Finds the triggers whose programs are formulas over the rows of one world's entities.
 
 A *formula* is a query whose condition and columns are SQL expressions over one row: no other
-source, no geometry, no function of a user, nothing left to Python. `ssduck.interpreter.triggers.
+source, no function of a user, nothing left to Python. `ssduck.interpreter.triggers.
 batch` evaluates the formulas of many triggers together.
 """
 
@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from functools import cached_property
+from typing import Any, Protocol
 
 from sqlglot import exp
 
@@ -23,16 +24,19 @@ from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.interpreter.triggers.array_expressions import (
     NUMERIC_COLUMNS,
+    ArrayCompiler,
     ArrayExpression,
     NotArraysError,
     Number,
-    array_expression,
+    Slot,
+    fetched_expression,
 )
+from ssduck.interpreter.triggers.table_state import TIME_COLUMNS
 from ssduck.language.clauses import Selected
 from ssduck.language.evaluator import Frame
 from ssduck.language.tree import Binary, Literal, Name, Node, Query, Unary
 from ssduck.language.value_keys import node_key
-from ssduck.schema import MASSES
+from ssduck.schema import MARGINS, MASSES
 from ssduck.sql.from_clause import world_table
 from ssduck.sql.plan import Plan
 from ssduck.sql.sql_values import with_values
@@ -45,7 +49,7 @@ ROWS = "entities"
 # The parts of a SELECT that a formula may have.
 _CLAUSES = frozenset(("expressions", "from_", "where", "order", "limit", "offset"))
 # What one expression over a row does not contain.
-_NO_FORMULA = (exp.Anonymous, exp.AggFunc, exp.Window, exp.Select, exp.Subquery, exp.Unnest)
+_NO_FORMULA = (exp.AggFunc, exp.Window, exp.Select, exp.Subquery, exp.Unnest)
 _CONSTANT_NODES = (Name, Literal, Unary, Binary)
 
 
@@ -56,16 +60,24 @@ class SqlExpression:
     Attributes:
         sql: the expression.
         text: its text, which identifies it.
-        is_condition: whether it is a condition on a row.
     """
 
     sql: exp.Expr
     text: str
-    is_condition: bool = False
 
 
-# An expression as numpy evaluates it, or as DuckDB does.
-Part: TypeAlias = ArrayExpression | SqlExpression
+class LastRows(Protocol):
+    """The last rows of formulas; see `ssduck.interpreter.triggers.selection`."""
+
+    @property
+    def number(self) -> int:
+        """The number of their tick."""
+
+    def rows(self, place: int) -> list[tuple[Any, ...]]:
+        """Returns the rows of a formula, before LIMIT and OFFSET."""
+
+    def last(self, place: int) -> tuple[Any, ...] | None:
+        """Returns the rows of a formula as arrays, to compare the next ones with."""
 
 
 @dataclass(eq=False)
@@ -77,39 +89,61 @@ class Formula:
         schema: the schema of its tables.
         condition: the condition on a row; None if there is none.
         columns: the values of a row.
-        types: the types of the parameters in the expressions, by name.
+        slots: the constants of these expressions.
+        sql_parts: the expressions that DuckDB evaluates.
+        types: the types of the parameters in them, by name.
         constants: the values of parameters that are the same at each tick.
         entity_columns: the entity and the column that are the value of the other parameters.
         tables: what is read from the simulator beside the entities.
         window: the rows that LIMIT and OFFSET leave.
-        sql_parts: the expressions that DuckDB evaluates.
-        changing: the columns that do not stay the same until the table is replaced.
+        reads_time: whether its rows may differ though nothing has moved.
+        version: a number that changes whenever the rows of the formula do.
+        selection: the rows of the formulas that were last evaluated with it; None before that.
+        place: its place among them.
     """
 
     world: World
     schema: str
-    condition: Part | None
-    columns: list[Part]
+    condition: ArrayExpression | None
+    columns: list[ArrayExpression]
+    slots: list[Slot]
+    sql_parts: list[SqlExpression]
     types: dict[str, Number]
     constants: dict[str, float]
     entity_columns: dict[str, tuple[Entity, str]]
     tables: frozenset[str]
     window: slice
+    reads_time: bool
     _query: Query
     _planned: PlannedQuery
     _form: AsClause
     _execution: Execution
-    sql_parts: list[SqlExpression] = field(init=False)
-    changing: list[Part] = field(init=False)
+    version: int = field(default=0, init=False)
+    selection: LastRows | None = field(default=None, init=False)
+    place: int = field(default=0, init=False)
 
-    def __post_init__(self) -> None:
-        parts = (self.condition, *self.columns)
-        self.sql_parts = [part for part in parts if isinstance(part, SqlExpression)]
-        self.changing = [
-            part
-            for part in self.columns
-            if not (isinstance(part, ArrayExpression) and part.is_fixed)
-        ]
+    @property
+    def changing(self) -> list[ArrayExpression]:
+        """The columns that do not stay the same until the table is replaced."""
+        return [part for part in self.columns if not part.is_fixed]
+
+    @cached_property
+    def shape(self) -> tuple[Any, ...]:
+        """What formulas that are evaluated at once have in common."""
+        return (
+            None if self.condition is None else self.condition.key,
+            *(part.key for part in self.columns),
+            *(slot.signature for slot in self.slots),
+        )
+
+    def is_evaluated_at(self, tick: int) -> bool:
+        """Checks whether its rows are those of the tick of a number."""
+        return self.selection is not None and self.selection.number == tick
+
+    def rows(self) -> list[tuple[Any, ...]]:
+        """Returns the rows of its last evaluation, as its SQL would return them."""
+        assert self.selection is not None
+        return self.selection.rows(self.place)[self.window]
 
     def value(self, rows: list[tuple[Any, ...]]) -> Any:
         """Returns the result of the program for the rows that its SQL would return.
@@ -192,7 +226,7 @@ class FormulaPlanner:
         if not isinstance(world, World):
             raise _NoFormulaError
         tables = self._execution.tables_read(query)
-        if not tables <= {MASSES}:
+        if not tables <= {MASSES, MARGINS, "shapes"}:
             raise _NoFormulaError
         names, texts = {}, {}
         types: dict[str, Number] = {}
@@ -222,22 +256,67 @@ class FormulaPlanner:
             parameter.set("this", exp.var(names[parameter.name]))
         for column in list(select.find_all(exp.Column)):
             column.set("table", exp.to_identifier(ROWS))
+        slots = {key: Slot(types[key], value) for key, value in constants.items()}
+        slots |= {key: Slot(types[key], *value) for key, value in entity_columns.items()}
+        parts = _Parts(slots, str(source_type.schema))
         where = select.args.get("where")
+        condition = None if where is None else parts.expression(where.this, is_condition=True)
+        columns = [parts.expression(column) for column in select.expressions]
         return Formula(
             world,
             str(source_type.schema),
-            None if where is None else _part(where.this, types, is_condition=True),
-            [_part(column, types) for column in select.expressions],
+            condition,
+            columns,
+            parts.compiler.slots,
+            parts.in_sql,
             types,
             constants,
             entity_columns,
             tables,
             _window(select),
+            not parts.compiler.columns.isdisjoint(TIME_COLUMNS),
             query,
             planned,
             form,
             self._execution,
         )
+
+
+class _Parts:
+    """Makes the expressions of a formula.
+
+    Args:
+        slots: the parameters by name.
+        schema: the schema of the world.
+
+    Attributes:
+        compiler: makes those that numpy evaluates.
+        in_sql: those that DuckDB evaluates.
+    """
+
+    def __init__(self, slots: dict[str, Slot], schema: str) -> None:
+        self._slots = slots
+        self.compiler = ArrayCompiler(slots, schema)
+        self.in_sql: list[SqlExpression] = []
+
+    def expression(self, sql: exp.Expr, *, is_condition: bool = False) -> ArrayExpression:
+        """Returns an expression that numpy evaluates if it can, and else DuckDB.
+
+        Raises:
+            _NoFormulaError: it has a function that neither does for many formulas.
+        """
+        try:
+            return self.compiler.expression(sql)
+        except NotArraysError:
+            if isinstance(sql, exp.Anonymous) or sql.find(exp.Anonymous):
+                raise _NoFormulaError from None
+            text = sql.sql("duckdb")
+            self.in_sql.append(SqlExpression(sql, text))
+            self.compiler.columns.update(column.name for column in sql.find_all(exp.Column))
+            self.compiler.columns.update(
+                self._slots[parameter.name].column for parameter in sql.find_all(exp.Parameter)
+            )
+            return fetched_expression(text, is_condition=is_condition)
 
 
 class _NoFormulaError(Exception):
@@ -302,14 +381,6 @@ def _walked(select: exp.Select) -> Iterator[exp.Expr]:
 def _is_constant(node: Node) -> bool:
     """Checks whether a part depends on the values of variables only."""
     return all(isinstance(part, _CONSTANT_NODES) for part in node.walk())
-
-
-def _part(sql: exp.Expr, types: dict[str, Number], *, is_condition: bool = False) -> Part:
-    """Returns an expression for numpy if it can evaluate it, else for DuckDB."""
-    try:
-        return array_expression(sql, types)
-    except NotArraysError:
-        return SqlExpression(sql, sql.sql("duckdb"), is_condition)
 
 
 def _window(select: exp.Select) -> slice:

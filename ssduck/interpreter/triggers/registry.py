@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, Protocol
-from weakref import WeakSet
+from weakref import WeakKeyDictionary, WeakSet
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
@@ -25,7 +26,7 @@ from ssduck.interpreter.triggers.tick_batch import (
     are_fixed,
     are_same,
 )
-from ssduck.interpreter.triggers.trigger import Batched, Trigger, TriggerState, TriggerWarning
+from ssduck.interpreter.triggers.trigger import Trigger, TriggerState, TriggerWarning
 from ssduck.language.tree import Node
 from ssduck.language.value_keys import ATOMS
 from ssduck.world.handles import Handle
@@ -182,6 +183,42 @@ class TriggerMethods:
     delTrigger = del_trigger  # noqa: N815
 
 
+@dataclass(frozen=True, eq=False)
+class _Readers:
+    """The triggers that read a world and are not paused.
+
+    Attributes:
+        by_name: all triggers.
+        stamp: the stamp of the names.
+        pauses: the number of times that a trigger was paused or resumed.
+        triggers: those that read the world.
+        are_always_due: whether all of them are due at each tick.
+    """
+
+    by_name: Mapping[str, Trigger]
+    stamp: object
+    pauses: int
+    triggers: tuple[Trigger, ...]
+    are_always_due: bool
+
+
+@dataclass(eq=False)
+class _IdleTicks:
+    """Successive ticks of a world at which no result has changed.
+
+    Attributes:
+        state: the state of the results.
+        evaluated: the number of triggers that had been evaluated by then.
+        triggers: the triggers that are due at each of the ticks.
+        count: the number of ticks that their evaluations do not count yet.
+    """
+
+    state: tuple[object, int]
+    evaluated: int
+    triggers: tuple[Trigger, ...]
+    count: int = 0
+
+
 class TriggerRegistry:
     """The triggers of an interpreter; observes the worlds that they read.
 
@@ -199,6 +236,12 @@ class TriggerRegistry:
         self._batches = batches
         self._by_name: dict[str, Trigger] = {}
         self._lock = threading.Lock()
+        # The number of times that a trigger was paused or resumed.
+        self._pauses = 0
+        # The number of evaluations that may have changed a trigger.
+        self._evaluated = 0
+        self._idle: WeakKeyDictionary[World, _IdleTicks] = WeakKeyDictionary()
+        self._readers: WeakKeyDictionary[World, _Readers] = WeakKeyDictionary()
         self._observed: WeakSet[World] = WeakSet()
 
     def add(
@@ -241,15 +284,19 @@ class TriggerRegistry:
         with self._lock:
             self._trigger(name).remove()
             self._by_name = {n: t for n, t in self._by_name.items() if n != name}
+        if not self._by_name:
+            self._release_worlds()
 
     def pause(self, name: str) -> None:
         """Stops the evaluations of a trigger."""
         self._trigger(name).paused = True
+        self._pauses += 1
 
     def resume(self, name: str) -> None:
         """Resumes the evaluations of a trigger."""
         trigger = self._trigger(name)
         trigger.resume(self._worlds_of(trigger))
+        self._pauses += 1
 
     def _trigger(self, name: str) -> Trigger:
         if name not in self._by_name:
@@ -260,6 +307,7 @@ class TriggerRegistry:
 
     def states(self) -> list[TriggerState]:
         """Returns the state of each trigger, in the order in which they were added."""
+        self._end_all_idle()
         return [trigger.state() for trigger in self._by_name.values()]
 
     def close(self) -> None:
@@ -271,6 +319,7 @@ class TriggerRegistry:
         for world in list(self._observed):
             world.unfollow(self)
         self._observed.clear()
+        self._release_worlds()
         for trigger in triggers:
             if trigger.queue is not None and not trigger.queue.join(PATIENCE):
                 warn(
@@ -282,30 +331,111 @@ class TriggerRegistry:
 
     def due(self, world: World, /) -> float:
         """Returns the time at which the next trigger is due in a world."""
-        due, stamp = math.inf, self._names.stamp
-        for trigger in self._by_name.values():
-            if not trigger.paused and world in self._worlds_of(trigger, stamp):
-                due = min(due, trigger.due(world))
-                if due == -math.inf:
-                    break
+        due = math.inf
+        for trigger in self._readers_of(world, self._names.stamp).triggers:
+            due = min(due, trigger.due(world))
+            if due == -math.inf:
+                break
         return due
 
     def ticked(self, world: World, /) -> None:
         """Evaluates the triggers that are due in a world, in the order in which they were added."""
+        if not self._by_name:
+            return
         stamp, triggers = self._names.stamp, self._by_name.values()
-        due = {trigger: None for trigger in triggers if self._is_due(trigger, world, stamp)}
+        readers = self._readers_of(world, stamp)
+        due = readers.triggers
+        if not readers.are_always_due:
+            due = tuple(trigger for trigger in due if self._is_due(trigger, world, stamp))
         if not due:
             return
-        batch = None if self._batches is None else self._batches.begin(world, due, stamp)
+        if self._batches is None:
+            self._evaluate_due(world, triggers, due, None)
+            return
+        batch = self._batches.begin(world, due, stamp)
+        state, idle = batch.state, self._idle.get(world)
+        if idle is not None:
+            if idle.state == state and idle.evaluated == self._evaluated:
+                idle.count += 1
+                return
+            self._end_idle(world)
+        evaluated = self._evaluated
+        unchanged = batch.unchanged()
+        if len(unchanged) < len(due):
+            self._evaluate_due(world, triggers, due, batch, unchanged)
+            return
+        self._skip(due)
+        if state is not None and readers.are_always_due:
+            self._idle[world] = _IdleTicks(state, evaluated, due)
+
+    def _end_all_idle(self) -> None:
+        """Counts the evaluations at the idle ticks of all worlds."""
+        for world in list(self._idle):
+            self._end_idle(world)
+
+    def _end_idle(self, world: World) -> None:
+        """Counts the evaluations at idle ticks."""
+        idle = self._idle.pop(world, None)
+        if idle is not None:
+            for trigger in idle.triggers:
+                trigger.count_evaluations(idle.count)
+
+    def _evaluate_due(
+        self,
+        world: World,
+        triggers: Collection[Trigger],
+        due: Collection[Trigger],
+        batch: TickBatch | None,
+        unchanged: Collection[Trigger] = (),
+    ) -> None:
+        """Evaluates the triggers that are due, and those that become due meanwhile.
+
+        Args:
+            world: the world.
+            triggers: all triggers.
+            due: those that are due.
+            batch: evaluates them together; None if each is evaluated by itself.
+            unchanged: those whose last results stand.
+        """
+        due = frozenset(due)
         for trigger in triggers:
             # An earlier callback or program may have changed what is due.
-            is_doubtful = batch is None or batch.is_doubtful
-            if is_doubtful:
+            if batch is None or batch.is_doubtful:
                 is_due = self._is_due(trigger, world, self._names.stamp)
+            elif trigger in unchanged:
+                self._skip((trigger,))
+                continue
             else:
                 is_due = trigger in due and not trigger.paused
             if is_due and not trigger.removed:
                 self._evaluate(trigger, batch)
+
+    def _skip(self, triggers: Iterable[Trigger]) -> None:
+        """Counts an evaluation of each trigger whose result is the last one."""
+        for trigger in triggers:
+            trigger.count_evaluations()
+            if trigger.config.interval:
+                trigger.reschedule(self._worlds_of(trigger))
+
+    def _readers_of(self, world: World, stamp: object) -> _Readers:
+        """Returns the triggers that read a world and are not paused."""
+        by_name, pauses = self._by_name, self._pauses
+        known = self._readers.get(world)
+        if (
+            known is None
+            or known.by_name is not by_name
+            or known.stamp is not stamp
+            or known.pauses != pauses
+        ):
+            triggers = [trigger for trigger in by_name.values() if not trigger.paused]
+            readers = tuple(t for t in triggers if world in self._worlds_of(t, stamp))
+            is_fixed = all(trigger.worlds.stamp is stamp for trigger in triggers)
+            are_always_due = not any(trigger.config.interval for trigger in readers)
+            known = _Readers(
+                by_name, stamp if is_fixed else object(), pauses, readers, are_always_due
+            )
+            self._readers[world] = known
+        return known
 
     def _is_due(self, trigger: Trigger, world: World, stamp: object) -> bool:
         """Checks whether a trigger is due in a world."""
@@ -316,20 +446,31 @@ class TriggerRegistry:
 
     def rebound(self) -> None:
         """Observes the worlds that triggers read, after a name was bound to another world."""
+        self._release_worlds()
         for trigger in self._by_name.values():
-            trigger.batched = Batched()
+            if self._batches is not None:
+                self._batches.forget(trigger)
             self._observe(trigger)
+
+    def _release_worlds(self) -> None:
+        """Drops what refers to worlds, which may be gone."""
+        self._end_all_idle()
+        self._readers.clear()
+        if self._batches is not None:
+            self._batches.release_worlds()
 
     def _evaluate(self, trigger: Trigger, batch: TickBatch | None = None) -> None:
         if not trigger.begin():
             return
+        self._evaluated += 1
         try:
             if trigger.config.interval:
                 trigger.reschedule(self._worlds_of(trigger))
             try:
                 delivery = self._next_delivery(trigger, batch)
             except Exception as error:  # noqa: BLE001  # no error stops the world
-                trigger.batched = Batched()
+                if self._batches is not None:
+                    self._batches.forget(trigger)
                 trigger.fail(error)
                 return
             if delivery is not None:
@@ -348,7 +489,7 @@ class TriggerRegistry:
 
     def _next_delivery(self, trigger: Trigger, batch: TickBatch | None = None) -> tuple[Any] | None:
         """Evaluates a trigger, and returns the value to deliver, in a tuple; None for none."""
-        trigger.count_evaluation()
+        trigger.count_evaluations()
         if batch is not None:
             batched = batch.result(trigger)
             if batched is not None and not batched.is_new and trigger.is_steady:
@@ -361,22 +502,30 @@ class TriggerRegistry:
         if is_known or self._has_same_tables(trigger):
             result = trigger.result
         else:
-            trigger.dependencies = None
-            key = None
-            if self._batches is not None:
-                key = self._batches.key(trigger, self._worlds_of(trigger))
-            result = self._interpreter.eval(trigger.program)
-            # As read before the evaluation, so that a tick taken meanwhile is not missed.
-            trigger.dependencies = dependencies
-            before, trigger.batched.key = trigger.batched.key, key
-            trigger.batched.fingerprint = trigger.batched.state = None
-            is_settled = key is not None and before is not None and are_same(before, key)
-            # What changes at each evaluation is not worth the search for its tables.
-            if self._batches is not None and (is_settled or trigger.config.threshold):
-                self._batches.note_tables(trigger, dependencies)
+            result = self._evaluated_alone(trigger, dependencies)
             if batch is not None:
                 batch.is_doubtful = True
         return trigger.deliverable(result, self._observe(trigger))
+
+    def _evaluated_alone(self, trigger: Trigger, dependencies: Any) -> Any:
+        """Returns the result of a trigger, evaluated by itself.
+
+        Args:
+            trigger: the trigger.
+            dependencies: the variables and ticks on which the result depends; None if unknown.
+        """
+        trigger.dependencies = None
+        batches = self._batches
+        key = None if batches is None else batches.key(trigger, self._worlds_of(trigger))
+        result = self._interpreter.eval(trigger.program)
+        # As read before the evaluation, so that a tick taken meanwhile is not missed.
+        trigger.dependencies = dependencies
+        if batches is not None:
+            is_settled = batches.note_key(trigger, key)
+            # What changes at each evaluation is not worth the search for its tables.
+            if is_settled or trigger.config.threshold:
+                batches.note_tables(trigger, dependencies)
+        return result
 
     def _has_same_tables(self, trigger: Trigger) -> bool:
         """Checks whether nothing has changed on which the last result of a trigger depends."""

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from ssduck.adapters.registry import Adapter
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.execution import Execution
-from ssduck.interpreter.triggers.batch import FormulaBatches, Outcome
+from ssduck.interpreter.triggers.batch import FormulaBatches
 from ssduck.interpreter.triggers.formulas import Formula, FormulaPlanner
 from ssduck.interpreter.triggers.table_state import TableState
-from ssduck.interpreter.triggers.trigger import Trigger
+from ssduck.interpreter.triggers.trigger import Batched, Trigger
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import ATOMS
 from ssduck.schema import TABLES
 from ssduck.world.handles import Handle
+from ssduck.world.layout import TableLayout
 from ssduck.world.world import World
 
 
@@ -55,6 +57,27 @@ def are_fixed(values: Sequence[Any]) -> bool:
 _TIME_NAMES = frozenset(("tick", "time"))
 
 
+@dataclass(frozen=True, eq=False)
+class _DueFormulas:
+    """The formulas of the triggers that are due at a tick.
+
+    Attributes:
+        due: the triggers.
+        stamp: the stamp of the names.
+        layout: the entities of the world.
+        generation: the number of changes of what triggers mean.
+        by_trigger: the formulas of those triggers that have one.
+        formulas: the formulas.
+    """
+
+    due: tuple[Trigger, ...]
+    stamp: object
+    layout: TableLayout
+    generation: int
+    by_trigger: Mapping[Trigger, Formula]
+    formulas: tuple[Formula, ...]
+
+
 class TriggerBatches:
     """Evaluates triggers together.
 
@@ -67,10 +90,61 @@ class TriggerBatches:
         self._execution = execution
         self._planner = FormulaPlanner(execution, query_of)
         self._batches = FormulaBatches(execution)
+        self._generation = 0
+        self._last_due: WeakKeyDictionary[World, _DueFormulas] = WeakKeyDictionary()
 
-    def begin(self, world: World, due: Collection[Trigger], stamp: object) -> TickBatch:
+    def begin(self, world: World, due: tuple[Trigger, ...], stamp: object) -> TickBatch:
         """Returns the batch of the triggers that are due in a world at its tick."""
         return TickBatch(self, world, due, stamp)
+
+    def note_key(self, trigger: Trigger, key: tuple[Any, ...] | None) -> bool:
+        """Notes what decided the meaning of a program that was evaluated by itself.
+
+        Returns:
+            Whether it is the same as at the evaluation before.
+        """
+        batched = trigger.batched
+        batched.fingerprint = batched.state = None
+        before = batched.key
+        if key is not None and before is not None and are_same(before, key):
+            return True
+        if key is not before:
+            batched.key = key
+            self._generation += 1
+        return False
+
+    def forget(self, trigger: Trigger) -> None:
+        """Forgets what a program means."""
+        trigger.batched = Batched()
+        self._generation += 1
+
+    def release_worlds(self) -> None:
+        """Drops what refers to worlds."""
+        with self._execution.lock:
+            self._last_due.clear()
+            self._batches.release_worlds()
+
+    def formulas(self, world: World, due: tuple[Trigger, ...], stamp: object) -> _DueFormulas:
+        """Returns the formulas of the triggers that are due; the same ones while they are."""
+        last, layout = self._last_due.get(world), world.snapshot.layout
+        if (
+            last is None
+            or last.stamp is not stamp
+            or last.layout is not layout
+            or last.generation != self._generation
+            or last.due != due
+        ):
+            by_trigger = {
+                trigger: formula
+                for trigger in due
+                if (formula := self.formula(trigger, world, stamp)) is not None
+            }
+            formulas = tuple(by_trigger.values())
+            if last is not None and last.formulas == formulas:
+                formulas = last.formulas
+            last = _DueFormulas(due, stamp, layout, self._generation, by_trigger, formulas)
+            self._last_due[world] = last
+        return last
 
     def key(self, trigger: Trigger, worlds: Sequence[World]) -> tuple[Any, ...] | None:
         """Returns what decides the meaning of a program; None if it is evaluated by itself.
@@ -159,12 +233,12 @@ class TriggerBatches:
         """Returns the formula of a trigger; None if it is none."""
         return self._planner.formula(trigger.program) if self._is_known(trigger) else None
 
-    def outcomes(self, world: World, formulas: dict[Trigger, Formula]) -> dict[Formula, Outcome]:
-        """Returns the rows of formulas at the tick of their world."""
+    def evaluate(self, world: World, due: _DueFormulas) -> int | None:
+        """Evaluates formulas at the tick of their world; see `FormulaBatches.evaluate`."""
         with self._execution.lock:
-            if self._execution.is_running or not formulas:
-                return {}
-            return self._batches.outcomes(world, list(formulas.values()))
+            if self._execution.is_running or not due.formulas:
+                return None
+            return self._batches.evaluate(world, due.layout, due.formulas)
 
 
 class TickBatch:
@@ -181,59 +255,65 @@ class TickBatch:
     """
 
     def __init__(
-        self,
-        batches: TriggerBatches,
-        world: World,
-        due: Collection[Trigger],
-        stamp: object,
+        self, batches: TriggerBatches, world: World, due: tuple[Trigger, ...], stamp: object
     ) -> None:
         self.is_doubtful = False
         self._batches = batches
         self._world = world
-        self._due = due
-        self._stamp = stamp
-        self._formulas: dict[Trigger, Formula] | None = None
-        self._outcomes: dict[Formula, Outcome] = {}
+        self._due = batches.formulas(world, due, stamp)
+        self._tick = 0
+        self._changes: int | None = None
+
+    @property
+    def state(self) -> tuple[object, int] | None:
+        """A value that is equal at two ticks only if no result differs; None if not known."""
+        self._evaluate()
+        is_whole = self._changes is not None and len(self._due.formulas) == len(self._due.due)
+        return (self._due, self._changes or 0) if is_whole else None
+
+    def unchanged(self) -> Collection[Trigger]:
+        """Returns the triggers whose last results stand, and have been dealt with.
+
+        That is so until a program or a callback makes the batch doubtful.
+        """
+        self._evaluate()
+        tick, by_trigger = self._tick, self._due.by_trigger
+        return {
+            trigger
+            for trigger, formula in by_trigger.items()
+            if trigger.stands(formula.version) and formula.is_evaluated_at(tick)
+        }
 
     def result(self, trigger: Trigger) -> BatchedResult | None:
         """Returns the result of a trigger; None if it has to be evaluated by itself."""
-        if self._formulas is None:
-            self._formulas = self._due_formulas()
-            self._outcomes = self._evaluate()
-        formula = self._formulas.get(trigger)
-        outcome = None if formula is None else self._outcomes.get(formula)
-        if formula is None or outcome is None or outcome.tick != self._world.snapshot.number:
+        self._evaluate()
+        formula = self._due.by_trigger.get(trigger)
+        number = self._world.snapshot.number
+        if formula is None or not formula.is_evaluated_at(number):
             return None
         if self.is_doubtful and not self._batches.is_current(trigger, self._world):
             return None
         threshold = trigger.config.threshold
-        if outcome.fingerprint == trigger.batched.fingerprint:
+        if formula.version == trigger.batched.fingerprint:
             return _UNCHANGED
         if threshold and self._batches.has_same_tables(trigger, [self._world]):
             return _UNCHANGED
         try:
-            result = formula.value(outcome.rows(formula))
+            result = formula.value(formula.rows())
         except Exception:  # noqa: BLE001  # evaluated by itself, it raises the error with its place
             return None
-        trigger.batched.fingerprint = outcome.fingerprint
+        trigger.batched.fingerprint = formula.version
         trigger.dependencies = None
         if threshold:
-            self._batches.note_tables(trigger, ((), [(self._world, outcome.tick)]))
+            self._batches.note_tables(trigger, ((), [(self._world, number)]))
         return BatchedResult(is_new=True, value=result)
 
-    def _due_formulas(self) -> dict[Trigger, Formula]:
-        """Returns the formulas of the triggers that are due."""
-        formulas = {}
-        for trigger in self._due:
-            formula = self._batches.formula(trigger, self._world, self._stamp)
-            if formula is not None:
-                formulas[trigger] = formula
-        return formulas
-
-    def _evaluate(self) -> dict[Formula, Outcome]:
-        """Returns the rows of the formulas; none if they have to be evaluated one by one."""
-        assert self._formulas is not None
+    def _evaluate(self) -> None:
+        """Evaluates the formulas, unless they have been."""
+        if self._tick:
+            return
+        self._tick = self._world.snapshot.number
         # Evaluated one by one, the triggers report what is wrong.
         with suppress(SelectScriptError):
-            return self._batches.outcomes(self._world, self._formulas)
-        return {}
+            self._changes = self._batches.evaluate(self._world, self._due)
+            self._tick = self._world.snapshot.number

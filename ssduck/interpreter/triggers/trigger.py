@@ -54,7 +54,7 @@ class Batched:
         stamp: the stamp of the names for which the key is known to be up to date.
         formula_key: the key for which the formula was made.
         formula: the formula of its program; None if it is none.
-        fingerprint: that of the rows of its last result; None if unknown.
+        fingerprint: the version of the formula's rows at its last result; None if unknown.
         tables_key: the key for which the tables were found.
         tables: the tables on which alone its result depends; None if they are not known.
         state: the numbers of these tables at its last evaluation; None if unknown.
@@ -64,7 +64,7 @@ class Batched:
     stamp: object = None
     formula_key: tuple[Any, ...] | None = None
     formula: Formula | None = None
-    fingerprint: Any = None
+    fingerprint: int | None = None
     tables_key: tuple[Any, ...] | None = None
     tables: frozenset[str] | None = None
     state: TableState | None = None
@@ -120,6 +120,17 @@ class Trigger:
             # The thread does not refer to the trigger, and ends with it.
             weakref.finalize(self, self.queue.close)
 
+    def stands(self, version: int) -> bool:
+        """Checks whether its last result is that of a version of its formula's rows, and is old.
+
+        Then another evaluation would change nothing.
+        """
+        return (
+            self.batched.fingerprint == version
+            and self._debouncer.is_steady
+            and not self._busy.locked()
+        )
+
     def begin(self) -> bool:
         """Begins an evaluation, unless one is running, in another thread or around this call."""
         return self._busy.acquire(blocking=False)
@@ -171,9 +182,9 @@ class Trigger:
         """Whether its last result again would change nothing."""
         return self._debouncer.is_steady
 
-    def count_evaluation(self) -> None:
-        """Counts an evaluation."""
-        self._log.evaluations += 1
+    def count_evaluations(self, count: int = 1) -> None:
+        """Counts evaluations."""
+        self._log.evaluations += count
 
     def fire(self, delivery: Any) -> None:
         """Calls the callback, or puts the value into its queue."""

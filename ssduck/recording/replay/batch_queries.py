@@ -7,8 +7,8 @@ pairs are never compared.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import accumulate
 
 import numpy as np
@@ -20,7 +20,7 @@ from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
-from ssduck.geometry.pair_batch import Answers, PairBatch, PairQuestion
+from ssduck.geometry.pair_batch import Answers, PairBatch, PairQuestion, QuestionKind
 from ssduck.geometry.poses import (
     compose,
     flat_rotation_matrices,
@@ -117,15 +117,29 @@ class EntityShapes:
             calls: counts comparisons.
         """
         models = [self._shape_model(id) for id in ids]
+        key = tuple(ids)
+        if key not in self._shape_tables:
+            self._shape_tables[key] = self._shape_table(models)
+        return self._queries(ids, models, poses, self._shape_tables[key], calls)
+
+    def _shape_table(self, models: Sequence[_ShapeModel]) -> ShapeTable:
+        owners = np.repeat(np.arange(len(models)), [model.count for model in models])
+        solid_indices, margins = _joined_solids(models)
+        return ShapeTable(self._solids, solid_indices, owners, margins)
+
+    def _queries(
+        self,
+        ids: Sequence[int],
+        models: Sequence[_ShapeModel],
+        poses: Sequence[Array],
+        table: ShapeTable,
+        calls: CallCounter,
+    ) -> ShapeQueries:
+        """Returns queries of the shapes of entities at poses of their links."""
         placed = [
             self._shapes_at(model, link_poses)
             for model, link_poses in zip(models, poses, strict=True)
         ]
-        key = tuple(ids)
-        if key not in self._shape_tables:
-            owners = np.repeat(np.arange(len(ids)), [model.count for model in models])
-            solid_indices, margins = _joined_solids(models)
-            self._shape_tables[key] = ShapeTable(self._solids, solid_indices, owners, margins)
         solid_indices, margins = _joined_solids(models)
         positions, orientations, boxes = (
             np.concatenate([part[i] for part in placed]) for i in range(3)
@@ -138,9 +152,7 @@ class EntityShapes:
         enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
         links = np.concatenate([model.links for model in models])
         ids_array = np.array(ids, dtype=np.int64)
-        return ShapeQueries(
-            narrow, numbers, self._shape_tables[key], enclosing_boxes, ids_array, links
-        )
+        return ShapeQueries(narrow, numbers, table, enclosing_boxes, ids_array, links)
 
     def _shapes_at(self, model: _ShapeModel, poses: Array) -> tuple[Array, Array, Array]:
         """Returns the positions, orientations and boxes of an entity's shapes."""
@@ -172,21 +184,75 @@ class EntityShapes:
         """
         values = np.zeros(len(first.ids))
         is_open = np.zeros(len(first.ids), dtype=bool)
-        counts = self._shape_counts(first.ids) * self._shape_counts(second.ids)
+        for rows in self._portions(first.ids, second.ids):
+            if question.is_placed:
+                values[rows] = self._placed_answers(first, second, rows, question.kind, calls)
+            else:
+                batch = self._batch(first, second, rows, calls)
+                answers = batch.answers(question)
+                if question.kind != "resting":
+                    calls.pairs += batch.compared_count
+                values[rows], is_open[rows] = answers.values, answers.is_open
+            advance(len(rows))
+        return Answers(values, is_open)
+
+    def _portions(self, first: Ids, second: Ids) -> Iterator[Indices]:
+        """Yields the rows of pairs, as many at a time as are compared together."""
+        counts = self._shape_counts(first) * self._shape_counts(second)
         ends = np.cumsum(np.maximum(counts, 1))
         start = 0
         while start < len(counts):
             before = ends[start - 1] if start else 0
             end = int(np.searchsorted(ends, before + MAX_BATCH_SIZE, side="right"))
-            rows = np.arange(start, max(end, start + 1))
-            batch = self._batch(first, second, rows, calls)
-            answers = batch.answers(question)
-            if question.kind != "resting":
-                calls.pairs += batch.compared_count
-            values[rows], is_open[rows] = answers.values, answers.is_open
-            start = int(rows[-1]) + 1
-            advance(len(rows))
-        return Answers(values, is_open)
+            yield np.arange(start, max(end, start + 1))
+            start = max(end, start + 1)
+
+    def _placed_answers(
+        self,
+        first: PairSide,
+        second: PairSide,
+        rows: Indices,
+        kind: QuestionKind,
+        calls: CallCounter,
+    ) -> Array:
+        """Returns the answers about some pairs, each computed by the narrow phase.
+
+        An entity is placed once for each of its poses, and two poses are compared once: a fridge
+        that stands still has one hull, and one drawer in it one share.
+        """
+        places = _Places()
+        numbers = [self._place(side, rows, places) for side in (first, second)]
+        models = [self._shape_model(id) for id in places.ids]
+        table = self._shape_table(models)
+        queries = self._queries(range(len(models)), models, places.poses, table, calls)
+        answers: dict[tuple[int, int], float] = {}
+        pairs = list(zip(*numbers, strict=True))
+        for a, b in pairs:
+            if (a, b) not in answers:
+                answer: float | None
+                if kind == "inside":
+                    answer = queries.inside(a, b)
+                elif kind == "contains":
+                    answer = queries.contains(a, b)
+                else:
+                    answer = queries.encloses(a, b, *places.poses[a][0, 3:].tolist())
+                answers[a, b] = float("nan") if answer is None else float(answer)
+        return np.array([answers[pair] for pair in pairs])
+
+    def _place(self, side: PairSide, rows: Indices, places: _Places) -> list[int]:
+        """Adds the entities of one side of some pairs to places; returns their numbers."""
+        numbers = np.zeros(len(rows), dtype=np.intp)
+        ids = side.ids[rows]
+        for id in _unique_ids(ids):
+            members = np.flatnonzero(ids == id)
+            links = [
+                self._link_poses(side, rows[members], id, link)
+                for link in (0, *self.moving_links(id))
+            ]
+            poses = np.stack([np.hstack((p.positions, p.orientations)) for p in links], axis=1)
+            numbers[members] = [places.number(id, at_row) for at_row in poses]
+        listed: list[int] = numbers.tolist()
+        return listed
 
     def _shape_counts(self, ids: Ids) -> Indices:
         counts = np.zeros(len(ids), np.intp)
@@ -275,6 +341,29 @@ class EntityShapes:
             self._solid_indices[geometry.key] = len(self._solids)
             self._solids.append(solid_of(geometry))
         return self._solid_indices[geometry.key]
+
+
+@dataclass
+class _Places:
+    """Entities at some of their poses, numbered from 0.
+
+    Attributes:
+        ids: the entity of each number.
+        poses: the positions and orientations of its links, (links, 7).
+    """
+
+    ids: list[int] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    _numbers: dict[tuple[int, bytes], int] = field(default_factory=dict)
+
+    def number(self, id: int, poses: Array) -> int:
+        """Returns the number of an entity at poses of its links."""
+        key = id, poses.tobytes()
+        if key not in self._numbers:
+            self._numbers[key] = len(self.ids)
+            self.ids.append(id)
+            self.poses.append(poses)
+        return self._numbers[key]
 
 
 def _joined_solids(models: Sequence[_ShapeModel]) -> tuple[Indices, Array]:

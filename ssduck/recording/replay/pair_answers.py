@@ -128,29 +128,31 @@ class PairQueries:
     def _are_resting(self, ticks: Ticks, a: int, b: int) -> Flags:
         """Returns whether b rests on a, at some ticks: on it, or on something that rests on it.
 
-        The search goes down from b, with all ticks at which b rests on an entity together.
+        The search goes down from b, with all ticks at which b rests on an entity together. At each
+        step, it compares the entity with a first, and with others only where it is not on a.
         """
         resting: set[int] = set()
         pending = {b: set(ticks.tolist())}
         seen = {(tick, b) for tick in pending[b]}
         while pending:
             upper, remaining = pending.popitem()
-            remaining -= resting
-            if not remaining:
-                continue
-            below = PairRequest(min(remaining), max(remaining), 0, upper, 0.0)
-            among = np.array(sorted(remaining), dtype=np.int64)
-            found = self.answers(below, PairQuestion("on"), among)
-            is_on = found.values == 1.0
-            lower_ids, on_ticks = found.first[is_on].tolist(), found.ticks[is_on].tolist()
-            supports = list(zip(on_ticks, lower_ids, strict=True))
-            resting.update(tick for tick, lower in supports if lower == a)
-            for tick, lower in supports:
-                if tick not in resting and (tick, lower) not in seen:
+            resting.update(tick for tick, _ in self._below(upper, remaining - resting, a))
+            for tick, lower in self._below(upper, remaining - resting):
+                if (tick, lower) not in seen:
                     seen.add((tick, lower))
                     pending.setdefault(lower, set()).add(tick)
         are_resting: Flags = np.isin(ticks, list(resting))
         return are_resting
+
+    def _below(self, upper: int, ticks: set[int], lower: int = 0) -> list[tuple[int, int]]:
+        """Returns the ticks at which an entity is on another one or any, each with the other."""
+        if not ticks:
+            return []
+        request = PairRequest(min(ticks), max(ticks), lower, upper, 0.0)
+        among = np.array(sorted(ticks), dtype=np.int64)
+        found = self.answers(request, PairQuestion("on"), among)
+        is_on = found.values == 1.0
+        return list(zip(found.ticks[is_on].tolist(), found.first[is_on].tolist(), strict=True))
 
 
 def _rows_of_pairs(

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.schema import MASSES, ON_DEMAND, TABLES
+from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import Entity
 from ssduck.world.handles import RecordedTick
@@ -30,8 +31,12 @@ class PastWorld(World):
         self, moment: RecordedTick, simulator: StaticSimulator, snapshot: Snapshot
     ) -> None:
         record = moment.record
-        self._begin(simulator, snapshot, record.world.name, record.world.camera)
+        self._begin(record.world.name, record.world.camera)
         self._record = record
+        self._set_state(simulator, snapshot)
+
+    def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
+        super()._set_state(simulator, snapshot)
         entities = snapshot.tables["entities"]
         self._recorded = entities.block[entities.block_rows(_ENTITY_DOUBLES)].copy()
 

@@ -134,7 +134,7 @@ class Record:
         with self.world.lock:
             self.check_open()
             numbers = self.ticks.numbers
-            end = int(np.searchsorted(numbers, self.world.snapshot.number, side="right"))
+            end = int(np.searchsorted(numbers, self.world.tick_number, side="right"))
             return numbers[:end], self.ticks.times[:end]
 
     # -- a tick -----------------------------------------------------------------------------

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,14 +14,18 @@ from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.stores.base import TickArchive
 from ssduck.simulators.scenes import Camera
 from ssduck.world.entities import Entity
-from ssduck.world.handles import RecordedTick
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
+
+# The attributes of the current tick.
+_STATE = frozenset(("snapshot", "_simulator", "_registry", "_recorded"))
 
 
 class ReplayedWorld(PastWorld):
     """A recorded world that is replayed tick by tick.
 
-    Its current tick is a recorded one, at first the last. `seek` goes to another tick; `step` and
+    Its current tick is a recorded one, at first the last. It is restored when it is first read:
+    many programs ask of the past only. `seek` goes to another tick; `step` and
     `run` advance from there by one recorded time a step, and triggers fire as they did then. Where
     several ticks have the same time, as a body was moved by hand, a step goes to the first of them.
 
@@ -34,18 +38,52 @@ class ReplayedWorld(PastWorld):
     _record: Record
 
     def __init__(self, name: str, record: Record, archive: TickArchive) -> None:
-        self.name, self.camera = name, Camera()
+        self._begin(name, Camera())
         record.world = self
-        self.lock = threading.RLock()  # reading a record takes it
-        simulator, snapshot = record.restore(int(record.ticks.numbers[-1]))
-        super().__init__(RecordedTick(record, snapshot.number), simulator, snapshot)
+        self._record = record
         self.archive = archive
-        self._tick = snapshot.number
-        self._restore_wall_time()
+        self._tick = int(record.ticks.numbers[-1])
         self._times, first = np.unique(record.ticks.times, return_index=True)
         self._first_ticks = record.ticks.numbers[first]
         steps = np.diff(self._times)
         self._timestep = float(np.median(steps)) if len(steps) else 0.0
+
+    if not TYPE_CHECKING:  # the base classes declare the attributes
+
+        def __getattr__(self, name: str) -> Any:
+            """Restores the current tick when an attribute of it is read for the first time."""
+            if name not in _STATE:
+                return super().__getattr__(name)
+            with self.lock:
+                if not self.is_restored:
+                    simulator, snapshot = self._record.restore(self._tick)
+                    self._restore_wall_time(snapshot)
+                    self._set_state(simulator, snapshot)
+                return self.__dict__[name]
+
+    @property
+    def is_restored(self) -> bool:
+        """Whether the current tick is in memory."""
+        return self.__dict__.keys() >= _STATE
+
+    @property
+    def tick_number(self) -> int:
+        """The number of the current tick."""
+        return self.snapshot.number if self.is_restored else self._tick
+
+    @property
+    def time(self) -> float:
+        """The simulated time of the current tick, s."""
+        ticks = self._record.ticks
+        if self.is_restored:
+            return self.snapshot.time
+        return float(ticks.times[np.searchsorted(ticks.numbers, self._tick)])
+
+    def request_tables(self, tables: Iterable[str]) -> None:
+        """Ensures that the tick includes tables; recorded ones are always there."""
+        requested = tuple(tables)
+        if requested or self.is_restored:
+            super().request_tables(requested)
 
     @property
     def source_record(self) -> Record:
@@ -56,6 +94,11 @@ class ReplayedWorld(PastWorld):
     def is_final(self) -> bool:
         """Whether its ticks need not be recorded, as they are recorded already."""
         return True
+
+    @property
+    def is_attached(self) -> bool:
+        """Whether the simulation is a client of the user's."""
+        return False
 
     @property
     def timestep(self) -> float:
@@ -102,12 +145,12 @@ class ReplayedWorld(PastWorld):
 
     def _take(self) -> None:
         self._simulator = self._record.restore_into(self.snapshot, self._tick)
-        self._restore_wall_time()
+        self._restore_wall_time(self.snapshot)
 
-    def _restore_wall_time(self) -> None:
-        """Restores the recorded wall time of the tick."""
+    def _restore_wall_time(self, snapshot: Snapshot) -> None:
+        """Restores the recorded wall time of the tick into its snapshot."""
         wall_time = self._record.rows("ticks", self._tick)["wall_time"]
-        self.snapshot.tables["ticks"]["wall_time"][:] = wall_time
+        snapshot.tables["ticks"]["wall_time"][:] = wall_time
 
     def entity(self, id: int) -> Entity:
         """Returns the handle of an entity at the current tick, by its id."""

@@ -29,7 +29,7 @@ class VisibleRows(Protocol):
 
     @property
     def version(self) -> int:
-        """A number that is incremented whenever `arrow` becomes another object."""
+        """A number that changes whenever `arrow` becomes another object; see `new_version`."""
 
     @property
     def arrow(self) -> pa.Table:

@@ -37,6 +37,7 @@ from ssduck.recording.stores.history_sql import (
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.schema import MODELS, POSE, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
+from ssduck.world.live_tables import new_version
 
 # A part with fewer rows is joined with the next one.
 _MIN_ROWS = 4096
@@ -99,7 +100,7 @@ class MemoryStore(TickStore, TickArchive):
                 new[table] = pa.concat_tables([stored.parts[-1], new[table]]).combine_chunks()
         for table, stored in self._stored.items():
             stored.parts[len(stored.parts) - is_joined :] = [new[table]]
-            stored.version += 1
+            stored.version = new_version()
         if is_joined:
             first, start, _ = self._parts.pop()
         else:
@@ -132,7 +133,7 @@ class MemoryStore(TickStore, TickArchive):
             del self._parts[0]
             for stored in self._stored.values():
                 del stored.parts[0]
-                stored.version += 1
+                stored.version = new_version()
         return self._parts[0][0]
 
     # -- reading ----------------------------------------------------------------------------

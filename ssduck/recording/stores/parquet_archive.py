@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -23,6 +24,8 @@ from ssduck.recording.stores.history_sql import all_columns, column_list, near_p
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import MODELS, RECORDED, TABLES, Column
 
+# From so many parts on, a record has groups of them, and a part is checked when it is read.
+MANY_PARTS = 16
 _PATTERN = re.compile(r"[*?[]")
 
 
@@ -51,7 +54,12 @@ class ParquetArchive(TickArchive):
         # Fails now if files are missing, or DuckDB cannot read them, rather than in a later query.
         _exact_path(run.path)
         # The working directory may change.
-        self._files = {t: [file.absolute() for file in run.files(t)] for t in run.tables}
+        self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
+        self._columns: dict[str, list[str]] = {}
+        # The parts of each table that were checked: all of them here, unless they are many.
+        self._checked: dict[str, set[int]] = {table: set() for table in run.tables}
+        for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
+            self._check(table, range(len(files)))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         entities = self._models["entities"]
         self._linked = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
@@ -63,11 +71,20 @@ class ParquetArchive(TickArchive):
         return self._models
 
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
-        """Returns the SELECT of the view of a table's history; None if it is not recorded."""
+        """Returns the SELECT of the view of a table's history; None if it is not recorded.
+
+        DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
+        whose ticks are others: n parts have √n groups.
+        """
         if table not in self._files:
             return None
         columns = TABLES[table].columns
-        parts = [self._select_all(self._files[table], columns)] if self._files[table] else []
+        count = len(self._files[table])
+        size = math.isqrt(count) if count >= MANY_PARTS else count
+        parts = [
+            self._select_parts(table, range(begin, min(begin + size, count)))
+            for begin in range(0, count, size or 1)
+        ]
         names = column_list(column.name for column in columns)
         views = () if buffer_views is None else buffer_views(table)
         parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
@@ -76,27 +93,51 @@ class ParquetArchive(TickArchive):
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: self._select_all(self._run.files(f"models/{table.name}"), table.model)
+            table.model_view: self._select_all(files, _columns_in(files[0]), table.model)
             for table in MODELS.values()
+            if (files := self._run.files(f"models/{table.name}"))
         }
 
-    def _select_all(self, files: Sequence[Path], columns: Sequence[Column]) -> str:
-        """Returns a SELECT of all columns of a table from its files."""
-        return self._select_columns(files, {column.name: column.sql for column in columns})
+    def _select_parts(self, table: str, parts: range) -> str:
+        """Returns a SELECT of all columns of some parts of a table."""
+        files = self._files[table]
+        self._check(table, parts)
+        if table not in self._columns:
+            self._columns[table] = _columns_in(files[0])
+        selected = files[parts.start : parts.stop]
+        rows = self._select_all(selected, self._columns[table], TABLES[table].columns)
+        if len(parts) == len(files):
+            return rows
+        starts = self._starts
+        last = starts[parts.stop] - 1 if parts.stop < len(starts) else int(self.ticks.numbers[-1])
+        return f"{rows} WHERE tick BETWEEN {starts[parts.start]} AND {last}"
 
-    def _select_columns(self, files: Sequence[Path], columns: Mapping[str, str]) -> str:
-        present, missing = _columns_in(files), {}
-        if not columns.keys() <= set(present):
+    def _select_all(
+        self, files: Sequence[Path], present: Sequence[str], columns: Sequence[Column]
+    ) -> str:
+        """Returns a SELECT of all columns of a table from its files, which may lack some."""
+        types, missing = {column.name: column.sql for column in columns}, {}
+        if not types.keys() <= set(present):
             geometries = _scan(self._run.files("models/geometries"))
             missing = default_values(self.unrecorded_run, geometries)
-        return all_columns(_scan(files), columns, present, missing)
+        return all_columns(_scan(files), types, present, missing)
+
+    def _check(self, table: str, parts: range) -> None:
+        """Checks the files of parts that were not checked yet.
+
+        Raises:
+            RecordError: a file is missing or damaged.
+        """
+        unchecked = [part for part in parts if part not in self._checked[table]]
+        self._run.check(table, unchecked)
+        self._checked[table].update(unchecked)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
-        begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
-        end = int(np.searchsorted(self._starts, last, side="right"))
-        types = _arrow_types(table)
-        parts = [_rows_of_ticks(file, types, first, last) for file in self._files[table][begin:end]]
+        found = self._parts_with(table, first, last)
+        self._check(table, found)
+        types, files = _arrow_types(table), self._files[table][found.start : found.stop]
+        parts = [_rows_of_ticks(file, types, first, last) for file in files]
         if self._log:
             logged = self._log[table].arrow.select(types.names).cast(types)
             parts.append(_between(logged, first, last))
@@ -105,10 +146,17 @@ class ParquetArchive(TickArchive):
             rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
         return rows
 
+    def _parts_with(self, table: str, first: int, last: int) -> range:
+        """Returns the numbers of the parts with the ticks from first to last."""
+        begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
+        end = int(np.searchsorted(self._starts, last, side="right"))
+        return range(begin, min(end, len(self._files[table])))
+
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
-        stored = self.select("entities", None) or None
         logged = self._log["entities"].arrow if self._log else buffered
+        parts = self._parts_with("entities", request.first, request.last)
+        stored = self._select_parts("entities", parts) if parts else None
         return near_pair_rows(self._connection, stored, request, logged)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
@@ -154,7 +202,8 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     try:
         part = pq.ParquetFile(file)
         present = set(part.schema_arrow.names)
-        rows = part.read(columns=[name for name in types.names if name in present])
+        names = [name for name in types.names if name in present]
+        rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
     rows = _between(rows, first, last)
@@ -170,25 +219,26 @@ def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
     return rows.filter(pa.array((ticks >= first) & (ticks <= last)))
 
 
-def _columns_in(files: Sequence[Path]) -> list[str]:
-    """Returns the columns of a table's parts, all of which one version of ssduck wrote."""
-    names: list[str] = pq.read_schema(files[0].absolute()).names
+def _columns_in(file: Path) -> list[str]:
+    """Returns the columns of a part, and of all others: one version of ssduck wrote them."""
+    names: list[str] = pq.read_schema(file.absolute()).names
     return names
 
 
 def _scan(files: Sequence[Path]) -> str:
-    """Returns the rows of files, in SQL."""
-    names = ", ".join(exp.Literal.string(_exact_path(file)).sql("duckdb") for file in files)
+    """Returns the rows of files of a folder, in SQL."""
+    folder = exp.Literal.string(_exact_path(files[0].parent) + os.sep).sql("duckdb")
+    names = ", ".join(f"{folder[:-1]}{file.name}'" for file in files)  # `part_name` names them
     return f"read_parquet([{names}], hive_partitioning = false)"
 
 
-def _exact_path(file: Path) -> str:
-    """Returns the path of a file with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
+def _exact_path(place: Path) -> str:
+    """Returns the path of a folder with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
 
     Raises:
         RecordError: the path also has a backslash, which DuckDB takes for a slash then.
     """
-    path = str(file.resolve())
+    path = str(place.resolve())
     if not _PATTERN.search(path):
         return path
     if "\\" in path and os.sep != "\\":

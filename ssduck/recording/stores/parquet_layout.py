@@ -24,7 +24,9 @@ one, or one of another record is noticed.
 from __future__ import annotations
 
 import json
+import os
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -58,6 +60,7 @@ _PART = re.compile(r"part-(\d{6,})\.parquet")
 _EPISODE = re.compile(r"(.+)-(\d+)\.json")
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
+_MISSING = "is missing: the record was damaged, or only copied in part"
 # The size that most footers do not exceed, bytes.
 _MOST_FOOTERS = 1 << 15
 
@@ -190,34 +193,59 @@ class FolderRun:
         Raises:
             RecordError: a file is missing or damaged.
         """
-        is_model = table.startswith("models/")
-        place, files = self.place(table), []
-        for number in self._parts_of(table):
-            file = place / part_name(number)
-            self._check(file, self.label(table, number), is_model=is_model)
-            files.append(file)
+        files = self.listed_files(table)
+        self.check(table, range(len(files)))
         return files
+
+    def listed_files(self, table: str) -> list[Path]:
+        """Returns the files of a table, of complete parts only; looks into none of them.
+
+        Raises:
+            RecordError: a file is missing.
+        """
+        place, numbers = self.place(table), self._parts_of(table)
+        has_files = bool(numbers) and place.is_dir()
+        present = {entry.name for entry in os.scandir(place)} if has_files else set()
+        for number in numbers:
+            if part_name(number) not in present:
+                raise self._error_of(table, number, _MISSING)
+        return [place / part_name(number) for number in numbers]
 
     def label(self, table: str, number: int) -> bytes | None:
         """Returns the label in the footer of a part's file; None for an older record."""
         key = self._about.get("key")
         return None if key is None else label_of(key, table, number)
 
-    def _check(self, file: Path, label: bytes | None, *, is_model: bool) -> None:
-        """Checks that the file of a part exists, is complete, and has the right label."""
-        try:
-            footer = _footer(file)
-        except FileNotFoundError:
-            problem = "is missing: the record was damaged, or only copied in part"
-        else:
-            if footer is not None and (label is None or label in footer):
-                return
-            problem = "is damaged: it is no complete Parquet file"
-            if footer is not None:
-                problem = "is another part, or of another record: it was renamed, or copied there"
-        ticks = self.place("ticks") / file.name
-        hint = "" if is_model else f"; remove {ticks} to open the parts before it"
-        raise RecordError(f"{file} {problem}{hint}")
+    def check(self, table: str, numbers: Iterable[int]) -> None:
+        """Checks that the files of parts exist, are complete, and have the right labels.
+
+        Raises:
+            RecordError: a file is missing or damaged.
+        """
+        for number in numbers:
+            label = self.label(table, number)
+            try:
+                footer = _footer(self.place(table) / part_name(number))
+            except FileNotFoundError:
+                problem = _MISSING
+            else:
+                if footer is not None and (label is None or label in footer):
+                    continue
+                problem = "is damaged: it is no complete Parquet file"
+                if footer is not None:
+                    problem = (
+                        "is another part, or of another record: it was renamed, or copied there"
+                    )
+            raise self._error_of(table, number, problem)
+
+    def _error_of(self, table: str, number: int, problem: str) -> RecordError:
+        """Returns the error that there is a problem with a part."""
+        name = part_name(number)
+        ticks = self.place("ticks") / name
+        hint = (
+            "" if table.startswith("models/") else f"; remove {ticks} to open the parts before it"
+        )
+        return RecordError(f"{self.place(table) / name} {problem}{hint}")
 
     def read(self, table: str) -> pa.Table:
         """Returns all rows of a table.
@@ -236,8 +264,9 @@ class FolderRun:
         Raises:
             RecordError: a file is damaged, or nothing was stored.
         """
-        files = self.files("ticks")
+        files = self.listed_files("ticks")
         parts = indexed_ticks(self.place(INDEX), self.key or "", len(files))
+        self.check("ticks", range(len(parts), len(files)))
         parts += [_read(file).select(["tick", "time"]) for file in files[len(parts) :]]
         if self.log:
             parts.append(self.log["ticks"].select(["tick", "time"]))
@@ -309,7 +338,9 @@ def _footer(file: Path) -> bytes | None:
 
 def _read(file: Path) -> pa.Table:
     try:
-        return pq.ParquetFile(file.absolute()).read().replace_schema_metadata()
+        # The threads of the library take longer to wake up than most of these files to read.
+        rows = pq.ParquetFile(file.absolute()).read(use_threads=False)
+        return rows.replace_schema_metadata()
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 

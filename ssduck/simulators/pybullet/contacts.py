@@ -19,7 +19,7 @@ import numpy.typing as npt
 from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.pybullet.console import pybullet
 
-# The groups of adjacent fields of a point in PyBullet's order, with the type and the number of each:
+# The groups of adjacent fields of a point in PyBullet's order, with the type and number of each:
 # flags, bodies and links; points and normal; distance, normal force and first friction; ...
 _GROUPS = (
     ("integers", "integer", 5),

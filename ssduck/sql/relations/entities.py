@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ssduck.sql.relations.common import A_B, ENTITY, entity_relation
+from ssduck.sql.relations.geometry_query import ABOVE, BELOW, INSIDE, CandidatePairs
 from ssduck.sql.relations.relation import Parameter, Relation
 
 _SLICE = (
@@ -155,6 +156,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         f"{_FOOTPRINT} AND b.z >= a.zmax AND a.id <> b.id",
         "Checks if the position of b is above the box of a: x and y are within the box, edges "
         "included, and z is at its top or higher.",
+        candidate_pairs=CandidatePairs(ABOVE),
     ),
     Relation(
         "below",
@@ -164,6 +166,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "AND a.id <> b.id",
         "Checks if the position of b is below the centre of the box of a: x and y are within "
         "the box, edges included, and z is lower than the centre.",
+        candidate_pairs=CandidatePairs(BELOW),
     ),
     Relation(
         "within",
@@ -172,6 +175,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "b.x > a.xmin AND b.x < a.xmax AND b.y > a.ymin AND b.y < a.ymax "
         "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id",
         "Checks if the position of b is inside the box of a, edges excluded.",
+        candidate_pairs=CandidatePairs(INSIDE),
     ),
     entity_relation(
         "isEnabled", "boolean", "object.enabled", "Checks if the simulator lets the entity collide."

@@ -6,7 +6,8 @@ from it. The formula calls the function only for pairs whose boxes are near enou
 condition twice: once for a join to go by, and once for wherever a condition is not a join's.
 
 A `PairSearch` is a method of `ShapeQueries` that finds all pairs of a tick at once, instead of a
-condition on each pair; `CandidatePairs` name the search that a relation uses.
+condition on each pair; `CandidatePairs` name the search that a relation uses. For relations of a
+box and a position, it is a method of `BoxQueries`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
+from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.pair_batch import QuestionKind
 from ssduck.geometry.queries import ShapeQueries
 
@@ -142,18 +144,21 @@ class PairSearch:
     """A function that finds all pairs of a tick at once.
 
     Attributes:
-        function: a method of `ShapeQueries` that yields pairs as numbers.
+        function: a method of `ShapeQueries` that yields pairs as numbers, or one of `BoxQueries`.
         is_exact: whether the relation holds of all pairs of the search, and need not be checked.
         takes_distance: whether the pairs depend on a distance, or a depth.
         uses_margins: whether the collision margins of shapes count.
         finds_links: whether it also finds pairs of links, and of links and entities.
+        of_boxes: whether it is a method of `BoxQueries`, which needs no shapes. Its pairs are in
+            the order of the table of entities, not of their numbers.
     """
 
-    function: Callable[..., list[int]]
+    function: Callable[..., Any]
     is_exact: bool = True
     takes_distance: bool = True
     uses_margins: bool = False
     finds_links: bool = True
+    of_boxes: bool = False
 
     @property
     def name(self) -> str:
@@ -172,6 +177,10 @@ STACKED = PairSearch(ShapeQueries.all_on, takes_distance=False, uses_margins=Tru
 BOXES_MEETING = PairSearch(ShapeQueries.all_meeting, is_exact=False)
 # The boxes are grown by the collision margins of their shapes.
 BOXES_REACHING = PairSearch(ShapeQueries.all_reaching, is_exact=False, uses_margins=True)
+ABOVE, BELOW, INSIDE = (
+    PairSearch(function, takes_distance=False, finds_links=False, of_boxes=True)
+    for function in (BoxQueries.all_above, BoxQueries.all_below, BoxQueries.all_inside)
+)
 PAIR_SEARCHES = (
     COLLIDING,
     WITHIN,
@@ -180,6 +189,9 @@ PAIR_SEARCHES = (
     STACKED,
     BOXES_MEETING,
     BOXES_REACHING,
+    ABOVE,
+    BELOW,
+    INSIDE,
 )
 
 
@@ -213,6 +225,7 @@ class GeometryUdf:
         result: DuckDB's type of the result.
         needs_whole_tick: whether the answer depends on all entities of the tick.
         uses_margins: whether the collision margins of shapes count.
+        of_boxes: whether it is a method of `BoxQueries`.
     """
 
     name: str
@@ -222,6 +235,7 @@ class GeometryUdf:
     result: str
     needs_whole_tick: bool = False
     uses_margins: bool = False
+    of_boxes: bool = False
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -250,6 +264,7 @@ def search_udf(search: PairSearch) -> GeometryUdf:
         numbers=int(search.takes_distance),
         result="BIGINT[]",
         uses_margins=search.uses_margins,
+        of_boxes=search.of_boxes,
     )
 
 

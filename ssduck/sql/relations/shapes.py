@@ -250,7 +250,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     shape_relation(
         "inside",
         "double",
-        GeometryQuery(ShapeQueries.inside, otherwise=ZERO),
+        GeometryQuery(ShapeQueries.inside, otherwise=ZERO, over_ticks="inside"),
         "Returns the share of the volume of b inside the convex hull of a, from 0 to 1; 0 if b "
         "has no volume, as an open mesh (see solidVolume). The hull of a table includes the "
         "space between its legs; enclosed requires walls.",
@@ -258,7 +258,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     shape_relation(
         "contains",
         "boolean",
-        GeometryQuery(ShapeQueries.contains),
+        GeometryQuery(ShapeQueries.contains, over_ticks="contains"),
         "Checks if at least 95 percent of the volume of b is inside the convex hull of a. The "
         "hull of a table includes the space between its legs; enclosed requires walls.",
         candidate_pairs=CandidatePairs(BOXES_MEETING),
@@ -266,7 +266,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
     shape_relation(
         "enclosed",
         "boolean",
-        GeometryQuery(ShapeQueries.encloses, _ORIENTATION_A),
+        GeometryQuery(ShapeQueries.encloses, _ORIENTATION_A, over_ticks="enclosed"),
         "Checks if b is between walls of a, as in a cup, a drawer or a room: along at least two "
         "of the three axes of a's link frame, rays from the centre of the box of b meet a on "
         "both sides. A grazing ray counts. A convex shape that contains the centre is not a "

@@ -29,9 +29,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.cores import PlacedCores
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
-from ssduck.geometry.witnesses import KeptWitnesses, Witnesses, WitnessLog, pair_keys
+from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.witnesses import KeptWitnesses, Witnesses, WitnessLog, pair_keys
 
 Verdicts: TypeAlias = npt.NDArray[np.int8]
 

@@ -149,6 +149,34 @@ class PlacedCores:
         in_world += rotations[2::3] * points[2]
         return in_world
 
+    def support_points_all_around(self, shapes: Indices, directions: Array) -> Array:
+        """Returns the support points (3, m, n) of cores, relative to their centres, in world axes.
+
+        Args:
+            shapes: (n,), the indices of the shapes.
+            directions: (3, m), the same directions for all of them.
+        """
+        unique, places = np.unique(shapes, return_inverse=True)
+        cores, rotations = self.cores, self.rotations.take(unique, axis=1).reshape(3, 3, -1)
+        local = np.einsum("jin,jm->imn", rotations, directions)
+        points = np.copysign(cores.half_extents.take(unique, axis=1)[:, None], local)
+        disc = cores.disc_radius.take(unique)
+        if disc.any():
+            length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
+            points[:2] += local[:2] * (disc / length)
+        kinds = cores.kind.take(unique)
+        for kind, hulls in enumerate(cores.points):
+            selected = np.flatnonzero(kinds == kind)
+            step = max(1, MAX_POINTS // (hulls.shape[2] * directions.shape[1]))
+            for start in range(0, len(selected), step):
+                some = selected[start : start + step]
+                corners = hulls.take(cores.row[unique[some]], axis=0)
+                heights = np.matmul(local[..., some].transpose(2, 1, 0), corners)
+                farthest = heights.argmax(axis=2)[:, None]
+                points[..., some] = np.take_along_axis(corners, farthest, 2).transpose(1, 2, 0)
+        in_world: Array = np.einsum("ijn,jmn->imn", rotations, points)
+        return in_world.take(places, axis=2)
+
 
 def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Array:
     """Returns support points (3, m) of the hulls `rows` of (h, 3, k), in directions (3, m)."""

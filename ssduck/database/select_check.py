@@ -1,0 +1,244 @@
+"""Checks the SQL of strangers: one SELECT, of tables and functions that are named here.
+
+The check walks the tree of DuckDB's own parser, so that both read the text in the same way.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import OrderedDict
+from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from ssduck.database.binding import BoundWorld
+from ssduck.database.connection import Connection
+from ssduck.database.macros import TABLE_MACROS
+from ssduck.database.permitted_functions import FUNCTIONS, OPERATORS, TABLE_FUNCTIONS
+from ssduck.errors import LimitError, SourceSpan, nearest
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.schema import HISTORIES, MODELS, TABLES
+from ssduck.sql.relations.registry import RELATIONS
+
+Node: TypeAlias = Mapping[str, Any]
+
+# The number of texts that are known to be permitted.
+_MAX_TEXTS = 256
+_TREE = "SELECT system.main.json_serialize_sql($1)"
+_TABLES = frozenset(
+    name.lower()
+    for name in (
+        *TABLES,
+        *(table.history_view for table in HISTORIES.values()),
+        *(table.model_view for table in MODELS.values()),
+    )
+)
+_INTERVALS = "intervals"
+_TABLE_MACROS = frozenset((*(macro.name for macro in TABLE_MACROS), _INTERVALS))
+_RELATIONS = frozenset(name.lower() for name in (*RELATIONS, *RELATIONS_OF_INTERVALS))
+_SCALARS = frozenset(name.lower() for name in FUNCTIONS) | _RELATIONS
+_IN_FROM = TABLE_FUNCTIONS | _TABLE_MACROS
+# The tables that users have made in a file.
+_OWN_TABLES = (
+    "SELECT lower(table_name) FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
+    "AND database_name = current_database()"
+)
+# DuckDB's place of a part that the text does not have.
+_NOWHERE = 2**64 - 1
+
+
+class SelectCheck:
+    """Checks that users' statements are permitted under `Limits(select_only=True)`.
+
+    Args:
+        connection: the connection to the database.
+        worlds: the worlds of the database by name, up to date.
+    """
+
+    def __init__(self, connection: Connection, worlds: Mapping[str, BoundWorld]) -> None:
+        self._connection = connection
+        self._worlds = worlds
+        # Permitted texts, and the names of the worlds that they are permitted with.
+        self._permitted: OrderedDict[str, tuple[str, ...]] = OrderedDict()
+
+    def check(self, sql: str) -> None:
+        """Checks a statement.
+
+        Raises:
+            LimitError: it is not permitted. DuckDB refuses a text that it cannot parse.
+        """
+        key = tuple(self._worlds)
+        if self._permitted.get(sql) == key:
+            return
+        tree = self._tree(sql)
+        if tree is None:
+            return
+        own_tables: frozenset[str] = frozenset()
+        if self._connection.is_file:
+            rows = self._connection.internal_rows(_OWN_TABLES)
+            own_tables = frozenset(name for (name,) in rows)
+        names = _Names(
+            schemas=frozenset(name.lower() for name in self._worlds),
+            database=self._connection.name.lower(),
+            own_tables=own_tables,
+        )
+        _Walk(sql, names).check(tree)
+        self._permitted[sql] = key
+        if len(self._permitted) > _MAX_TEXTS:
+            self._permitted.popitem(last=False)
+
+    def _tree(self, sql: str) -> Node | None:
+        """Returns DuckDB's tree of a statement; None if it cannot parse the text."""
+        statements = self._connection.statements(sql)
+        if statements is None:
+            return None
+        if len(statements) != 1:
+            count = f"and the text has {len(statements)} statements"
+            raise LimitError(f"SQL is one SELECT here, {count} (Limits: select_only)")
+        kind = statements[0][0]
+        if kind != "SELECT":
+            raise LimitError(f"SQL is one SELECT here, not {kind} (Limits: select_only)")
+        ((text,),) = self._connection.internal_rows(_TREE, [sql])
+        try:
+            tree = json.loads(text)
+        except RecursionError:
+            raise LimitError("the SQL is nested too deeply to be checked") from None
+        if tree["error"]:
+            raise LimitError(f"the SQL cannot be checked: {tree['error_message']}")
+        node: Node = tree["statements"][0]["node"]
+        return node
+
+
+@dataclass(frozen=True)
+class _Names:
+    """The names that a statement may use, besides those that are fixed, in small letters.
+
+    Attributes:
+        schemas: the names of the worlds.
+        database: the name of the database.
+        own_tables: the users' own tables.
+    """
+
+    schemas: frozenset[str]
+    database: str
+    own_tables: frozenset[str]
+
+
+class _Walk:
+    """Walks the tree of a statement and checks the tables and functions that it names.
+
+    Args:
+        sql: the statement.
+        names: the names that it may use.
+    """
+
+    def __init__(self, sql: str, names: _Names) -> None:
+        self._sql = sql
+        self._names = names
+        # The parts that are still to be checked, with the queries of WITH that each may name.
+        self._waiting: list[tuple[Any, frozenset[str]]] = []
+
+    def check(self, tree: Node) -> None:
+        """Checks all parts of a tree.
+
+        Raises:
+            LimitError: a part is not permitted.
+        """
+        self._waiting.append((tree, frozenset()))
+        while self._waiting:
+            part, queries = self._waiting.pop()
+            if isinstance(part, list):
+                self._waiting += [(item, queries) for item in part]
+            elif isinstance(part, dict):
+                self._waiting += self._parts_of(part, queries)
+
+    def _parts_of(
+        self, node: Node, queries: frozenset[str]
+    ) -> Iterator[tuple[Any, frozenset[str]]]:
+        """Checks a node, and yields its parts that are to be checked.
+
+        Args:
+            node: the node.
+            queries: the queries of WITH that it may name.
+        """
+        kind = node.get("type")
+        if "cte_map" in node:
+            for item in node["cte_map"]["map"]:
+                yield item["value"], queries
+                queries |= {item["key"].lower()}
+        if kind == "BASE_TABLE":
+            self._check_table(node, queries)
+        elif kind == "SHOW_REF" and node["query"] is None:
+            self._refuse(node, "SHOW: use DESCRIBE and the name of a table")
+        elif kind == "TABLE_FUNCTION":
+            self._check_table_function(node, queries)
+            yield node["function"]["arguments"], queries
+            return
+        elif "function_name" in node:
+            self._check_function(node)
+        for key, part in node.items():
+            if key == "right" and kind == "RECURSIVE_CTE_NODE":
+                yield part, queries | {node["cte_name"].lower()}
+            elif key != "cte_map":
+                yield part, queries
+
+    def _check_table(self, node: Node, queries: AbstractSet[str]) -> None:
+        name, schema = node["table_name"].lower(), node["schema_name"].lower()
+        path = ".".join(node["qualified_name"]["path"])
+        if not self._is_table(node["catalog_name"].lower(), schema, name, queries):
+            known = sorted(_TABLES | queries | self._names.own_tables)
+            self._refuse(node, f"there is no table {path!r} that SQL may read", name, known)
+
+    def _is_table(
+        self, database: str, schema: str, name: str, queries: AbstractSet[str] = frozenset()
+    ) -> bool:
+        names = self._names
+        if database not in ("", names.database):
+            return False
+        if not schema:
+            return name in queries or name in _TABLES or name in names.own_tables
+        if schema == "main":
+            return name in names.own_tables
+        return schema in names.schemas and name in _TABLES
+
+    def _check_table_function(self, node: Node, queries: AbstractSet[str]) -> None:
+        function = node["function"]
+        name = function["function_name"].lower()
+        if name not in _IN_FROM:
+            message = f"{name} is no function that SQL may call in FROM"
+            self._refuse(node, message, name, _IN_FROM)
+        if name == _INTERVALS:
+            literals = [item["expression"].get("literal") for item in function["arguments"]]
+            texts = [literal.get("text") for literal in literals if isinstance(literal, dict)]
+            names = [text.lower() for text in texts if isinstance(text, str)]
+            if len(names) != 1 or not self._is_table("", *_split(names[0]), queries):
+                self._refuse(node, "intervals takes the name of a table that SQL may read")
+
+    def _check_function(self, node: Node) -> None:
+        name = node["function_name"].lower()
+        if name not in OPERATORS and name not in _SCALARS:
+            self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
+
+    def _refuse(
+        self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()
+    ) -> None:
+        place, length = node.get("query_location", _NOWHERE), node.get("query_location_length", 0)
+        letters = self._sql.encode()
+        span = None
+        if place < len(letters):
+            start = len(letters[:place].decode(errors="ignore"))
+            end = len(letters[: place + max(length, 1)].decode(errors="ignore"))
+            span = SourceSpan(start, max(end, start + 1))
+        raise LimitError(
+            f"{message} (Limits: select_only)",
+            text=self._sql if span is not None else None,
+            span=span,
+            suggestions=nearest(name, known),
+        )
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Returns the schema, which may be empty, and the name of a table."""
+    schema, _, table = name.rpartition(".")
+    return schema, table

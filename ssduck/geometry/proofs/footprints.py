@@ -1,0 +1,162 @@
+"""Decides for many pairs of entities at once whether one's centre is over the other's footprint.
+
+`ssduck.geometry.containment.Footprint` defines the footprint: the convex hull of the projections of
+an entity's shapes on the ground. Support points in directions all around bound it from both sides.
+A verdict has more room than rounding errors, and the polyhedra that stand for round shapes, need.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.batch import TickShapes
+from ssduck.geometry.poses import rotate
+from ssduck.geometry.proofs.gjk import UNDECIDED, Verdicts
+
+OVER, OUTSIDE = 1, -1
+# The polyhedron in the place of a round shape is off by less, relatively to its radius.
+_ROUND_ERROR = 3e-3
+# Points that are nearer to the boundary, metres, are not decided here.
+_ROOM = 1e-6
+# Beyond this distance from the origin, metres, rounding errors may be as large.
+_MAX_COORDINATE = 1e6
+# A half-space whose normal is nearer to level has a footprint that depends on the place.
+_LEVEL = 1e-6
+
+
+def _around(count: int) -> Array:
+    """Returns horizontal unit directions, (3, count), counterclockwise."""
+    angles = np.arange(count) * (2.0 * math.pi / count)
+    return np.stack((np.cos(angles), np.sin(angles), np.zeros(count)))
+
+
+# The directions in which footprints are bounded, and those for the few that are left.
+_DIRECTIONS = _around(16), _around(128)
+
+
+def entity_boxes(boxes: Array, starts: Sequence[int]) -> Array:
+    """Returns the boxes around the shapes of entities, (6, entities); empty ones without shapes.
+
+    Args:
+        boxes: (6, shapes), lower corners, upper corners.
+        starts: the first shape of each entity, and the number of shapes.
+    """
+    firsts = np.array(starts)
+    has_shapes = firsts[1:] > firsts[:-1]
+    if has_shapes.all() and len(has_shapes) == boxes.shape[1]:
+        return boxes
+    result = np.repeat([[math.inf]] * 3 + [[-math.inf]] * 3, len(has_shapes), axis=1)
+    segments = firsts[:-1][has_shapes]
+    if len(segments):
+        result[:3, has_shapes] = np.minimum.reduceat(boxes[:3], segments, axis=1)
+        result[3:, has_shapes] = np.maximum.reduceat(boxes[3:], segments, axis=1)
+    return result
+
+
+def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indices) -> Verdicts:
+    """Returns whether the centre of b's box is over a: `OVER`, `OUTSIDE` or `UNDECIDED`.
+
+    Args:
+        tick: the shapes.
+        starts: the first shape of each entity, and the number of shapes.
+        a: (n,), known entities with shapes, below.
+        b: (n,), the entities above.
+    """
+    verdicts, table = np.full(len(a), UNDECIDED, np.int8), tick.table
+    with np.errstate(invalid="ignore"):  # the boxes of planes
+        boxes = entity_boxes(tick.boxes, starts)
+        centres = (boxes[:2, b] + boxes[3:5, b]) / 2
+    has_centre = np.isfinite(centres).all(axis=0)
+    verdicts[~has_centre] = OUTSIDE
+    room = np.full(len(a), _ROOM)
+    low, high = boxes[:2, a], boxes[3:5, a]
+    has_plane = np.zeros(len(a), dtype=bool)
+    if table.has_planes:
+        has_plane = (np.bincount(table.entities[table.is_plane], minlength=len(boxes[0])) > 0)[a]
+        verdicts[has_centre & _have_steep_planes(tick, len(boxes[0]))[a]] = OVER
+    with np.errstate(invalid="ignore"):
+        room += _ROUND_ERROR * (high - low).max(axis=0)
+    is_beyond = ((centres < low - room) | (centres > high + room)).any(axis=0)
+    verdicts[is_beyond & ~has_plane & has_centre] = OUTSIDE
+    left = np.flatnonzero((verdicts == UNDECIDED) & ~has_plane)
+    left = left[np.abs(centres[:, left]).max(axis=0, initial=0.0) <= _MAX_COORDINATE]
+    for directions in _DIRECTIONS:
+        if len(left):
+            found = _over_bounded(tick, np.array(starts), a[left], centres[:, left], directions)
+            verdicts[left] = found
+            left = left[found == UNDECIDED]
+    return verdicts
+
+
+def _have_steep_planes(tick: TickShapes, count: int) -> Flags:
+    """Checks whether a half-space of each entity, which is not upright, has all of the ground."""
+    table = tick.table
+    planes = np.flatnonzero(table.is_plane & tick.is_known)
+    heights = rotate(tick.matrices[planes], table.normal[planes])[:, 2]
+    have: Flags = np.zeros(count, dtype=bool)
+    have[table.entities[planes[np.abs(heights) > _LEVEL]]] = True
+    return have
+
+
+def _over_bounded(
+    tick: TickShapes, starts: Indices, a: Indices, centres: Array, directions: Array
+) -> Verdicts:
+    """Returns whether points (2, n) of the ground are over entities (n,) without half-spaces."""
+    entities, places = np.unique(a, return_inverse=True)
+    shapes, owners = shapes_of(tick, starts, entities)
+    points, error = _support_points(tick, shapes, directions)
+    if len(shapes) != len(entities):
+        points, error = _of_entities(points, error, owners, directions)
+    verdicts = np.full(len(a), UNDECIDED, np.int8)
+    room = error[places] + _ROOM
+    # From each support point to the centre, across the direction and along the next edge.
+    offsets = centres[:, None] - points.take(places, axis=2)
+    beyond = np.einsum("cm,cmn->mn", directions[:2], offsets).max(axis=0)
+    verdicts[beyond > room] = OUTSIDE
+    edges = np.roll(points, -1, axis=1) - points
+    lengths = np.sqrt((edges * edges).sum(axis=0))
+    is_edge = lengths > 0.0
+    edges /= np.where(is_edge, lengths, 1.0)
+    edges, is_edge = edges.take(places, axis=2), is_edge.take(places, axis=1)
+    depths = edges[0] * offsets[1] - edges[1] * offsets[0]
+    inside = np.where(is_edge, depths, math.inf).min(axis=0) > room
+    verdicts[inside & (is_edge.sum(axis=0) >= 3)] = OVER
+    return verdicts
+
+
+def shapes_of(tick: TickShapes, starts: Indices, entities: Indices) -> tuple[Indices, Indices]:
+    """Returns the shapes of entities that have points, and the place of each one's entity."""
+    counts = starts[entities + 1] - starts[entities]
+    owners = np.repeat(np.arange(len(entities)), counts)
+    offsets = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
+    shapes = starts[entities][owners] + offsets
+    has_points = tick.table.has_points[shapes]
+    return shapes[has_points], owners[has_points]
+
+
+def _support_points(tick: TickShapes, shapes: Indices, directions: Array) -> tuple[Array, Array]:
+    """Returns the support points of shapes on the ground, (2, m, n), and their errors, (n,)."""
+    cores = tick.table.cores
+    points = tick.placed_cores.support_points_all_around(shapes, directions)[:2]
+    points += tick.placed_cores.centres[:2, None].take(shapes, axis=2)
+    radius = cores.radius[shapes]
+    points += directions[:2, :, None] * radius
+    return points, _ROUND_ERROR * np.maximum(radius, cores.disc_radius[shapes])
+
+
+def _of_entities(
+    points: Array, error: Array, owners: Indices, directions: Array
+) -> tuple[Array, Array]:
+    """Returns the support points and the errors of entities, of those of their shapes."""
+    heights = np.einsum("cm,cmn->mn", directions[:2], points)
+    firsts = np.flatnonzero(np.diff(owners, prepend=-1))
+    highest = np.maximum.reduceat(heights, firsts, axis=1)
+    is_highest = heights == highest.take(owners, axis=1)
+    places = np.where(is_highest, np.arange(len(owners)), len(owners))
+    farthest = np.minimum.reduceat(places, firsts, axis=1)
+    chosen: Array = points[:, np.arange(len(heights))[:, None], farthest]
+    return chosen, np.maximum.reduceat(error, firsts)

@@ -1,0 +1,116 @@
+"""The solids of a tick at their poses, one by one and in arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.placed_solid import PlacedSolid, Point
+from ssduck.geometry.poses import rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.solids import Solid
+
+
+class TickSolids:
+    """The solids of the shapes of a tick.
+
+    Args:
+        solids: the distinct solids.
+        solid_indices: (n,), the index of each shape's solid.
+        positions: (n, 3), in the world.
+        orientations: (n, 4), quaternions w, x, y, z of any length.
+        boxes: (n, 6), lower corner, upper corner, in the world.
+        margins: (n,), the collision margins, metres; None for none.
+
+    Attributes:
+        solids: the solid of each shape.
+        positions, orientations, boxes: see above.
+        margins: the collision margin of each shape, metres.
+    """
+
+    def __init__(
+        self,
+        solids: Sequence[Solid],
+        solid_indices: Indices,
+        positions: Array,
+        orientations: Array,
+        boxes: Array,
+        margins: Array | None = None,
+    ) -> None:
+        indices = np.asarray(solid_indices).tolist()
+        self.margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
+        self.solids: list[Solid] = [solids[index] for index in indices]
+        self.positions, self.orientations, self.boxes = positions, orientations, boxes
+        self._placed: dict[int, PlacedSolid] = {}
+        self._ranks: dict[int, tuple[str | float, ...]] = {}
+
+    def placed(self, shape: int) -> PlacedSolid:
+        """Returns a shape in the world."""
+        if shape not in self._placed:
+            x, y, z = self.positions[shape].tolist()
+            quaternion = self._unit_orientations[shape].tolist()
+            orientation = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+            self._placed[shape] = PlacedSolid(self.solids[shape], (x, y, z), orientation)
+        return self._placed[shape]
+
+    def rank(self, shape: int) -> tuple[str | float, ...]:
+        """Returns the place of a shape in the order of shapes, by its geometry and its pose."""
+        if shape not in self._ranks:
+            pose = *self.positions[shape].tolist(), *self._unit_orientations[shape].tolist()
+            self._ranks[shape] = (self.solids[shape].key, *pose)
+        return self._ranks[shape]
+
+    # Computed for all shapes at once, when first needed.
+
+    @cached_property
+    def bounding_radii(self) -> list[float]:
+        """The radius of the sphere around each solid, m; infinite for half-spaces."""
+        return [solid.bounding_radius for solid in self.solids]
+
+    @cached_property
+    def _unit_orientations(self) -> Array:
+        return unit_quaternions(self.orientations)
+
+    @cached_property
+    def are_finite(self) -> Flags:
+        """Whether the pose of each shape is finite."""
+        poses = np.concatenate((self.positions, self._unit_orientations), axis=1)
+        return np.asarray(np.isfinite(poses).all(axis=1))
+
+    @cached_property
+    def are_known(self) -> list[bool]:
+        """Whether the pose and the solid of each shape are known."""
+        known = np.array([solid.is_known for solid in self.solids], dtype=bool)
+        are_known: list[bool] = (self.are_finite & known).tolist()
+        return are_known
+
+    @cached_property
+    def corners(self) -> list[list[float]]:
+        """The box of each shape: lower corner, upper corner."""
+        corners: list[list[float]] = self.boxes.tolist()
+        return corners
+
+    @cached_property
+    def centres(self) -> list[list[float]]:
+        """The centre of the sphere around each shape."""
+        return self._to_world([solid.centre for solid in self.solids])
+
+    @cached_property
+    def inscribed_centres(self) -> list[list[float]]:
+        """The centre of the sphere in each shape."""
+        return self._to_world([solid.inscribed_centre for solid in self.solids])
+
+    def _to_world(self, points: list[Point]) -> list[list[float]]:
+        """Returns a point of each shape, transformed to the world."""
+        local = np.array(points, dtype=np.float64).reshape(-1, 3)
+        with np.errstate(invalid="ignore"):
+            moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
+        return moved
+
+    @cached_property
+    def matrices(self) -> Array:
+        """The rotation matrices, (n, 3, 3)."""
+        with np.errstate(invalid="ignore"):
+            return rotation_matrices(self._unit_orientations)

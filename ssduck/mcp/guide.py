@@ -1,0 +1,76 @@
+"""Says what an agent has to know: how to write queries, the tables, the functions, the entities."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.schema import HISTORIES, TABLES
+
+# The largest number of names of entities of a world.
+MAX_NAMES = 200
+
+GUIDE = """\
+# How to ask
+
+SelectScript is an SQL-like language: `SELECT columns FROM world WHERE condition AS form;`
+- `FROM kitchen` reads the entities of the world `kitchen`; `this` is the entity of a row.
+  `FROM a=kitchen, b=kitchen` reads pairs: `a.this` and `b.this`. `FROM links(kitchen)` reads links.
+- Conditions call functions and relations: `isRobot(this)`, `above(a.this, kitchen.fridge)`,
+  `near(a.this, b.this, 0.1)`. Lengths are in metres, angles in radians, times in seconds; z is up.
+- An entity is written `kitchen.fridge`, or found by name: `id(this) == 'fridge'`. A name that no
+  entity has is an error or a warning with the nearest names.
+- `ORDER BY`, `LIMIT` and `GROUP BY` are as in SQL. `AS value` gives one value, `AS list` a flat
+  list; without AS, a row is an object.
+- The past, as far as it is recorded: `FROM kitchen{2.5}` at 2.5 s, `FROM kitchen{-1.0}` each tick
+  of the last second, `FROM kitchen{}` each tick.
+
+Examples for a world `kitchen` with a `table` and a `cup`:
+- What is on the table? `SELECT id(this) FROM kitchen WHERE on(this, kitchen.table) AS list;`
+- Which things collide? `SELECT a.this, b.this FROM a=kitchen, b=kitchen
+  WHERE collides(a.this, b.this);`
+- How high is the cup? `SELECT z(this) FROM kitchen WHERE id(this) == 'cup' AS value;`
+- When was the cup lifted? `SELECT time(this) FROM kitchen{} WHERE id(this) == 'cup'
+  AND z(this) > 1 LIMIT 1 AS value;`
+
+SQL is one SELECT in DuckDB's dialect on the tables below. Relations are functions of rows:
+`SELECT a.name FROM entities a, entities b WHERE b.name = 'table' AND "on"(a, b)`. The view
+`entities_history` has the rows of all recorded ticks; the other tables have such views, too.
+"""
+
+
+def description(ss: Interpreter) -> str:
+    """Returns the guide, followed by the worlds, tables and functions of an interpreter."""
+    parts = [GUIDE, *_worlds(ss), *_tables(), *_functions(ss)]
+    return "\n".join(parts)
+
+
+def _worlds(ss: Interpreter) -> Iterator[str]:
+    yield "# Worlds\n"
+    for world in ss.worlds:
+        yield f"- `{world.name}` at tick {world.snapshot.number}, {world.time:g} s:"
+        names = [entity.name for entity in world]
+        listed = ", ".join(names[:MAX_NAMES])
+        more = len(names) - MAX_NAMES
+        yield f"  {listed}" + (f" and {more} more" if more > 0 else "")
+    yield ""
+
+
+def _tables() -> Iterator[str]:
+    yield "# Tables of each world\n"
+    for table in TABLES.values():
+        view = HISTORIES.get(table.name)
+        history = f"; at all recorded ticks: `{view.history_view}`" if view is not None else ""
+        yield f"`{table.name}`: a row is {table.row}{history}"
+        for column in (*table.columns, *table.view_columns):
+            yield f"- `{column.name}` {column.sql}: {column.comment}"
+        yield ""
+
+
+def _functions(ss: Interpreter) -> Iterator[str]:
+    yield "# Functions and relations (`help` has all about one)\n"
+    for name in ss.help():
+        usage = next(
+            (line for line in ss.help(name).splitlines() if line.startswith("Usage: ")), ""
+        )
+        yield f"- `{usage.removeprefix('Usage: ') or name}`"

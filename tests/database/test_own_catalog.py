@@ -1,0 +1,119 @@
+"""A mistake in a user's SQL leaves ssduck's own views, records and statements as they were."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck.errors import SqlError
+
+ROOM = Path(__file__).parents[1] / "data" / "room.toml"
+
+
+@pytest.fixture
+def ss():
+    with ssduck.load(ROOM) as ss:
+        ss.call_variable("room").step(3)
+        yield ss
+
+
+def answers(ss):
+    """The answers of both languages to questions of the present and the past."""
+    return (
+        ss.sql("SELECT id, z FROM room.entities").fetchall(),
+        ss.sql("SELECT count(*) FROM entities_history WHERE tick <= 4").fetchall(),
+        ss.sql(
+            "SELECT a.id FROM entities a, entities b WHERE room.touching(a, b) ORDER BY ALL"
+        ).fetchall(),
+        ss.eval("SELECT id(this) FROM room WHERE z(this) > 0.5 AS list;"),
+        ss.eval("SELECT id(this) FROM room{0} WHERE z(this) > 0.5 AS list;"),
+    )
+
+
+OWN = "is ssduck's own and was made anew"
+RECORD = "holds what ssduck has recorded"
+TRANSACTION = "a transaction begins and ends in one call"
+
+MISTAKES = [
+    ("DROP VIEW room.entities", OWN),
+    ("drop view ROOM.Entities", OWN),
+    ("DROP VIEW room.entities_history", OWN),
+    ("DROP MACRO room.touching", OWN),
+    ("DROP SCHEMA room CASCADE", OWN),
+    ("ALTER VIEW room.entities RENAME TO things", OWN),
+    ("CREATE OR REPLACE VIEW room.entities AS SELECT 1 AS id", OWN),
+    ("CREATE OR REPLACE MACRO room.touching(a, b) AS true", OWN),
+    ('DROP VIEW "world 1: entities"', OWN),
+    ('CREATE OR REPLACE TEMP VIEW "world 1: entities" AS SELECT 1', OWN),
+    ("CREATE TABLE mine (a INTEGER); DROP VIEW room.entities", OWN),
+    ("BEGIN; DROP VIEW room.entities; COMMIT", OWN),
+    ("ATTACH ':memory:' AS room", "is the name of a world"),
+    ("DROP SCHEMA room_record_0 CASCADE", RECORD),
+    ('DROP TABLE "ROOM_record_0"."entities model"', RECORD),
+    ('DELETE FROM room_record_0."entities model"', RECORD),
+    ('INSERT INTO room_record_0."entities model" SELECT * FROM range(3)', RECORD),
+    ('UPDATE room_record_0."entities model" SET id = 1', RECORD),
+    ("CREATE TABLE room_record_0.mine AS SELECT 1", RECORD),
+    ("USE room_record_0", RECORD),
+    ('PREPARE mine AS DELETE FROM room_record_0."entities model"', RECORD),
+    ('PREPARE "ssduck statement 1 entities" AS SELECT 1', "are ssduck's own"),
+    ('DEALLOCATE "ssduck statement 1 entities"', "are ssduck's own"),
+    ("BEGIN", TRANSACTION),
+    ("COMMIT", TRANSACTION),
+    ("BEGIN; BEGIN; COMMIT", TRANSACTION),
+    ("BEGIN; SELECT 1", TRANSACTION),
+    ("BEGIN; CREATE TABLE mine (a INTEGER); SELECT error('no'); COMMIT", "no"),
+]
+
+
+@pytest.fixture(scope="module")
+def lasting():
+    with ssduck.load(ROOM) as ss:
+        ss.call_variable("room").step(3)
+        yield ss
+
+
+@pytest.mark.parametrize(("text", "words"), MISTAKES)
+def test_a_mistake_is_an_error_and_all_else_goes_on(lasting, text, words):
+    before = answers(lasting)
+    with pytest.raises(SqlError, match=words):
+        lasting.sql(text)
+    assert answers(lasting) == before
+    lasting.call_variable("room").tick()
+    assert answers(lasting)[1:] == before[1:]
+    lasting.sql("DROP TABLE IF EXISTS mine")
+
+
+def test_what_users_create_is_theirs(ss, tmp_path):
+    ss.sql("BEGIN; CREATE TABLE mine AS SELECT 1 AS a; INSERT INTO mine VALUES (2); COMMIT")
+    assert ss.sql("SELECT sum(a) FROM mine").fetchall() == [(3,)]
+    ss.sql("CREATE TABLE room.notes AS SELECT name FROM entities")
+    ss.sql("CREATE VIEW high AS SELECT name FROM room.entities WHERE z > 0.5")
+    ss.sql("CREATE TABLE past AS SELECT * FROM room.entities_history")
+    ss.sql(f"COPY (SELECT * FROM room.entities) TO '{tmp_path / 'rows.csv'}'")
+    ss.sql("ALTER TABLE room.notes RENAME TO remarks")
+    assert ss.sql("SELECT count(*) FROM high").fetchall()
+    ss.sql("DROP TABLE room.remarks")
+    ss.sql("DROP TABLE mine")
+
+
+def test_a_failing_transaction_is_undone(ss):
+    with pytest.raises(SqlError, match="no"):
+        ss.sql("BEGIN; CREATE TABLE mine (a INTEGER); SELECT error('no'); COMMIT")
+    with pytest.raises(SqlError, match="mine does not exist"):
+        ss.sql("SELECT * FROM mine")
+
+
+def test_a_file_keeps_its_record(tmp_path):
+    path = tmp_path / "run.db"
+    with ssduck.load(ROOM, path) as ss:
+        ss.call_variable("room").step(3)
+        for text in ("DROP SCHEMA room_record_0 CASCADE", "DROP SCHEMA room CASCADE"):
+            with pytest.raises(SqlError):
+                ss.sql(text)
+        ss.sql("CREATE TABLE summary AS SELECT max(tick) AS t FROM room_record_0.entities_history")
+        before = answers(ss)
+    with ssduck.open(path) as ss:
+        assert answers(ss) == before

@@ -1,0 +1,205 @@
+"""`Limits(select_only=True)`: SQL of strangers is one SELECT of known tables and functions."""
+
+from __future__ import annotations
+
+import pytest
+
+import ssduck
+from ssduck.database.permitted_functions import FUNCTIONS, OPERATORS
+from ssduck.errors import LimitError, SqlError
+
+
+@pytest.fixture(scope="module")
+def strict():
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict()) as ss:
+        yield ss
+
+
+PERMITTED = [
+    "SELECT name FROM entities WHERE kind = 'robot'",
+    "FROM entities SELECT max(z) GROUP BY kind HAVING count(*) > 1 ORDER BY 1 LIMIT 3",
+    "SELECT count(*) FROM kitchen.entities_history",
+    "SELECT count(*) FROM memory.kitchen.entities",
+    "SELECT a.name FROM entities a, entities b WHERE near(a, b, 0.1) AND NOT kitchen.above(a, b)",
+    "SELECT count(*) FROM colliding_pairs(depth := 0.01)",
+    "SELECT count(*) FROM kitchen.pairs_within(0.05)",
+    "WITH held AS (SELECT time, true AS holds FROM ticks) SELECT * FROM intervals('held')",
+    'WITH "world 1: entities" AS (SELECT 1) FROM "world 1: entities"',
+    "WITH RECURSIVE n AS (SELECT 1 AS i UNION ALL SELECT i + 1 FROM n WHERE i < 9) FROM n",
+    "WITH a AS (SELECT 1), b AS (SELECT * FROM a) SELECT * FROM b, (SELECT * FROM a) AS c",
+    "SELECT upper(name).lower(), z::INTEGER, CASE WHEN z > 1 THEN 'high' END FROM entities",
+    "SELECT [x + 1 for x in [1, 2]], list_transform([1], lambda x: x + 1), {'a': 1}.a",
+    "SELECT rank() OVER (PARTITION BY kind ORDER BY z), avg(z) OVER () FROM entities",
+    "SELECT count(*) FILTER (WHERE z > 1) FROM entities WHERE EXISTS (SELECT 1 FROM links)",
+    "SELECT COLUMNS('n.*') FROM (SELECT name, kind FROM entities)",
+    "SELECT * EXCLUDE (name, run) REPLACE (z + 1 AS z) FROM entities",
+    "DESCRIBE entities",
+    "SUMMARIZE joints",
+    "VALUES (1), (2)",
+    "SELECT sum(range) FROM range(10)",
+    "FROM (PIVOT (SELECT kind, z > 1 AS high FROM entities) ON kind IN ('robot') USING count(*))",
+    "SELECT unnest([1, 2]), extract(year FROM DATE '2026-01-01')",
+]
+
+
+@pytest.fixture(scope="module")
+def free():
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
+@pytest.mark.parametrize("text", PERMITTED)
+def test_queries_of_known_names_have_the_rows_that_they_have_without_limits(strict, free, text):
+    assert strict.sql(text).fetchall() == free.sql(text).fetchall() != []
+
+
+# A text, and what its error says.
+REFUSED = [
+    ("DROP SCHEMA kitchen_record_0 CASCADE", "not DROP"),
+    ("CREATE OR REPLACE VIEW kitchen.entities AS SELECT 1", "not CREATE"),
+    ("CREATE TEMP MACRO near(a, b) AS true", "not CREATE"),
+    ('PREPARE "ssduck statement 1" AS SELECT 1', "not PREPARE"),
+    ("EXECUTE anything", "not EXECUTE"),
+    ("DEALLOCATE anything", "not DROP"),
+    ("BEGIN", "not TRANSACTION"),
+    ("COMMIT", "not TRANSACTION"),
+    ("CHECKPOINT", "one SELECT"),
+    ("SET threads = 8", "not SET"),
+    ("SET VARIABLE a = 1", "not SET"),
+    ("RESET threads", "one SELECT"),
+    ("USE kitchen_record_0", "not SET"),
+    ("PRAGMA version", "not PRAGMA"),
+    ("CALL range(3)", "not CALL"),
+    ("EXPLAIN SELECT 1", "not EXPLAIN"),
+    ("INSERT INTO kitchen_record_0.entities SELECT * FROM entities", "not INSERT"),
+    ("DELETE FROM kitchen_record_0.entities", "not DELETE"),
+    ("UPDATE entities SET z = 0", "not UPDATE"),
+    ("COPY (SELECT 1) TO 'file.csv'", "not COPY"),
+    ("ATTACH 'other.db'", "not ATTACH"),
+    ("EXPORT DATABASE 'folder'", "not EXPORT"),
+    ("INSTALL httpfs", "not LOAD"),
+    ("PIVOT entities ON kind USING count(*)", "one SELECT"),
+    ("SELECT 1; SELECT 2", "2 statements"),
+    ("SELECT 1; DROP SCHEMA kitchen CASCADE", "2 statements"),
+    ("SHOW TABLES", "use DESCRIBE"),
+    ("SHOW ALL TABLES", "use DESCRIBE"),
+    ("SELECT * FROM kitchen_record_0.entities", "'kitchen_record_0.entities'"),
+    ('SELECT * FROM "world 1: entities"', "'world 1: entities'"),
+    (
+        'WITH a AS (FROM "world 1: entities"), "world 1: entities" AS (SELECT 1) FROM a',
+        "'world 1: entities'",
+    ),
+    ('WITH "world 1: entities" AS (FROM "world 1: entities") SELECT 1', "'world 1: entities'"),
+    (
+        'SELECT * FROM (WITH "world 1: ticks" AS (SELECT 1) SELECT 1), "world 1: ticks"',
+        "'world 1: ticks'",
+    ),
+    ("SELECT * FROM duckdb_settings()", "duckdb_settings"),
+    ("SELECT * FROM duckdb_views", "'duckdb_views'"),
+    ("SELECT * FROM information_schema.tables", "'information_schema.tables'"),
+    ("SELECT * FROM pg_catalog.pg_tables", "'pg_catalog.pg_tables'"),
+    ("SELECT * FROM main.entities", "'main.entities'"),
+    ("SELECT * FROM other.kitchen.entities", "'other.kitchen.entities'"),
+    ("SELECT * FROM '/etc/passwd'", "'/etc/passwd'"),
+    ("SELECT * FROM read_text('/etc/passwd')", "read_text"),
+    ("SELECT * FROM glob('*')", "glob"),
+    ("SELECT * FROM query('SELECT 1')", "query"),
+    ("SELECT * FROM query_table('world 1: entities')", "query_table"),
+    ("SELECT * FROM intervals('world 1: ticks')", "intervals takes"),
+    ("SELECT * FROM intervals('kitchen_record_0.ticks')", "intervals takes"),
+    ("SELECT * FROM intervals(concat('world 1', ': ticks'))", "intervals takes"),
+    ("SELECT * FROM arrow_scan(1, 2, 3)", "arrow_scan"),
+    ("SELECT * FROM json_execute_serialized_sql('{}')", "json_execute_serialized_sql"),
+    ("SELECT json_serialize_sql('SELECT 1')", "json_serialize_sql"),
+    ("SELECT system.main.repeat('a', 1000000000)", "repeat"),
+    ("SELECT name.repeat(1000000000) FROM entities", "repeat"),
+    ("SELECT 1 ORDER BY lpad('a', 1000000000)", "lpad"),
+    ("SELECT 1 LIMIT length(rpad('a', 1000000000, 'b'))", "rpad"),
+    ("SELECT sum(length(printf('%1000000000d', 1))) OVER () FROM entities", "printf"),
+    ("SELECT COLUMNS(c -> format('{:1000000000}', c) = 'a') FROM entities", "format"),
+    ("SELECT string_agg(name, '') FROM entities", "string_agg"),
+    ("SELECT list_transform([1], x -> sleep_ms(100000))", "sleep_ms"),
+    ("SELECT current_setting('home_directory')", "current_setting"),
+    ("SELECT getvariable('a')", "getvariable"),
+    ("SELECT nextval('a')", "nextval"),
+    ("SELECT setseed(0.5)", "setseed"),
+    ("FROM (PIVOT entities ON kind IN ('robot') USING string_agg(name))", "string_agg"),
+]
+
+
+@pytest.mark.parametrize(("text", "words"), REFUSED)
+def test_other_texts_are_refused_and_change_nothing(strict, text, words):
+    before = strict.sql("SELECT count(*), max(z) FROM entities").fetchall()
+    with pytest.raises(LimitError, match=words):
+        strict.sql(text)
+    assert strict.sql("SELECT count(*), max(z) FROM entities").fetchall() == before
+    assert strict.eval("SELECT id(this) FROM kitchen WHERE isRobot(this) AS list;")
+
+
+def test_a_refusal_has_its_place_and_the_nearest_name(strict):
+    with pytest.raises(LimitError) as caught:
+        strict.sql("SELECT 'ü',\n  nme FROM entitees")
+    assert (caught.value.line, caught.value.column) == (2, 12)
+    assert caught.value.suggestions[0] == "entities"
+    with pytest.raises(LimitError) as caught:
+        strict.sql("SELECT rond(z) FROM entities")
+    assert "round" in caught.value.suggestions
+
+
+def test_duckdb_tells_of_texts_that_it_cannot_parse(strict):
+    with pytest.raises(SqlError, match="syntax error"):
+        strict.sql("SELEC 1")
+    with pytest.raises(SqlError, match="depth"):
+        strict.sql("SELECT " + "+".join("1" * 5000))
+
+
+def test_a_permitted_text_is_checked_again_when_names_change():
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict()) as ss:
+        for _ in range(2):
+            with pytest.raises(LimitError, match=r"there is no table 'lab\.entities'"):
+                ss.sql("SELECT count(*) FROM lab.entities")
+        ss.add_variable("lab", ss.call_variable("kitchen"))
+        ((count,),) = ss.sql("SELECT count(*) FROM lab.entities").fetchall()
+        assert count == len(ss.call_variable("kitchen"))
+
+
+def test_the_tree_is_checked_once_a_text():
+    statements = []
+    limits = ssduck.Limits.strict()
+    with ssduck.Interpreter(limits=limits, tracer=statements.append) as ss:
+        for _ in range(5):
+            ss.sql("SELECT 1")
+    assert sum("json_serialize_sql" in statement for statement in statements) == 1
+
+
+def test_records_open_under_limits(tmp_path):
+    with ssduck.load("kitchen") as ss:
+        ss.call_variable("kitchen").step(5)
+        ss.export(tmp_path / "run")
+    (tmp_path / "secret.csv").write_text("a\n1\n")
+    text = "SELECT count(DISTINCT tick) FROM entities_history"
+    for limits in (ssduck.Limits.strict(), ssduck.Limits(files=False), None):
+        with ssduck.open(tmp_path / "run", limits=limits) as ss:
+            ((count,),) = ss.sql(text).fetchall()
+            assert count == 6
+            program = "SELECT id(this) FROM kitchen{0} WHERE isRobot(this) AS list;"
+            assert ss.eval(program)
+            if limits is not None:
+                with pytest.raises(LimitError):
+                    ss.sql(f"FROM read_csv('{tmp_path / 'secret.csv'}')")
+                with pytest.raises(LimitError):
+                    ss.sql(f"COPY (SELECT 1) TO '{tmp_path / 'run' / 'new.csv'}'")
+
+
+def test_permitted_functions_are_those_of_this_duckdb():
+    with ssduck.Interpreter() as ss:
+        rows = ss.sql("SELECT function_name FROM duckdb_functions()").fetchall()
+        known = {name for (name,) in rows}
+    assert sorted(FUNCTIONS - known) == []
+    assert not FUNCTIONS & OPERATORS
+
+
+def test_strict_limits_are_select_only():
+    assert ssduck.Limits.strict().select_only
+    assert not ssduck.Limits.strict(select_only=False).select_only
+    assert not ssduck.Limits().select_only

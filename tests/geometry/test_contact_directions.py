@@ -1,0 +1,183 @@
+"""Whether contact normals point up, for many pairs at once, is what single pairs and formulas say."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from ssduck.geometry import distance
+from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
+from ssduck.geometry.on_pairs import are_on
+from ssduck.geometry.proofs import contact_directions
+from ssduck.geometry.proofs.contact_directions import (
+    NOT_UPWARD,
+    UPWARD,
+    _bounds,
+    _classes,
+    _mesh,
+    _stretch,
+    upward_verdicts,
+)
+from ssduck.geometry.proofs.gjk import UNDECIDED
+from tests.support import pairs
+from tests.support.pairs import Shape, gap
+from tests.support.solids import box, narrow, sorts_of, sphere
+
+KINDS = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
+COMBINATIONS = list(itertools.combinations_with_replacement(KINDS, 2))
+HEIGHTS = (0.05, MIN_RISING, 0.5, MIN_UP, 0.99)
+STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+def unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=0)
+
+
+@pytest.mark.parametrize("min_height", HEIGHTS)
+def test_triangles_cover_all_directions_in_their_classes(min_height):
+    mesh = _mesh(min_height)
+    directions = unit(np.random.default_rng(1).normal(size=(3, 3000)))
+    corners = mesh.directions[:, mesh.corners]  # (axis, corner, triangle)
+    weights = np.linalg.solve(corners.transpose(2, 0, 1)[:, None], directions.T[None, :, :, None])
+    contains = (weights[..., 0] >= -1e-9).all(axis=2)  # (triangle, direction)
+    assert contains.any(axis=0).all()
+    assert (weights.sum(axis=2)[..., 0][contains] <= np.repeat(mesh.stretch, contains.sum(1))).all()
+    triangles, found = np.nonzero(contains)
+    wanted = np.where(directions[2, found] >= min_height, 1, 2)
+    assert (mesh.classes[triangles] & wanted).all()
+
+
+def test_bounds_are_below_all_overlaps_in_a_triangle():
+    random = np.random.default_rng(2)
+    corners = unit(random.normal(size=(3, 3, 400)).swapaxes(0, 1)).swapaxes(0, 1)
+    points = random.normal(size=(3, 3, 400)) + random.choice([-1.0, 0.0, 1.0], (1, 3, 400))
+    stretch = _stretch(corners)
+    bounds, facets = _bounds(np.einsum("kcn,icn->kin", points, corners), stretch)
+    weights = np.concatenate((random.dirichlet((0.5, 0.5, 0.5), 500), np.eye(3)))
+    directions = np.einsum("wi,icn->cwn", weights, corners)
+    directions /= np.linalg.norm(directions, axis=0)
+    overlaps = np.einsum("kcn,cwn->kwn", points, directions).max(axis=0)
+    assert (bounds <= overlaps.min(axis=0) + 1e-12).all()
+    # They are tight where the overlap is positive, and the facet's normal is in the triangle.
+    is_facet = (facets > 0.0).all(axis=0) & (bounds > 0.0)
+    normals = unit(np.einsum("in,icn->cn", facets, corners))[:, is_facet]
+    least = np.einsum("kcn,cn->kn", points[..., is_facet], normals)
+    assert is_facet.sum() > 20
+    assert np.ptp(least, axis=0).max() < 1e-9
+    assert (bounds[is_facet] <= least[0] + 1e-9).all()
+    classes = _classes(corners[:, 2], stretch, 0.5)
+    assert ((directions[2] >= 0.5).any(axis=0) <= (classes & 1 > 0)).all()
+    assert ((directions[2] < 0.5).any(axis=0) <= (classes & 2 > 0)).all()
+
+
+@pytest.mark.parametrize("kinds", COMBINATIONS, ids=str)
+def test_verdicts_are_what_the_normals_of_single_pairs_say(kinds):
+    """In a long form: `python -m tools.oracles`."""
+    two = [pairs.pair(kinds, seed) for seed in range(40)]
+    results = [gap(*both) for both in two]
+    rises = np.array([-result.normal[2] for result in results])
+    undecided = 0
+    for min_height in HEIGHTS:
+        wrong, count = pairs.wrong_normals(two, rises, min_height)
+        assert wrong == []
+        undecided += count
+    # Half of the pairs have faces, edges or corners that meet exactly.
+    assert undecided < 0.12 * len(HEIGHTS) * 2 * len(two)
+
+
+def verdict(first, second, min_height=MIN_UP):
+    cores = pairs.bodies([first, second])
+    return int(upward_verdicts(cores, np.array([0]), np.array([1]), min_height)[0])
+
+
+@pytest.mark.parametrize("off", [1e-7, 1e-4, 0.02])
+@pytest.mark.parametrize("depth", [0.3, 0.02, 1e-5, 0.0, -5e-4])
+@pytest.mark.parametrize("turn", [0.0, 0.7])
+def test_spheres_about_30_degrees(depth, off, turn):
+    lower = Shape("sphere", sphere(0.5), np.array([3.0, -2.0, 1.0]), STRAIGHT)
+    for sign, wanted in ((-1, UPWARD), (1, NOT_UPWARD)):
+        tilt = math.acos(MIN_UP) + sign * off
+        across = math.sin(tilt)
+        way = np.array([across * math.cos(turn), across * math.sin(turn), math.cos(tilt)])
+        found = verdict(lower, lower.at(lower.position + way * (1.0 - depth), STRAIGHT))
+        assert found in ((wanted,) if off == 0.02 else (wanted, UNDECIDED))
+
+
+@pytest.mark.parametrize("off", [1e-7, 1e-4, 0.02])
+@pytest.mark.parametrize("depth", [0.02, 1e-5, 0.0, -5e-4])
+def test_boxes_on_a_slope_of_about_30_degrees(depth, off):
+    """The axis of least overlap of two boxes with parallel axes is normal to the slope."""
+    for sign, wanted in ((-1, UPWARD), (1, NOT_UPWARD)):
+        tilt = math.acos(MIN_UP) + sign * off
+        turn = np.array([math.cos(tilt / 2), math.sin(tilt / 2), 0.0, 0.0])
+        normal = np.array([0.0, -math.sin(tilt), math.cos(tilt)])
+        lower = Shape("box", box(1.0, 1.0, 0.5), np.zeros(3), turn)
+        upper = Shape("box", box(0.2, 0.2, 0.2), normal * (0.35 - depth), turn)
+        assert verdict(lower, upper) in ((wanted,) if off == 0.02 else (wanted, UNDECIDED))
+        assert verdict(upper, lower) in (NOT_UPWARD, UNDECIDED)
+
+
+def test_equal_overlaps_are_left_to_the_narrow_phase():
+    """The normals of spheres with one centre, and of a cube in a cube, are any of several."""
+    ball = Shape("sphere", sphere(0.5), np.zeros(3), STRAIGHT)
+    cube = Shape("box", box(1.0, 1.0, 1.0), np.zeros(3), STRAIGHT)
+    assert verdict(ball, ball) == UNDECIDED
+    assert verdict(cube, cube) == UNDECIDED
+
+
+def entity(random, kinds):
+    """Returns one to three shapes near the origin."""
+    made = [pairs.pair((kind, kind), int(random.integers(1 << 30)))[0] for kind in kinds]
+    scale = random.uniform(0.3, 1.0)
+    return [(s.geometry, s.position * scale, s.quaternion) for s in made]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_entities_of_several_shapes_are_on_each_other_as_one_by_one(seed):
+    random = np.random.default_rng(seed)
+    kinds = (*KINDS, "mesh", "plane")
+    entities = [entity(random, random.choice(kinds, random.integers(1, 4))) for _ in range(9)]
+    at_once, one_by_one = narrow(*entities), narrow(*entities)
+    every = itertools.permutations(range(len(entities)), 2)
+    touching = [(a, b) for a, b in every if one_by_one.touches(a, b)]
+    a, b = np.array(touching).T
+    found = are_on(at_once.tick_shapes(sorts_of(at_once)), at_once, a, b)
+    expected = [one_by_one.on(a, b) for a, b in touching]
+    assert found.tolist() == expected
+    assert True in expected
+    assert False in expected
+
+
+def test_convex_pairs_need_neither_fcl_nor_a_polytope(monkeypatch):
+    random = np.random.default_rng(3)
+    kinds = ("box", "capsule", "cylinder", "hull")
+    entities = [
+        [(s.geometry, random.uniform(-0.6, 0.6, 3), s.quaternion)]
+        for kind in kinds * 8
+        for s in pairs.pair((kind, kind), int(random.integers(1 << 30)) * 2)[:1]
+    ]
+    scene = narrow(*entities)
+    every = itertools.permutations(range(len(entities)), 2)
+    one_by_one = narrow(*entities)
+    a, b = np.array([(a, b) for a, b in every if one_by_one.touches(a, b)]).T
+    assert len(a) > 400
+    expanded, divided = [], []
+    for module, name, calls in (
+        (distance, "_expand_polytope", expanded),
+        (contact_directions, "_divided", divided),
+    ):
+        original = getattr(module, name)
+
+        def counted(first, *rest, original=original, calls=calls):
+            calls.append(first)
+            return original(first, *rest)
+
+        monkeypatch.setattr(module, name, counted)
+    found = are_on(scene.tick_shapes(sorts_of(scene)), scene, a, b)
+    assert 10 < found.sum() < len(a) / 2
+    assert scene.calls.calls <= len(a) / 50
+    assert len(expanded) <= len(a) / 50
+    assert sum(len(triangles.owners) for triangles in divided) <= 8 * len(a)

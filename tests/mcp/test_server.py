@@ -1,0 +1,162 @@
+"""Agents ask a scene or a record over the Model Context Protocol."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import re
+import sys
+
+import anyio
+import numpy as np
+import pytest
+from mcp import Client, StdioServerParameters
+from PIL import Image
+
+import ssduck
+from ssduck.adapters.highlight import OUTLINE
+from ssduck.mcp.guide import GUIDE
+from ssduck.mcp.server import MAX_LETTERS, create_server
+from ssduck.schema import TABLES
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict(progress=False)) as ss:
+        ss.strict = True
+        yield ss
+
+
+def asked(server, tool, **arguments):
+    """Whether the answer of a tool is an error, and its content."""
+
+    async def ask():
+        async with Client(server) as client:
+            answer = await client.call_tool(tool, arguments)
+            return answer.is_error, answer.content[0]
+
+    return anyio.run(ask)
+
+
+def text_of(server, tool, **arguments):
+    is_error, content = asked(server, tool, **arguments)
+    assert not is_error, content.text
+    return content.text
+
+
+def error_of(server, tool, **arguments):
+    is_error, content = asked(server, tool, **arguments)
+    assert is_error
+    return content.text
+
+
+def test_answers_are_those_of_the_interpreter(kitchen):
+    server = create_server(kitchen)
+    program = "SELECT id(this) AS name, z(this) AS z FROM kitchen WHERE isRobot(this);"
+    rows = json.loads(text_of(server, "query", program=program))
+    assert rows == kitchen.eval(program)
+    text = "SELECT name, z FROM entities WHERE kind = 'robot'"
+    assert json.loads(text_of(server, "query", program=text, language="sql")) == rows
+    value = text_of(server, "query", program="SELECT z(kitchen.fridge) FROM kitchen AS value;")
+    assert json.loads(value) == kitchen.call_variable("kitchen")["fridge"].position[2]
+
+
+def test_the_schema_tells_all_names(kitchen):
+    text = text_of(create_server(kitchen), "schema")
+    for name in (*TABLES, *kitchen.help(), *(entity.name for entity in kitchen.worlds[0])):
+        assert name in text
+
+
+def test_the_queries_of_the_guide_run(kitchen):
+    server = create_server(kitchen)
+    queries = [" ".join(query.split()) for query in re.findall(r"`(SELECT [^`]*;)`", GUIDE)]
+    asked_for = [query for query in queries if "columns" not in query]
+    assert len(asked_for) >= 4
+    for query in asked_for:
+        text_of(server, "query", program=query.replace("'cup'", "'cup_905a'"))
+    (sql,) = re.findall(r"`(SELECT a\.name[^`]*)`", GUIDE)
+    rows = text_of(server, "query", program=sql.replace("'table'", "'fridge'"), language="sql")
+    assert rows.startswith("[")
+
+
+MISTAKES = [
+    ("help", {"name": "neer"}, "did you mean 'near'"),
+    ("query", {"program": "SELECT id(this) FROM kitchn;"}, "did you mean 'kitchen'"),
+    ("query", {"program": "SELECT this FROM kitchen WHERE id(this) == 'frige';"}, "'fridge'"),
+    ("query", {"program": "SELECT nme FROM entities", "language": "sql"}, "name"),
+    ("query", {"program": "DROP SCHEMA kitchen CASCADE", "language": "sql"}, "one SELECT"),
+    ("query", {"program": "FROM read_text('/etc/passwd')", "language": "sql"}, "read_text"),
+    ("query", {"program": "SELECT this FROM kitchen AS parquet('x.parquet');"}, "switched off"),
+    ("query", {"program": "eval('1');"}, "switched off"),
+    ("query", {"program": "1 +"}, "line 1, column"),
+    ("picture", {"query": "SELECT obj FROM kitchn"}, "did you mean 'kitchen'"),
+]
+
+
+@pytest.mark.parametrize(("tool", "arguments", "words"), MISTAKES)
+def test_a_mistake_says_what_to_write_instead(kitchen, tool, arguments, words):
+    assert words in error_of(create_server(kitchen), tool, **arguments)
+
+
+def test_results_have_a_largest_size(kitchen):
+    server = create_server(kitchen)
+    program = "SELECT id(this) FROM kitchen AS list;"
+    text = text_of(server, "query", program=program, max_rows=3)
+    assert text.endswith("3 of 37 rows; LIMIT and OFFSET give others")
+    assert json.loads(text.rpartition("\n")[0]) == kitchen.eval(program)[:3]
+    many = "SELECT range AS i, 'some text' AS t FROM range(100000)"
+    text = text_of(server, "query", program=many, language="sql", max_rows=10**6)
+    assert len(text) < MAX_LETTERS + 100
+    assert " of 100000 rows" in text
+    long = text_of(server, "query", program=f"'{'a' * 2 * MAX_LETTERS}';")
+    assert len(long) < MAX_LETTERS + 100
+
+
+def test_what_a_program_prints_stays_out_of_the_protocol(kitchen, capfd):
+    assert text_of(create_server(kitchen), "query", program="print('hello');") == '"hello"'
+    written = capfd.readouterr()
+    assert (written.out, "hello" in written.err) == ("", True)
+
+
+def test_a_picture_highlights_what_is_selected(kitchen):
+    query = "SELECT obj FROM kitchen WHERE isRobot(this)"
+    is_error, content = asked(create_server(kitchen), "picture", query=query, width=240, height=180)
+    assert not is_error
+    picture = Image.open(io.BytesIO(base64.b64decode(content.data))).convert("RGB")
+    assert picture.size == (240, 180)
+    assert (np.asarray(picture) == OUTLINE).all(axis=2).any()
+
+
+def test_a_record_has_episodes(tmp_path):
+    with ssduck.load("hall") as ss:
+        ss.call_variable("hall").step(4)
+        ss.export(tmp_path / "run")
+    with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict()) as ss:
+        server = create_server(ss, tmp_path / "run")
+        (episode,) = json.loads(text_of(server, "episodes"))
+        assert (episode["world"], episode["number"], episode["ticks"]) == ("hall", 0, 5)
+        program = "SELECT id(this) FROM hall{0} AS list;"
+        assert json.loads(text_of(server, "query", program=program)) == ss.eval(program)
+
+
+@pytest.mark.slow
+def test_the_command_answers_on_standard_output_alone(tmp_path):
+    command = StdioServerParameters(
+        command=sys.executable,
+        args=["-m", "ssduck", "mcp", "kitchen", "--seconds", "0.1"],
+        cwd=tmp_path,
+        env=dict(os.environ),
+    )
+
+    async def ask():
+        async with Client(command) as client:
+            names = {tool.name for tool in (await client.list_tools()).tools}
+            program = "print(1); SELECT time(this) FROM kitchen LIMIT 1 AS value;"
+            answer = await client.call_tool("query", {"program": program})
+            return names, answer.content[0].text
+
+    names, text = anyio.run(ask)
+    assert names == {"schema", "help", "query", "picture"}
+    assert json.loads(text) == pytest.approx(0.1)
