@@ -498,7 +498,7 @@ def test_other_statements(ss):
     ss.sql("CREATE TABLE kept AS SELECT 1 AS i")
     assert ss.sql("FROM kept").fetchall() == [(1,)]
     ss.sql("DROP TABLE kept")
-    with pytest.raises(SqlError, match="kept does not exist"):
+    with pytest.raises(ssduck.SelectScriptError, match="kept does not exist"):
         ss.sql("FROM kept")
 
 
