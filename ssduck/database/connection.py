@@ -19,6 +19,7 @@ from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
+from ssduck.database.file_paths import absolute_path, open_error_text
 from ssduck.database.instances import MEMORY, POOL, create_file
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
@@ -31,9 +32,7 @@ from ssduck.errors import (
     UnknownNameError,
     UnsupportedError,
 )
-from ssduck.formatting import short_repr
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.paths import expand_path
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
@@ -80,14 +79,14 @@ class Connection:
         limits: Limits,
         recorders: list[Recorder],
     ) -> None:
-        self._path = path if path == MEMORY else _absolute_path(path, is_written=True)
+        self._path = path if path == MEMORY else absolute_path(path, is_written=True)
         try:
             if self.is_file:
                 create_file(self._path)
             self._instance = duckdb.connect(self._path) if self.is_file else POOL.take()
             self._connection = self._instance.cursor()
         except duckdb.Error as error:
-            raise SqlError(_open_error_text(path, error)) from error
+            raise SqlError(open_error_text(path, error)) from error
         # A connection that is open when Python ends prints errors.
         open_ones = self._connection, self._instance
         self._finalizer = weakref.finalize(self, _finish, open_ones, recorders, os.getpid())
@@ -211,13 +210,13 @@ class Connection:
             RecordError: it is no DuckDB file, or in use by another process.
         """
         try:
-            file = exp.Literal.string(_absolute_path(str(path))).sql("duckdb")
+            file = exp.Literal.string(absolute_path(str(path))).sql("duckdb")
         except SqlError as error:
             raise RecordError(error.message) from error
         try:
             self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY)")
         except SqlError as error:
-            raise RecordError(_open_error_text(str(path), error)) from error
+            raise RecordError(open_error_text(str(path), error)) from error
         self._attached = self.has_records = True
         return _ATTACHED
 
@@ -533,44 +532,6 @@ def _end(listener: ctrl_c.InterruptListener, timer: threading.Timer | None) -> N
         timer.cancel()
         if timer.is_alive():
             timer.join()  # so that it does not interrupt what comes next
-
-
-def _absolute_path(path: str, *, is_written: bool = False) -> str:
-    """Returns the absolute path of a file, because `md:x` would name a service for DuckDB.
-
-    Raises:
-        SqlError: DuckDB would misread a character of the path.
-    """
-    try:
-        absolute = str(expand_path(path).absolute())
-        absolute.encode()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise SqlError(f"{short_repr(path)} is not the path of a file: {error}") from error
-    if "\0" in absolute or ("\\" in absolute and os.sep != "\\"):
-        raise SqlError(
-            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB reads a backslash "
-            "as a slash, and allows no null character"
-        )
-    if is_written and "?" in str(
-        Path(absolute).parent
-    ):  # DuckDB would write its log to another folder
-        raise SqlError(
-            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB ignores the "
-            "part of a folder's name from a question mark on; rename the folder"
-        )
-    return absolute
-
-
-def _open_error_text(path: str, error: Exception) -> str:
-    """Returns the message about a file that cannot be opened."""
-    if "already attached" in str(error):
-        return f"{path} is open in this process: close it first, or use the interpreter that has it"
-    if "lock" in str(error).lower():
-        return (
-            f"{path} is in use by another process, and DuckDB allows one at a time: close it "
-            f"there, or export it there as Parquet, which any number can read: {str(error).strip()}"
-        )
-    return f"{path} cannot be opened: {str(error).strip()}"
 
 
 def _finish(

@@ -1,0 +1,48 @@
+"""Checks the paths of DuckDB files, and says why a file cannot be opened."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from ssduck.errors import SqlError
+from ssduck.formatting import short_repr
+from ssduck.recording.paths import expand_path
+
+
+def absolute_path(path: str, *, is_written: bool = False) -> str:
+    """Returns the absolute path of a file, because `md:x` would name a service for DuckDB.
+
+    Raises:
+        SqlError: DuckDB would misread a character of the path.
+    """
+    try:
+        absolute = str(expand_path(path).absolute())
+        absolute.encode()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise SqlError(f"{short_repr(path)} is not the path of a file: {error}") from error
+    if "\0" in absolute or ("\\" in absolute and os.sep != "\\"):
+        raise SqlError(
+            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB reads a backslash "
+            "as a slash, and allows no null character"
+        )
+    if is_written and "?" in str(
+        Path(absolute).parent
+    ):  # DuckDB would write its log to another folder
+        raise SqlError(
+            f"{short_repr(path)} cannot be the path of a DuckDB file: DuckDB ignores the "
+            "part of a folder's name from a question mark on; rename the folder"
+        )
+    return absolute
+
+
+def open_error_text(path: str, error: Exception) -> str:
+    """Returns the message about a file that cannot be opened."""
+    if "already attached" in str(error):
+        return f"{path} is open in this process: close it first, or use the interpreter that has it"
+    if "lock" in str(error).lower():
+        return (
+            f"{path} is in use by another process, and DuckDB allows one at a time: close it "
+            f"there, or export it there as Parquet, which any number can read: {str(error).strip()}"
+        )
+    return f"{path} cannot be opened: {str(error).strip()}"
