@@ -15,6 +15,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -432,12 +433,41 @@ def mcp(
     if seconds is not None and is_record(location):
         raise typer.BadParameter("--seconds: a record cannot be simulated further")
     record = Path(location) if is_record(location) else None
-    with open_or_load(location, episode, Limits.strict(progress=False)) as ss:
+    with (
+        _only_answers_on_standard_output() as claim,
+        open_or_load(location, episode, Limits.strict(progress=False)) as ss,
+    ):
         ss.strict = True
         if seconds is not None:
             description = find_scene(location)
             ss.call_variable(description.name).step(whole_steps(seconds, description.timestep))
-        create_server(ss, record).run("stdio")
+        with claim():
+            create_server(ss, record).run("stdio")
+
+
+@contextlib.contextmanager
+def _only_answers_on_standard_output() -> Iterator[Callable[[], AbstractContextManager[None]]]:
+    """Sends all that is written to standard error, libraries' output in C included.
+
+    Yields a context manager that opens standard output for the answers. Afterwards it stays closed:
+    C libraries write what they have buffered when the process ends.
+    """
+    sys.stdout.flush()
+    output, errors = os.dup(1), 2
+    os.dup2(errors, 1)
+
+    @contextlib.contextmanager
+    def claim() -> Iterator[None]:
+        os.dup2(output, 1)
+        try:
+            yield
+        finally:
+            os.dup2(errors, 1)
+
+    try:
+        yield claim
+    finally:
+        os.close(output)
 
 
 @app.command()

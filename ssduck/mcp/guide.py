@@ -16,8 +16,10 @@ GUIDE = """\
 SelectScript is an SQL-like language: `SELECT columns FROM world WHERE condition AS form;`
 - `FROM kitchen` reads the entities of the world `kitchen`; `this` is the entity of a row.
   `FROM a=kitchen, b=kitchen` reads pairs: `a.this` and `b.this`. `FROM links(kitchen)` reads links.
-- Conditions call functions and relations: `isRobot(this)`, `above(a.this, kitchen.fridge)`,
-  `near(a.this, b.this, 0.1)`. Lengths are in metres, angles in radians, times in seconds; z is up.
+- Conditions call functions and relations: `isRobot(this)`, `near(a.this, b.this, 0.1)`.
+  Most relations name the reference first: `on(kitchen.table, this)` is true of what is on the
+  table, `above(kitchen.table, this)` of what is above it. `help` of a relation says it.
+- Lengths are in metres, angles in radians, times in seconds. The z axis points up.
 - An entity is written `kitchen.fridge`, or found by name: `id(this) == 'fridge'`. A name that no
   entity has is an error or a warning with the nearest names.
 - `ORDER BY`, `LIMIT` and `GROUP BY` are as in SQL. `AS value` gives one value, `AS list` a flat
@@ -26,7 +28,7 @@ SelectScript is an SQL-like language: `SELECT columns FROM world WHERE condition
   of the last second, `FROM kitchen{}` each tick.
 
 Examples for a world `kitchen` with a `table` and a `cup`:
-- What is on the table? `SELECT id(this) FROM kitchen WHERE on(this, kitchen.table) AS list;`
+- What is on the table? `SELECT id(this) FROM kitchen WHERE on(kitchen.table, this) AS list;`
 - Which things collide? `SELECT a.this, b.this FROM a=kitchen, b=kitchen
   WHERE collides(a.this, b.this);`
 - How high is the cup? `SELECT z(this) FROM kitchen WHERE id(this) == 'cup' AS value;`
@@ -34,7 +36,7 @@ Examples for a world `kitchen` with a `table` and a `cup`:
   AND z(this) > 1 LIMIT 1 AS value;`
 
 SQL is one SELECT in DuckDB's dialect on the tables below. Relations are functions of rows:
-`SELECT a.name FROM entities a, entities b WHERE b.name = 'table' AND "on"(a, b)`. The view
+`SELECT b.name FROM entities a, entities b WHERE a.name = 'table' AND "on"(a, b)`. The view
 `entities_history` has the rows of all recorded ticks; the other tables have such views, too.
 """
 

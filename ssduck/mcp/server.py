@@ -142,10 +142,7 @@ def _refuse(error: SelectScriptError) -> NoReturn:
 
 def _text(value: Any, max_rows: int) -> str:
     """Returns a result as JSON, cut to a number of rows and a largest size."""
-    if hasattr(value, "fetchall") and hasattr(value, "columns"):  # a result of SQL
-        names = numbered_duplicates(value.columns)
-        value = [dict(zip(names, row, strict=True)) for row in value.fetchall()]
-    elif isinstance(value, RowsOfColumns):
+    if isinstance(value, RowsOfColumns):
         names = numbered_duplicates(value.columns)
         value = [dict(zip(names, row, strict=True)) for row in value]
     if not isinstance(value, list):

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import re
+import subprocess
 import sys
 
 import anyio
@@ -20,6 +21,7 @@ from ssduck.adapters.highlight import OUTLINE
 from ssduck.mcp.guide import GUIDE
 from ssduck.mcp.server import MAX_LETTERS, create_server
 from ssduck.schema import TABLES
+from tests.support.timing import HANGS
 
 
 @pytest.fixture(scope="module")
@@ -72,13 +74,17 @@ def test_the_schema_tells_all_names(kitchen):
 def test_the_queries_of_the_guide_run(kitchen):
     server = create_server(kitchen)
     queries = [" ".join(query.split()) for query in re.findall(r"`(SELECT [^`]*;)`", GUIDE)]
-    asked_for = [query for query in queries if "columns" not in query]
-    assert len(asked_for) >= 4
-    for query in asked_for:
-        text_of(server, "query", program=query.replace("'cup'", "'cup_905a'"))
-    (sql,) = re.findall(r"`(SELECT a\.name[^`]*)`", GUIDE)
-    rows = text_of(server, "query", program=sql.replace("'table'", "'fridge'"), language="sql")
-    assert rows.startswith("[")
+    queries = [query.replace("'cup'", "'cup_905a'") for query in queries if "columns" not in query]
+    on_the_table, collide, height, lifted = [
+        json.loads(text_of(server, "query", program=query)) for query in queries
+    ]
+    assert {"cup_905a", "plate_835a"} < set(on_the_table) < {*on_the_table, "table"}
+    assert ["table", "cup_905a"] not in [sorted(pair.values()) for pair in collide]
+    assert height == kitchen.call_variable("kitchen")["cup_905a"].position[2]
+    assert lifted == []  # nothing has moved
+    (sql,) = re.findall(r"`(SELECT b\.name[^`]*)`", GUIDE)
+    rows = json.loads(text_of(server, "query", program=sql, language="sql"))
+    assert sorted(row["name"] for row in rows) == sorted(on_the_table)
 
 
 MISTAKES = [
@@ -160,3 +166,17 @@ def test_the_command_answers_on_standard_output_alone(tmp_path):
     names, text = anyio.run(ask)
     assert names == {"schema", "help", "query", "picture"}
     assert json.loads(text) == pytest.approx(0.1)
+
+
+@pytest.mark.slow
+def test_nothing_but_answers_is_on_standard_output(tmp_path):
+    """C libraries write what they have buffered when the process ends."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "ssduck", "mcp", "kitchen"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        cwd=tmp_path,
+        timeout=HANGS,
+        check=True,
+    )
+    assert ended.stdout == b""
