@@ -21,6 +21,7 @@ from functools import lru_cache
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import Verdicts, tolerances
 
@@ -86,7 +87,7 @@ def _stretch(corners: Array) -> Array:
     edges = corners[1:] - corners[0]
     normals = _cross(edges[:1], edges[1:])[0]
     volumes = np.abs(np.einsum("cn,cn->n", corners[0], normals))
-    stretch: Array = _length(normals) / np.maximum(volumes, 1e-300)
+    stretch: Array = column_lengths(normals) / np.maximum(volumes, 1e-300)
     return stretch
 
 
@@ -318,7 +319,7 @@ def _facet_directions(corners: Array, weights: Array) -> Array:
     """Returns the unit normals of the facets of triangles (3, 3, n), or their middles, (3, n)."""
     weights = np.where(weights.min(axis=0) > 0.0, weights, 1.0)
     weights /= weights.max(axis=0)
-    return _unit((weights[:, None] * corners).sum(axis=0))
+    return unit_columns((weights[:, None] * corners).sum(axis=0))
 
 
 def _divided(triangles: _Triangles, pairs: _Differences, min_height: float) -> _Triangles:
@@ -358,13 +359,3 @@ def _cross(first: Array, second: Array) -> Array:
     crossed: Array = first[:, _NEXT] * second[:, _LAST]
     crossed -= first[:, _LAST] * second[:, _NEXT]
     return crossed
-
-
-def _length(vectors: Array) -> Array:
-    length: Array = np.sqrt(np.einsum("cn,cn->n", vectors, vectors))
-    return length
-
-
-def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.maximum(_length(vectors), 1e-300)
-    return unit

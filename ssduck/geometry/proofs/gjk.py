@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
+from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.witnesses import KeptWitnesses, Witnesses, WitnessLog, pair_keys
 
@@ -214,7 +215,7 @@ def _overlap_by_points(pairs: _Pairs, bodies: PlacedCores, witnesses: Witnesses)
     on_second = bodies.to_world(pairs.second, witnesses.points_second)
     corners = on_first - on_second + pairs.between
     depth = _depths(corners)[0].min(axis=0)
-    distance = _length(_closest(corners[:3], corners[3])[1])
+    distance = column_lengths(_closest(corners[:3], corners[3])[1])
     is_below: Flags = np.where(depth > 0.0, -depth, distance) < pairs.low
     return is_below
 
@@ -255,7 +256,7 @@ def _first_step(
     For many overlapping pairs, the origin is in a ball between the known ball in the difference and
     the support point. The others continue from there.
     """
-    length = _length(directions)
+    length = column_lengths(directions)
     directions[0, length == 0.0] = 1.0
     new, on_first = pairs.difference_points(bodies, -directions)
     is_apart = _dots(directions, new) > pairs.high * np.where(length == 0.0, 1.0, length)
@@ -268,7 +269,7 @@ def _first_step(
     edges = new - centre
     fraction = np.clip(-_dots(centre, edges) / np.maximum(_dots(edges, edges), 1e-300), 0.0, 1.0)
     nearest = centre + fraction * edges
-    upper_bound = _length(nearest)
+    upper_bound = column_lengths(nearest)
     is_below = upper_bound - np.where(has_ball, (1.0 - fraction) * radius, 0.0) < pairs.low
     verdicts[pairs.number[is_below]] = BELOW
     pairs = replace(
@@ -308,7 +309,7 @@ def _step(
     on_first = np.concatenate((pairs.on_first, new_on_first[None, :, remaining]))
     chosen, nearest = _closest(pairs.simplex, new)
     rows = np.arange(len(remaining))
-    upper_bound = _length(nearest)
+    upper_bound = column_lengths(nearest)
     # The first step has no four points.
     depth = _depths(corners)[0].min(axis=0) if step else np.full(len(remaining), -1.0)
     is_below = np.where(depth > 0.0, -depth, upper_bound) < pairs.low
@@ -413,10 +414,10 @@ def _move_tetrahedra(
     for move in range(MAX_MOVES):
         depths, normals = _depths(corners[0])
         rows = np.arange(len(pairs.number))
-        directions = _unit(normals[_nearest_face(depths, normals), :, rows].T)
+        directions = unit_columns(normals[_nearest_face(depths, normals), :, rows].T)
         directions += _DEVIATIONS[move % len(_DEVIATIONS)][:, None]
         new = np.array(pairs.difference_points(bodies, directions))
-        is_above = -_dots(directions, new[0]) > pairs.high * _length(directions)
+        is_above = -_dots(directions, new[0]) > pairs.high * column_lengths(directions)
         verdicts[pairs.number[is_above]] = ABOVE
         replaced, depth = _replaced_corner(corners[0], new[0])
         moved = corners.copy()
@@ -463,16 +464,6 @@ def _replaced_corner(corners: Array, new: Array) -> tuple[Indices, Array]:
     depths = _depths(all_choices)[0].min(axis=0).reshape(4, -1)
     best = depths.argmax(axis=0)
     return best, depths[best, rows]
-
-
-def _length(vectors: Array) -> Array:
-    length: Array = np.sqrt(np.einsum("cn,cn->n", vectors, vectors))
-    return length
-
-
-def _unit(vectors: Array) -> Array:
-    unit: Array = vectors / np.maximum(_length(vectors), 1e-300)
-    return unit
 
 
 def _dots(first: Array, second: Array) -> Array:
