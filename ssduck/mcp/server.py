@@ -12,7 +12,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal
 
 from mcp.server import MCPServer
 from mcp.server.mcpserver import Image
@@ -133,11 +133,7 @@ def _answers() -> Iterator[None]:
         with contextlib.redirect_stdout(sys.stderr):
             yield
     except SelectScriptError as error:
-        _refuse(error)
-
-
-def _refuse(error: SelectScriptError) -> NoReturn:
-    raise ToolError(f"{type(error).__name__}: {error}") from error
+        raise ToolError(f"{type(error).__name__}: {error}") from error
 
 
 def _text(value: Any, max_rows: int) -> str:
