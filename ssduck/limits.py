@@ -10,8 +10,8 @@ from typing import Any
 from ssduck import validation
 from ssduck.errors import LimitError
 
-# The number of steps between two checks of the time.
-_STEPS_PER_CHECK = 8
+# The largest number of words and signs of a program under a limit of time.
+MAX_WORDS = 50_000
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,8 @@ class Limits:
     Attributes:
         seconds: the longest running time, s; None for no limit.
         rows: the largest number of rows of a query, and of combinations that Python evaluates.
-        memory: the memory of DuckDB, bytes.
+        memory: the memory of DuckDB, and the size of the values that a program makes in Python,
+            bytes.
         depth: the largest number of rows in a path of a hierarchical query.
         eval: whether programs may call `eval('text')`.
         files: whether SQL may read and write files, load extensions and change settings, and
@@ -63,6 +64,11 @@ class Limits:
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
 
+    @property
+    def words(self) -> int | None:
+        """The largest number of words of a program, whose parsing cannot be interrupted."""
+        return None if self.seconds is None else MAX_WORDS
+
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
         """Returns limits for untrusted programs.
@@ -99,7 +105,7 @@ class UsageMeter:
         self.limits = limits
         self.start = time.monotonic()
         self._deadline = None if limits.seconds is None else self.start + limits.seconds
-        self._steps = 0
+        self._size = 0
 
     def step(self) -> None:
         """Counts a step in Python: a row, a call, a part of a path.
@@ -107,9 +113,23 @@ class UsageMeter:
         Raises:
             LimitError: the time is up.
         """
-        self._steps += 1
-        if self._deadline is not None and self._steps % _STEPS_PER_CHECK == 0:
+        if self._deadline is not None:
             self.check_time()
+
+    def charge(self, size: int) -> None:
+        """Counts the size of a large value that the program has made in Python.
+
+        Args:
+            size: bytes, roughly.
+
+        Raises:
+            LimitError: all values that it has made take too much memory, or the time is up.
+        """
+        self._size += size
+        maximum = self.limits.memory
+        if maximum is not None and self._size > maximum:
+            raise LimitError(f"the program makes values of more than {maximum:,} bytes")
+        self.check_time()
 
     def combination_counter(self) -> Callable[[], None]:
         """Returns a function to call for each combination of rows that Python evaluates.

@@ -21,6 +21,7 @@ from ssduck.database import interrupts as ctrl_c
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, open_error_text
 from ssduck.database.instances import MEMORY, POOL, create_file
+from ssduck.database.limited_fetch import limited_rows, limited_table
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -308,11 +309,12 @@ class Connection:
         """Returns all rows of a statement from the translator; the caller pins the worlds."""
         if not sql.startswith(_EXECUTE):  # what it names is there
             self.on_demand.provide(sql, self)
-        max_rows = self.meter.limits.rows
 
         def fetch() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
-            return _all_rows(result) if max_rows is None else result.fetchmany(max_rows + 1)
+            if self._has_limited_rows:
+                return limited_rows(result, self._max_rows, self.meter.charge)
+            return _all_rows(result)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
@@ -322,13 +324,14 @@ class Connection:
         """Returns all rows of a user's statement; the caller pins the worlds."""
         self._is_altered = True
         self.on_demand.provide(sql, self)
-        max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
-            return (relation if max_rows is None else relation.limit(max_rows + 1)).to_arrow_table()
+            if self._has_limited_rows:
+                return limited_table(relation, self._max_rows, self.meter.charge)
+            return relation.to_arrow_table()
 
         table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)
@@ -349,16 +352,28 @@ class Connection:
         """
         if not sql.startswith(_EXECUTE):
             self.on_demand.provide(sql, self)
-        max_rows = self.meter.limits.rows
-        most = None if max_rows is None else max_rows + 1
+        limited = None
+        if self._has_limited_rows:
+            limited = partial(limited_rows, max_rows=self._max_rows, charge=self.meter.charge)
 
         def fetch() -> FetchedRows | None:
-            return fetched(self._connection.execute(sql, parameters), most, header)
+            return fetched(self._connection.execute(sql, parameters), limited, header)
 
         rows = self._execute(sql, fetch)
         if rows is not None:
             self.meter.check_rows(len(rows))
         return rows
+
+    @property
+    def _has_limited_rows(self) -> bool:
+        limits = self.meter.limits
+        return limits.rows is not None or limits.memory is not None
+
+    @property
+    def _max_rows(self) -> int | None:
+        """The number of rows to fetch: one more than allowed."""
+        maximum = self.meter.limits.rows
+        return None if maximum is None else maximum + 1
 
     def columns(self, sql: str, parameters: Parameters) -> list[tuple[str, str]]:
         """Returns the names and the types of a query's columns; the query does not run."""
@@ -423,6 +438,8 @@ class Connection:
         try:
             result = self._run_in_time(work, listener, self._timer() if timed else None)
         except Exception as error:
+            if isinstance(error, MemoryError):
+                raise LimitError("the query needs more memory than available") from error
             if not (listener.pressed or _is_duckdb_error(error)):
                 raise
             self._raise_error(error, interrupted=listener.pressed)

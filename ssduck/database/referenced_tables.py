@@ -54,7 +54,7 @@ _READS_CATALOG = re.compile(
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
 # DuckDB's parser, which cannot be interrupted, takes long for more words or more nested brackets.
-MAX_TOKENS = 200_000
+MAX_TOKENS = 20_000
 MAX_BRACKETS = 100
 
 

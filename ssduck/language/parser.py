@@ -16,7 +16,7 @@ from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
 from sqlglot.tokens import Tokenizer
 
-from ssduck.errors import ParseError, SourceSpan
+from ssduck.errors import LimitError, ParseError, SourceSpan
 from ssduck.language.comments import divisions, last_opening, without_dashes
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
@@ -46,6 +46,10 @@ from ssduck.language.tree import (
 )
 
 
+# Under a limit, a program may have this many letters for each word.
+LETTERS_PER_WORD = 10
+
+
 class SelectScriptTokenizer(Tokenizer):
     """sqlglot's tokenizer with SelectScript's quotes, comments and operators.
 
@@ -73,8 +77,7 @@ def is_reserved(name: str) -> bool:
     return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
-@lru_cache(maxsize=512)
-def parse(text: str) -> Program:
+def parse(text: str, max_words: int | None = None) -> Program:
     """Parses a program.
 
     >>> parse("1 + 2 * 3;").statements[0].outline()
@@ -92,14 +95,36 @@ def parse(text: str) -> Program:
 
     Args:
         text: statements, each ended by `;` (the last may go without).
+        max_words: the largest number of words and signs, and a tenth of that of letters; None for
+            no limit.
 
     Returns:
-        The program's tree; the same object for the same text.
+        The program's tree; the same object for the same text, unless it is long.
 
     Raises:
         ParseError: the text is not a program; the error has the place.
+        LimitError: the text is too long.
     """
-    return _Parser(text).program()
+    if max_words is not None and len(text) > LETTERS_PER_WORD * max_words:
+        raise LimitError(f"the program has {len(text):,} letters, too many under a limit of time")
+    if len(text) <= _SHORT:
+        return _short_program(text, max_words)
+    return (_long_program if len(text) <= _LONG else _program)(text, max_words)
+
+
+def _program(text: str, max_words: int | None) -> Program:
+    tokens = _tokenize(text)
+    if max_words is not None and len(tokens) > max_words:
+        raise LimitError(
+            f"the program has {len(tokens):,} words and signs; under a limit of time it may have "
+            f"{max_words:,}"
+        )
+    return _Parser(text, tokens).program()
+
+
+# The trees of long programs take much memory.
+_short_program, _long_program = lru_cache(maxsize=512)(_program), lru_cache(maxsize=8)(_program)
+_SHORT, _LONG = 2_000, 50_000
 
 
 def _tokenize(text: str) -> list[Token]:
@@ -113,8 +138,6 @@ def _tokenize(text: str) -> list[Token]:
 
 
 class _Parser(SqlForms):
-    def __init__(self, text: str) -> None:
-        super().__init__(text, _tokenize(text))
 
     # -- statements -----------------------------------------------------------------------
 
