@@ -5,11 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ssduck import validation
 from ssduck.errors import LimitError
 
+# The time after which a program that does not end by itself is ended with its process, s.
+GRACE = 2.0
+# Linux's file with the sizes of this process, and what a process may take beside its programs.
+_SIZES, _SPARE = Path("/proc/self/statm"), 10**9
 # The largest number of words and signs of a program under a limit of time.
 MAX_WORDS = 50_000
 
@@ -89,6 +94,24 @@ class Limits:
                 **changes,
             }
         )
+
+
+def limit_process_memory(limits: Limits) -> None:
+    """Limits the memory that this process may take from now on, where the system can (Linux).
+
+    DuckDB and Python may each take `limits.memory`, and both need some for a time.
+
+    Args:
+        limits: the limits of the programs that it will run.
+    """
+    if limits.memory is None or not _SIZES.exists():
+        return
+    import resource
+
+    pages = int(_SIZES.read_text().split()[0])
+    size = pages * resource.getpagesize() + 2 * limits.memory + _SPARE
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size, hard))
 
 
 class UsageMeter:

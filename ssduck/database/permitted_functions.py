@@ -77,5 +77,9 @@ weekday weekofyear weighted_avg xor year yearweek
 
 OPERATORS = frozenset(_OPERATORS.split())
 FUNCTIONS = frozenset(_FUNCTIONS.split())
+# Functions whose second argument is the name of an aggregate.
+AGGREGATING = frozenset(
+    ("aggregate", "array_aggr", "array_aggregate", "list_aggr", "list_aggregate")
+)
 # Functions in FROM.
 TABLE_FUNCTIONS = frozenset(("generate_series", "json_each", "json_tree", "range", "unnest"))

@@ -461,7 +461,8 @@ def _size_kept(value: Any, before: Any, size_before: int) -> int:
     first, size = 0, 0
     if isinstance(before, ValueHistory) and (before.log, before.first) == (value.log, value.first):
         first, size = before.end - before.first, size_before
-    return size + sum(SMALL_BYTES + size_of(kept) for kept in value.values[first:])
+    added = value.log.values[value.first + first : value.end]
+    return size + sum(SMALL_BYTES + size_of(kept) for kept in added)
 
 
 def check_name(name: str, owner: str) -> None:

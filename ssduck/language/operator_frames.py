@@ -12,9 +12,11 @@ from ssduck.language.operators import (
     SAFE_TYPES,
     SHORT_CIRCUIT,
     SLOW,
+    SMALL_BITS,
     SMALL_BYTES,
     apply,
     apply_unary,
+    check_size,
     own_size_of,
     truth,
 )
@@ -63,7 +65,10 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
         def growing(frame: Frame) -> Any:
             a, b = left(frame), right(frame)
             if type(a) is type(b) and type(a) in quick:
-                return operate(a, b)
+                value = operate(a, b)
+                if type(value) is float or value.bit_length() < SMALL_BITS:
+                    return value
+                return counted(frame, value)
             return counted(frame, apply(sign, a, b, node.span))
 
         return growing
@@ -87,9 +92,14 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
 
 
 def counted(frame: Frame, value: Any) -> Any:
-    """Counts the size of a value that an operator or a function has made, if it is large."""
+    """Checks and counts the size of a value that an operator or a function has made.
+
+    Raises:
+        EvaluationError: it is a list whose lists and texts are too large.
+    """
     size = own_size_of(value)
     if size > SMALL_BYTES:
+        check_size(value)
         frame.scope.meter.charge(size)
     return value
 

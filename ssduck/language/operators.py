@@ -27,6 +27,7 @@ MAX_ELEMENTS = 10_000_000
 MAX_COMPARISONS = 200_000_000
 # The size of an element of a list, bytes, and the largest size of a value that is not counted.
 ELEMENT_BYTES, SMALL_BYTES = 8, 64
+SMALL_BITS = 8 * SMALL_BYTES
 
 
 def _is_like(text: Any, pattern: Any) -> bool:
@@ -169,17 +170,19 @@ def _element_total(values: list[Any], counted: dict[int, int]) -> int:
     if str in kinds:
         count += sum(len(value) for value in values if type(value) is str)
     if int in kinds:
-        bits = sum(value.bit_length() for value in values if type(value) is int)
-        count += bits // _BITS_PER_ELEMENT
-    for kind in kinds & {list, dict}:
-        for value in values:
-            if type(value) is not kind:
-                continue
-            total = counted.get(id(value))
-            if total is None:
-                parts = value if kind is list else list(value.values())
-                total = counted[id(value)] = _element_total(parts, counted)
-            count += total
+        whole = values if len(kinds) == 1 else [value for value in values if type(value) is int]
+        if max((max(whole), -min(whole))).bit_length() > _BITS_PER_ELEMENT:
+            count += sum(value.bit_length() for value in whole) // _BITS_PER_ELEMENT
+    if kinds.isdisjoint((list, dict)):
+        return count
+    for value in values:
+        if type(value) is not list and type(value) is not dict:
+            continue
+        total = counted.get(id(value))
+        if total is None:
+            parts = list(value.values()) if isinstance(value, dict) else value
+            total = counted[id(value)] = _element_total(parts, counted)
+        count += total
     return count
 
 

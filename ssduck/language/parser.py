@@ -45,7 +45,6 @@ from ssduck.language.tree import (
     UnboundedHorizon,
 )
 
-
 # Under a limit, a program may have this many letters for each word.
 LETTERS_PER_WORD = 10
 
@@ -138,7 +137,6 @@ def _tokenize(text: str) -> list[Token]:
 
 
 class _Parser(SqlForms):
-
     # -- statements -----------------------------------------------------------------------
 
     def program(self) -> Program:

@@ -1,0 +1,84 @@
+"""Fetches the rows of a statement within limits of their number and of memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+# The largest number of rows that are fetched at a time, and their expected size, bytes.
+_MOST_ROWS, _MOST_BYTES = 2_048, 10_000_000
+# The types whose values all have about the same size.
+_SMALL = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "FLOAT", "HUGEINT"))
+# The sizes of Python's objects, bytes.
+_ROW, _VALUE, _TEXT, _POINTER = 64, 32, 56, 8
+
+
+def limited_rows(
+    result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Callable[[int], None]
+) -> list[tuple[Any, ...]]:
+    """Returns the rows of a result as tuples.
+
+    Args:
+        result: a connection that has executed a statement.
+        max_rows: the number of rows after which no more are fetched; None for all.
+        charge: a function that is called with the sizes of rows, bytes, and raises an error if they
+            are too large.
+    """
+    names = [str(column[1]) for column in result.description]
+    large = [index for index, name in enumerate(names) if name not in _SMALL]
+    fixed = _ROW + _VALUE * (len(names) - len(large))
+    rows: list[tuple[Any, ...]] = []
+    count, total = 1, 0
+    try:
+        while max_rows is None or len(rows) < max_rows:
+            most = count if max_rows is None else min(count, max_rows - len(rows))
+            chunk = result.fetchmany(most)
+            rows += chunk
+            size = len(chunk) * fixed + sum(_size(row[i]) for i in large for row in chunk)
+            charge(size)
+            if len(chunk) < most:
+                break
+            total += size
+            count = max(1, min(_MOST_ROWS, _MOST_BYTES * len(rows) // total))
+    finally:
+        result.abort()
+    return rows
+
+
+def limited_table(
+    relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Callable[[int], None]
+) -> pa.Table:
+    """Returns the rows of a relation as an Arrow table; for the arguments see `limited_rows`."""
+    limited = relation if max_rows is None else relation.limit(max_rows)
+    reader = limited.to_arrow_reader(_MOST_ROWS)
+    batches = []
+    try:
+        for batch in reader:
+            charge(batch.nbytes)
+            batches.append(batch)
+    except (OSError, pa.ArrowException) as error:  # Arrow's error of DuckDB's
+        raise _duckdb_error(str(error)) from error
+    return pa.Table.from_batches(batches, reader.schema)
+
+
+def _duckdb_error(message: str) -> duckdb.Error:
+    """Returns the error that DuckDB raises itself when no Arrow reader is between."""
+    if "INTERRUPT" in message:
+        return duckdb.InterruptException(message)
+    if "Out of Memory" in message:
+        return duckdb.OutOfMemoryException(message)
+    return duckdb.Error(message)
+
+
+def _size(value: Any) -> int:
+    """Returns the size of a value that DuckDB has made, bytes."""
+    if isinstance(value, str | bytes):
+        return _TEXT + len(value)
+    if isinstance(value, list | tuple):
+        return _ROW + _POINTER * len(value) + sum(map(_size, value))
+    if isinstance(value, dict):
+        return _ROW + sum(_size(key) + _size(part) for key, part in value.items())
+    return _VALUE
