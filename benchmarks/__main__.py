@@ -1,7 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
-language and adapters. All of them take some minutes, and so does `python -m benchmarks raw`.
+language and adapters. All of them take some minutes, and so do `python -m benchmarks raw` and
+`python -m benchmarks strict`.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """
@@ -19,6 +20,7 @@ from benchmarks import (
     queries,
     raw,
     recorded,
+    strict,
     ticks,
     triggers,
 )
@@ -32,7 +34,7 @@ TABLES = {
     "adapters": adapters,
 }
 # Tables that take minutes.
-LONG_TABLES = {"raw": raw}
+LONG_TABLES = {"raw": raw, "strict": strict}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 

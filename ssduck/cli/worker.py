@@ -99,6 +99,7 @@ class WorkerAnswers:
     def _ask(self, *question: Any) -> Any:
         with self._lock:
             if self._process is None or self._process.poll() is not None:
+                self._end()
                 self._start()
             assert self._process is not None
             timer = None

@@ -18,6 +18,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
+from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, open_error_text
 from ssduck.database.instances import MEMORY, POOL, create_file
@@ -43,8 +44,6 @@ T = TypeVar("T")
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
-# The time between two interrupts of a statement whose time is up, s.
-INTERRUPT_INTERVAL = 0.02
 # The largest number of rows that are fetched as tuples.
 _BY_ROW = 100
 # The types whose columns NumPy represents exactly.
@@ -436,7 +435,7 @@ class Connection:
             begin()
         listener = ctrl_c.InterruptListener(self._interrupt)
         try:
-            result = self._run_in_time(work, listener, self._timer() if timed else None)
+            result = self._run_in_time(work, listener, self.meter.remaining if timed else None)
         except Exception as error:
             if isinstance(error, MemoryError):
                 raise LimitError("the query needs more memory than available") from error
@@ -451,35 +450,20 @@ class Connection:
         self,
         work: Callable[[], T],
         listener: ctrl_c.InterruptListener,
-        timer: threading.Timer | None,
+        seconds: float | None,
     ) -> T:
         try:
             listener.enter()
-            if timer is not None:
-                timer.start()
+            if seconds is not None:
+                DEADLINES.begin(listener, seconds, self._interrupt)
             result = work()
         finally:
             try:
-                _end(listener, timer)
+                _end(listener, is_timed=seconds is not None)
             except KeyboardInterrupt:  # it may have come before `_end` was done
-                _end(listener, timer)
+                _end(listener, is_timed=seconds is not None)
                 raise
         return result
-
-    def _timer(self) -> threading.Timer | None:
-        remaining = self.meter.remaining
-        if remaining is None:
-            return None
-
-        def interrupt() -> None:
-            # DuckDB ignores an interrupt before the statement begins, so it is repeated.
-            self._interrupt()
-            while not timer.finished.wait(INTERRUPT_INTERVAL):
-                self._interrupt()
-
-        timer = threading.Timer(remaining, interrupt)
-        timer.daemon = True
-        return timer
 
     def _interrupt(self) -> None:
         with suppress(duckdb.Error):  # it was closed meanwhile
@@ -543,12 +527,10 @@ def _is_duckdb_error(error: Exception) -> bool:
     return isinstance(error, duckdb.Error)
 
 
-def _end(listener: ctrl_c.InterruptListener, timer: threading.Timer | None) -> None:
+def _end(listener: ctrl_c.InterruptListener, *, is_timed: bool) -> None:
     listener.leave()
-    if timer is not None:
-        timer.cancel()
-        if timer.is_alive():
-            timer.join()  # so that it does not interrupt what comes next
+    if is_timed:
+        DEADLINES.end(listener)  # so that it does not interrupt what comes next
 
 
 def _finish(

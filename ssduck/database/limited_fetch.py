@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from operator import itemgetter
 from typing import Any
 
 import duckdb
 import pyarrow as pa
 
+from ssduck.errors import LimitError
+
 # The largest number of rows that are fetched at a time, and their expected size, bytes.
-_MOST_ROWS, _MOST_BYTES = 2_048, 10_000_000
+_MOST_ROWS, _MOST_BYTES = 10_000, 10_000_000
+_BATCH = 2_048
 # The types whose values all have about the same size.
 _SMALL = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "FLOAT", "HUGEINT"))
 # The sizes of Python's objects, bytes.
@@ -28,24 +32,35 @@ def limited_rows(
             are too large.
     """
     names = [str(column[1]) for column in result.description]
-    large = [index for index, name in enumerate(names) if name not in _SMALL]
-    fixed = _ROW + _VALUE * (len(names) - len(large))
+    texts = [index for index, name in enumerate(names) if name == "VARCHAR"]
+    others = [i for i, name in enumerate(names) if name not in _SMALL and name != "VARCHAR"]
+    fixed = _ROW + _VALUE * len(names)
     rows: list[tuple[Any, ...]] = []
-    count, total = 1, 0
+    # The first row tells how large the others may be.
+    count, total = 1 if texts or others else _MOST_BYTES // fixed, 0
+    most = -1 if max_rows is None else max_rows
     try:
-        while max_rows is None or len(rows) < max_rows:
-            most = count if max_rows is None else min(count, max_rows - len(rows))
-            chunk = result.fetchmany(most)
+        while most < 0 or len(rows) < most:
+            wanted = count if most < 0 else min(count, most - len(rows))
+            chunk = result.fetchmany(wanted)
             rows += chunk
-            size = len(chunk) * fixed + sum(_size(row[i]) for i in large for row in chunk)
+            size = len(chunk) * fixed
+            size += sum(_text_size(map(itemgetter(index), chunk)) for index in texts)
+            size += sum(_size(row[index]) for index in others for row in chunk)
             charge(size)
-            if len(chunk) < most:
-                break
+            if len(chunk) < wanted:
+                return rows
             total += size
             count = max(1, min(_MOST_ROWS, _MOST_BYTES * len(rows) // total))
-    finally:
         result.abort()
+    except LimitError:
+        result.abort()
+        raise
     return rows
+
+
+def _text_size(texts: Iterable[str | None]) -> int:
+    return sum(map(len, filter(None, texts)))
 
 
 def limited_table(
@@ -53,7 +68,7 @@ def limited_table(
 ) -> pa.Table:
     """Returns the rows of a relation as an Arrow table; for the arguments see `limited_rows`."""
     limited = relation if max_rows is None else relation.limit(max_rows)
-    reader = limited.to_arrow_reader(_MOST_ROWS)
+    reader = limited.to_arrow_reader(_BATCH)
     batches = []
     try:
         for batch in reader:
