@@ -347,7 +347,7 @@ class Connection:
             header: the columns, with the expected number of rows; None if they are not known.
 
         Returns:
-            The rows; None if the types of the columns require an Arrow table.
+            The rows; None if the types of the columns require an Arrow table, or it is faster.
         """
         if not sql.startswith(_EXECUTE):
             self.on_demand.provide(sql, self)

@@ -25,7 +25,8 @@ class Deadlines:
     """
 
     def __init__(self) -> None:
-        self._condition = threading.Condition(threading.Lock())
+        self._lock = threading.Lock()
+        self._condition = threading.Condition(self._lock)
         self._entries: dict[Hashable, Entry] = {}
         # When the thread looks next, and whether a statement has begun since it looked.
         self._next_look = math.inf
@@ -42,7 +43,7 @@ class Deadlines:
                 DuckDB ignores an interrupt before a statement begins.
         """
         deadline = time.monotonic() + seconds
-        with self._condition:
+        with self._lock:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._watch, daemon=True)
                 self._thread.start()
@@ -53,7 +54,7 @@ class Deadlines:
 
     def end(self, key: Hashable) -> None:
         """Ends to watch a statement; it is not interrupted after that. It may be called again."""
-        with self._condition:
+        with self._lock:
             self._entries.pop(key, None)
 
     def _watch(self) -> None:
