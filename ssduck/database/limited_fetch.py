@@ -67,13 +67,15 @@ def limited_table(
     relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Callable[[int], None]
 ) -> pa.Table:
     """Returns the rows of a relation as an Arrow table; for the arguments see `limited_rows`."""
-    limited = relation if max_rows is None else relation.limit(max_rows)
-    reader = limited.to_arrow_reader(_BATCH)
-    batches = []
+    reader = relation.to_arrow_reader(_BATCH)
+    batches, count = [], 0
     try:
         for batch in reader:
             charge(batch.nbytes)
             batches.append(batch)
+            count += batch.num_rows
+            if max_rows is not None and count >= max_rows:
+                break
     except (OSError, pa.ArrowException) as error:  # Arrow's error of DuckDB's
         raise _duckdb_error(str(error)) from error
     return pa.Table.from_batches(batches, reader.schema)
