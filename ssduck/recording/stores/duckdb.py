@@ -20,7 +20,7 @@ import pyarrow as pa
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
-from ssduck.recording.static_tables import IdProvider
+from ssduck.recording.static_tables import JOINT_OF_LINK, IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -267,7 +267,7 @@ class DuckDBStore(TickStore, TickArchive):
             return place
         if self._has_changes_only(table):
             columns |= {"until": "BIGINT"}
-        return f"({all_columns(place, columns, present, {})})"
+        return f"({all_columns(place, columns, present, {'joint': JOINT_OF_LINK})})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:
