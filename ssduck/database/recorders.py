@@ -15,7 +15,7 @@ from ssduck.recording.spec import Recording, check_names, with_size_limit
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
-from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording
 from ssduck.world.world import World
 
 
@@ -112,7 +112,7 @@ class Recorders:
         self, world: World, recording: Recording, path: Path, name: str
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
-        running = ParquetRecording(world, recording, path, name, self.running)
+        running = ParquetRecording(world, recording, path, name, PART_TICKS, self.running)
         self._folders = [one for one in self._folders if one.is_running]
         self._folders.append(running)
         return running

@@ -9,13 +9,13 @@ quaternions w, x, y, z.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
@@ -176,6 +176,10 @@ class ContactPoints:
         """Returns no contact points."""
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
+
+    def select(self, flags: Flags) -> ContactPoints:
+        """Returns the points that are flagged, (n,)."""
+        return ContactPoints(*(getattr(self, part.name)[flags] for part in fields(self)))
 
     def __len__(self) -> int:
         return len(self.depths)

@@ -41,10 +41,9 @@ def simulator_of(simulation: Any) -> str:
     if parts_of(candidate) is not None:
         return MUJOCO
     raise SimulatorError(
-        f"attach: {short_repr(simulation)} has no simulation that ssduck knows: it is no PyBullet "
-        "client, and has no MuJoCo model and data, neither itself (model, data) nor as unwrapped, "
-        "physics or sim; give World.attach(client), World.attach(model, data), or a function that "
-        "returns model and data"
+        f"attach: {short_repr(simulation)} is no connected PyBullet client, and it has no MuJoCo "
+        "model and data, neither itself (model, data) nor as unwrapped, physics or sim; give "
+        "World.attach(client), World.attach(model, data), or a function that returns model and data"
     )
 
 
@@ -79,7 +78,7 @@ def _is_mjcf(path: Path) -> bool:
     try:
         with path.open("rb") as file:
             for _, element in ET.iterparse(file, events=("start",)):  # noqa: S314  # only the root
-                return element.tag == "mujoco"
+                return bool(element.tag == "mujoco")
     except (OSError, ET.ParseError):
         return False
     return False

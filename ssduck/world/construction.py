@@ -125,6 +125,7 @@ class ConstructibleWorld:
             ArgumentError: no shape has a key of `shapes`, or a value is no mesh.
             UnsupportedError: MuJoCo is not installed.
         """
+        forward = validation.boolean(forward, "attach: forward")
         client, (names, kinds) = _simulation(client, data_names_kinds, names, kinds)
         name_of_simulator = simulator_of(client) if simulator is None else simulator
         options: dict[str, bool] = {"forward": forward} if forward else {}

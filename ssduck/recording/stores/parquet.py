@@ -205,6 +205,7 @@ class ParquetRecording:
         recording: what is recorded.
         path: the folder.
         name: the name of the world there.
+        part_ticks: the largest number of ticks of a part.
         recorders: the running recorders of the database, to which it adds its own.
 
     Attributes:
@@ -212,10 +213,17 @@ class ParquetRecording:
     """
 
     def __init__(
-        self, world: World, recording: Recording, path: Path, name: str, recorders: list[Recorder]
+        self,
+        world: World,
+        recording: Recording,
+        path: Path,
+        name: str,
+        part_ticks: int,
+        recorders: list[Recorder],
     ) -> None:
         self.world = world
         self._recording, self._path, self._name = recording, path, name
+        self._part_ticks = part_ticks
         self._recorders = recorders
         self._start()
 
@@ -223,7 +231,7 @@ class ParquetRecording:
         """Starts a new episode."""
         recording, world = self._recording, self.world
         self._folder = ParquetStore(self._path, self._name, recording)
-        self._recorder = Recorder(recording, self._folder, PART_TICKS, recording.flush_every)
+        self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
         self._recorders.append(self._recorder)
         try:
             world.add_recorder(self._recorder)

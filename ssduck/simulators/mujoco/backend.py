@@ -114,12 +114,12 @@ def _by_root(model: Any, values: Mapping[Any, T], argument: str) -> dict[int, T]
 
 
 def excerpt(
-    source: Simulator | None,  # noqa: ARG001
-    originals: Sequence[BodyToCopy],  # noqa: ARG001
-    tick: TickToCopy,  # noqa: ARG001
-) -> Simulator:
-    """Raises `UnsupportedError`: MuJoCo's models cannot be copied in part."""
-    raise UnsupportedError("entities of a MuJoCo world cannot be copied into a new simulation yet")
+    source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
+) -> MuJoCoSimulator:
+    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
+    from ssduck.simulators.mujoco import excerpt as copying  # few sessions need it
+
+    return copying.excerpt(source, originals, tick)
 
 
 def scene_of(

@@ -7,7 +7,7 @@ has geoms that collide. Names are MuJoCo's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -69,11 +69,17 @@ class ModelReader:
         model: the model.
         names: names of entities by the number of the root, instead of MuJoCo's.
         kinds: kinds of entities, likewise.
+        only: the numbers of the roots of the trees to describe; None for all.
     """
 
     def __init__(
-        self, model: Any, names: Mapping[int, str] | None, kinds: Mapping[int, Kind] | None
+        self,
+        model: Any,
+        names: Mapping[int, str] | None,
+        kinds: Mapping[int, Kind] | None,
+        only: Collection[int] | None = None,
     ) -> None:
+        self._only = only
         self._model = model
         self._names = names or {}
         self._kinds = kinds or {}
@@ -89,7 +95,7 @@ class ModelReader:
         return [
             self._body(root, range(root, end))
             for root, end in zip(roots, ends, strict=True)
-            if root or self._geoms[0]
+            if (root or self._geoms[0]) and (self._only is None or root in self._only)
         ]
 
     def _body(self, root: int, links: range) -> Body:

@@ -6,7 +6,7 @@ stated at the subtree's centre of mass in MuJoCo (`cvel`); ssduck moves them to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import cross
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
@@ -66,6 +66,7 @@ class MuJoCoSimulator(PartialSimulator):
         owned: whether ssduck made them; else the user steps and changes them.
         names: names of entities by the number of the root body, instead of MuJoCo's.
         kinds: kinds of entities, likewise.
+        only: the numbers of the root bodies of the entities to describe; None for all.
         forward: whether each tick has the poses, velocities and contacts that follow from the
             joint positions of its time. MuJoCo's own are those at the beginning of the last step.
 
@@ -87,11 +88,12 @@ class MuJoCoSimulator(PartialSimulator):
         owned: bool,
         names: Mapping[int, str] | None = None,
         kinds: Mapping[int, Kind] | None = None,
+        only: Collection[int] | None = None,
         forward: bool = False,
     ) -> None:
         self.is_external = not owned
         self._source = source
-        self._names, self._kinds = names, kinds
+        self._names, self._kinds, self._only = names, kinds, only
         self._forward = forward
         self.model, self.data = source()
         # A copy of the data in which the derived quantities are computed; None until needed.
@@ -118,7 +120,7 @@ class MuJoCoSimulator(PartialSimulator):
         known = self._described
         if known is not None and known[0] is model and known[1] == content:
             return None
-        reader = ModelReader(model, self._names, self._kinds)
+        reader = ModelReader(model, self._names, self._kinds, self._only)
         before = {body.handle: body for body in self._bodies}
         bodies = []
         for body in reader.bodies():
@@ -131,6 +133,10 @@ class MuJoCoSimulator(PartialSimulator):
         self._rows, self._joint_rows = [], None
         self._warn_of_boxes(added)
         return (added, gone) if added or gone else None
+
+    def has(self, body: Body) -> bool:
+        """Checks whether the present model has a body."""
+        return any(one is body for one in self._bodies)
 
     def _refresh(self) -> None:
         """Finds the present model and data, and the derived quantities of the tick."""
@@ -265,7 +271,12 @@ class MuJoCoSimulator(PartialSimulator):
 
     def read_contacts(self) -> ContactPoints:
         """Returns the contact points of the last step between geoms."""
-        return read_contacts(self.model, self._state)
+        contacts = read_contacts(self.model, self._state)
+        if self._only is None:
+            return contacts
+        # Those of the step before the other bodies were left out.
+        flags: Flags = np.isin(contacts.bodies, list(self._only)).all(axis=1)
+        return contacts.select(flags)
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""

@@ -32,7 +32,9 @@ class Part:
     def vertices(self) -> np.ndarray:
         """The corners of a mesh: those of a box, with one off."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return (signs * self.size * np.where(np.arange(8) == 7, 1.5, 1.0)[:, None]).astype(np.float32)
+        return (signs * self.size * np.where(np.arange(8) == 7, 1.5, 1.0)[:, None]).astype(
+            np.float32
+        )
 
 
 def parts_of(seed: int) -> list[Part]:
@@ -41,7 +43,9 @@ def parts_of(seed: int) -> list[Part]:
     parts = []
     for number, kind in enumerate(KINDS * 2):
         turn = rng.normal(size=4) if seed % 2 else [1, 0, 0, 0]
-        size = tuple(rng.uniform(0.05, 0.3, {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3)))
+        size = tuple(
+            rng.uniform(0.05, 0.3, {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3))
+        )
         position = rng.uniform((-0.6, -0.6, 0.2), (0.6, 0.6, 1.0))
         mass = 0.0 if number < 2 else 1.0 + number
         parts.append(
@@ -71,7 +75,11 @@ def in_mujoco(parts: list[Part]):
     bodies = "".join(
         f'<body name="{p.name}" pos="{numbers(p.position)}" quat="{numbers(p.turn)}">'
         + ("<freejoint/>" if p.mass else "")
-        + (f'<geom type="mesh" mesh="{p.name}"' if p.kind == "mesh" else f'<geom type="{p.kind}" size="{numbers(p.size)}"')
+        + (
+            f'<geom type="mesh" mesh="{p.name}"'
+            if p.kind == "mesh"
+            else f'<geom type="{p.kind}" size="{numbers(p.size)}"'
+        )
         + f' mass="{p.mass or 1}"/></body>'
         for p in parts
     )
@@ -91,8 +99,16 @@ def in_pybullet(parts: list[Part], client: int) -> dict[int, str]:
         settings = {
             "box": lambda: {"shapeType": pybullet.GEOM_BOX, "halfExtents": size},
             "sphere": lambda: {"shapeType": pybullet.GEOM_SPHERE, "radius": size[0]},
-            "capsule": lambda: {"shapeType": pybullet.GEOM_CAPSULE, "radius": size[0], "height": 2 * size[1]},
-            "cylinder": lambda: {"shapeType": pybullet.GEOM_CYLINDER, "radius": size[0], "height": 2 * size[1]},
+            "capsule": lambda: {
+                "shapeType": pybullet.GEOM_CAPSULE,
+                "radius": size[0],
+                "height": 2 * size[1],
+            },
+            "cylinder": lambda: {
+                "shapeType": pybullet.GEOM_CYLINDER,
+                "radius": size[0],
+                "height": 2 * size[1],
+            },
             "mesh": lambda: {"shapeType": pybullet.GEOM_MESH, "vertices": vertices.tolist()},
             "plane": lambda: {"shapeType": pybullet.GEOM_PLANE},
         }[kind]()

@@ -278,9 +278,9 @@ def test_environments_say_where_their_simulation_is(model, data, place):
 
 
 WRONG = {
-    "no simulation": (lambda m, d: ((object(),), {}), SimulatorError, "has no simulation that ssduck knows"),
-    "no data": (lambda m, d: ((m, "data"), {}), SimulatorError, "no simulation that ssduck knows"),
-    "function of nothing": (lambda m, d: ((lambda: None,), {}), SimulatorError, "no simulation"),
+    "no simulation": (lambda m, d: ((object(),), {}), SimulatorError, "no connected PyBullet client, and it has no MuJoCo"),
+    "no data": (lambda m, d: ((m, "data"), {}), SimulatorError, "it has no MuJoCo model and data"),
+    "function of nothing": (lambda m, d: ((lambda: None,), {}), SimulatorError, "no MuJoCo model"),
     "name": (lambda m, d: ((m, d, {"bal": "x"}), {}), UnknownNameError, r"no body 'bal'.*ball"),
     "number": (lambda m, d: ((m, d, {99: "x"}), {}), ArgumentError, "its bodies are 0 to"),
     "link": (lambda m, d: ((m, d, {"fore": "x"}), {}), ArgumentError, "link of the entity 'arm'"),
@@ -324,7 +324,7 @@ def test_ticks_take_no_time_from_the_user(model, data):
 UNSUPPORTED = {
     "rays": lambda world: world.reading(world.add_sensor("range_finder", "ball", max_range=1.0)),
     "picture": lambda world: world.render(10, 10),
-    "excerpt": lambda world: world.excerpt(["ball"]),
+    "save": lambda world: world.save("nowhere/at/all"),
     "hold": lambda world: world["arm"].hold(world["ball"]),
     "hide": lambda world: setattr(world["ball"], "visible", False),
 }

@@ -73,7 +73,7 @@ def test_what_if_moves_joints_as_mujoco_does(chain, seed):
 def test_what_if_needs_the_positions_of_later_joints(chain):
     data = mujoco.MjData(chain)
     world = ssduck.World.attach(chain, data)
-    with pytest.raises(UnsupportedError, match="'ball' moves a link with others.*not one number"):
+    with pytest.raises(UnsupportedError, match=r"'ball' moves a link with others.*not one number"):
         world.what_if(joints={"mixed": {"first": 0.1}})
 
 
@@ -136,7 +136,7 @@ def test_joints_are_driven_by_servos(lab):
         with pytest.raises(UnsupportedError, match=text):
             world["arm"].drive(*arguments)
     model.actuator("servo").ctrllimited, model.actuator("servo").ctrlrange = 1, [-0.1, 0.1]
-    with pytest.raises(StateError, match="the control 0.3 is not from -0.1 to 0.1"):
+    with pytest.raises(StateError, match=r"the control 0\.3 is not from -0\.1 to 0\.1"):
         world["arm"].drive({"bend": 0.3})
     assert data.actuator("servo").ctrl[0] == 0.4
 
