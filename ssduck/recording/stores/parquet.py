@@ -347,8 +347,18 @@ def _write_json(content: Mapping[str, Any], file: Path) -> None:
 
 
 def _write_parquet(rows: pa.Table, file: Path) -> None:
+    """Writes rows in little time: the recorder of a busy world writes a part every second or two.
+
+    LZ4 takes less time than Zstandard. To split the bytes of doubles makes up for most of the size.
+    """
+    doubles = [f.name for f in rows.schema if pa.types.is_floating(f.type)]
     texts = [f.name for f in rows.schema if pa.types.is_string(f.type)]
     keys = [f.name for f in rows.schema if pa.types.is_integer(f.type)]
-    options = {"compression": "zstd", "use_dictionary": [*texts, *keys]}
     # An absolute path: the library takes md:x for a URI, and expands ~.
-    pq.write_table(rows, file.absolute(), **options)
+    pq.write_table(
+        rows,
+        file.absolute(),
+        compression="lz4",
+        use_dictionary=[*texts, *keys],
+        use_byte_stream_split=doubles,
+    )
