@@ -154,7 +154,9 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     try:
         description = run_of(models)
     except RecordError as error:
-        raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
+        raise RecordError(
+            f"{run.path}: episode {run.number} of {run.world!r}: {error.message}"
+        ) from error
     if description is None and models["entities"].num_rows:  # older rows lack the run
         archive.unrecorded_run = new_run()
     number = description or archive.unrecorded_run or new_run()

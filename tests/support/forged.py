@@ -39,6 +39,7 @@ def make_records(place: Path) -> None:
             "planar_laser", "arm", "eye", position=[0, -0.2, 0], max_range=3.0,
             min_angle=-30.0, max_angle=30.0, resolution=5.0,
         )  # fmt: skip
+        world.step(120)  # the balls are on the board then
         folder = ss.record_to(place / "folder", recording=everything)
         for _ in range(TICKS):
             world.step()

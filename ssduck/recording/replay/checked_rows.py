@@ -50,6 +50,9 @@ class CheckedRows:
             RecordError: they are of unknown entities or links, twice there, or incomplete.
         """
         rows = self.archive.fetch(table, first, last)
+        for field in rows.schema:
+            if field.type != pa.float64() and rows[field.name].null_count:
+                self._fail(table, f"the column {field.name!r} lacks a value")
         for column in RECORDED[table].entity_columns:
             indices = self._indices(table, rows[column].to_numpy())
             link = _LINKS.get(table, {}).get(column)

@@ -211,9 +211,6 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-    for name in names:
-        if types.field(name).type != pa.float64() and rows[name].null_count:
-            raise RecordError(f"{file} is damaged: its column {name!r} lacks a value")
     rows = _between(rows, first, last)
     missing = [types.field(name) for name in types.names if name not in present]
     for field in missing:
