@@ -118,7 +118,9 @@ def _check_sensor(row: Mapping[str, Any], links: Mapping[int, int]) -> None:
             del values["max_range"]
         read_sensor({**values, **dict(settings)}, (on,))
     except (KeyError, TypeError, ValueError, RecordError) as error:  # a SceneError is a ValueError
-        reason = error.message if isinstance(error, SceneError | RecordError) else "values are missing"
+        reason = (
+            error.message if isinstance(error, SceneError | RecordError) else "values are missing"
+        )
         _fail(f"the sensor {name} has no valid specification: {reason}")
 
 
@@ -173,7 +175,9 @@ def _check_shapes(models: Mapping[str, pa.Table]) -> None:
     rows, links = models["shapes"], _link_counts(models["entities"])
     owners = rows["entity"].to_numpy()
     ids, counts = np.unique(owners, return_counts=True)
-    _check_numbers("shapes", rows, "shape", dict(zip(ids.tolist(), counts.tolist(), strict=True)), 0)
+    _check_numbers(
+        "shapes", rows, "shape", dict(zip(ids.tolist(), counts.tolist(), strict=True)), 0
+    )
     for owner, link in zip(owners.tolist(), rows["link"].to_pylist(), strict=True):
         if not 0 <= link < links.get(owner, 0):
             _fail(f"a shape is on an unknown link of the entity {owner}")

@@ -212,8 +212,8 @@ def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]
     """
     sorted_keys, keys = _sorted_keys(table, model, rows)
     place = np.searchsorted(sorted_keys, keys)
-    known = sorted_keys.take(place, mode="clip") == keys if len(sorted_keys) else keys != keys
-    if not known.all():
+    is_known = len(sorted_keys) > 0 and (sorted_keys.take(place, mode="clip") == keys).all()
+    if len(keys) and not is_known:
         raise RecordError(f"a row of {table} is of an unknown entity, or an unknown part of one")
     order = _order(table, model)
     model_rows = pa.array(order[place])

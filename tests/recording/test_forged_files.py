@@ -73,14 +73,20 @@ def sql(*statements: str) -> Callable[[Path], None]:
 
 
 LEAK = "SELECT * REPLACE ((SELECT content FROM read_text('{secret}')) AS name) FROM {old}"
-ENTITIES, SHAPES, GEOMETRIES = place("entities model"), place("shapes model"), place("geometries model")
-ROWS, LINK_ROWS, JOINT_ROWS, TICKS = (place(f"{t} 0") for t in ("entities", "links", "joints", "ticks"))
+ENTITIES, SHAPES, GEOMETRIES = (
+    place("entities model"),
+    place("shapes model"),
+    place("geometries model"),
+)
+ROWS, LINK_ROWS, JOINT_ROWS, TICKS = (
+    place(f"{t} 0") for t in ("entities", "links", "joints", "ticks")
+)
 COMPUTED = (
-    f'CREATE TABLE {place("new")} AS FROM {TICKS}',
+    f"CREATE TABLE {place('new')} AS FROM {TICKS}",
     f"DROP TABLE {TICKS}",
     f"CREATE TABLE {TICKS} (tick BIGINT, time DOUBLE, "
     "wall_time DOUBLE GENERATED ALWAYS AS (random()))",
-    f'INSERT INTO {TICKS} SELECT tick, time FROM {place("new")}',
+    f"INSERT INTO {TICKS} SELECT tick, time FROM {place('new')}",
 )
 # (name, change, words of the error)
 ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
@@ -99,7 +105,7 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
     ("NULL", sql(f"UPDATE {place('ssduck record')} SET about = NULL"), "lacks its description"),
     ("deep", sql(f"UPDATE {place('ssduck record')} SET about = repeat('[', 100000)"), "too deeply"),
     ("a list", sql(f"UPDATE {place('ssduck record')} SET about = '[]'"), "it has no JSON object"),
-    ("of another name", sql(f'CREATE SCHEMA "x y_record_0"',
+    ("of another name", sql('CREATE SCHEMA "x y_record_0"',
      f'CREATE TABLE "x y_record_0"."ssduck record" AS FROM {place("ssduck record")}'),
      "the schema 'x y_record_0' is of no episode"),
     ("of another number", sql('CREATE SCHEMA "lab_record_00"',
@@ -247,7 +253,7 @@ def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:
 def test_a_table_that_does_not_fit_is_not_read(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(file, f"UPDATE {GEOMETRIES} SET vertices = [[x, x, x] for x in range(500)]")
     monkeypatch.setattr(record_file, "MAX_VALUES", 1000)
-    with pytest.raises(RecordError, match="geometries model' is damaged: it has .* too many"):
+    with pytest.raises(RecordError, match=r"geometries model' is damaged: it has .* too many"):
         ssduck.open(file)
     run(file, f"INSERT INTO {TICKS} SELECT range + 1000, range + 1000, 0 FROM range(1000)")
     with pytest.raises(RecordError, match="the ticks of lab_record_0 is damaged: it has 2,"):

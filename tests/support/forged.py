@@ -31,7 +31,9 @@ def make_records(place: Path) -> None:
     mesh = pybullet.createCollisionShape(
         pybullet.GEOM_MESH, vertices=CORNERS, indices=FACES, physicsClientId=client
     )
-    names[pybullet.createMultiBody(0, mesh, basePosition=[0, 3, 0], physicsClientId=client)] = "mesh"
+    names[pybullet.createMultiBody(0, mesh, basePosition=[0, 3, 0], physicsClientId=client)] = (
+        "mesh"
+    )
     everything = Recording(tables=RECORDABLE)
     with ssduck.Interpreter(str(place / "file.duckdb"), recording=everything) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client, names=names))

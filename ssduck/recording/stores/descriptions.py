@@ -69,7 +69,9 @@ EPISODE: Description = {
 RECORDING: Description = {
     "every": Value("a number of ticks", lambda value: _is_whole(value, 1), is_required=False),
     "entities": Value(
-        "a list of names, or null", lambda value: value is None or _is_names(value), is_required=False
+        "a list of names, or null",
+        lambda value: value is None or _is_names(value),
+        is_required=False,
     ),
 }
 PARTS: Description = {"ticks": _COUNT, "models": _COUNT}

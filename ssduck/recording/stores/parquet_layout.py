@@ -29,10 +29,10 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -195,6 +195,7 @@ class FolderRun:
     @property
     def has_begun(self) -> bool:
         """Whether it is said what is recorded: the file is empty at the very beginning."""
+        check_inside(self.path, self.about_file)
         return self.about_file.stat().st_size > 0
 
     @property
@@ -237,7 +238,7 @@ class FolderRun:
         return None if key is None else label_of(key, table, number)
 
     def check(self, table: str, numbers: Iterable[int]) -> list[pq.FileMetaData]:
-        """Checks that the files of parts exist, are complete, and have the right labels and columns.
+        """Checks that the files of parts are there and complete, with their labels and columns.
 
         Returns:
             The footers.
@@ -292,8 +293,7 @@ class FolderRun:
         """Returns the rows of parts of a table, with the columns that it is to have."""
         footers = self.check(table, parts)
         return [
-            _read(files[part], table, footer)
-            for part, footer in zip(parts, footers, strict=True)
+            _read(files[part], table, footer) for part, footer in zip(parts, footers, strict=True)
         ]
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
@@ -376,10 +376,11 @@ def _footer(file: Path) -> bytes | None:
 def _read(file: Path, table: str, footer: pq.FileMetaData) -> pa.Table:
     """Returns the rows of a part, with the columns that it is to have."""
     types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
-    names = [name for name in types if name in footer.schema.to_arrow_schema().names]
     try:
         # The threads of the library take longer to wake up than most of these files to read.
         part = pq.ParquetFile(file.absolute(), metadata=footer)
+        present = set(part.schema_arrow.names)
+        names = [name for name in types if name in present]
         rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
         rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
         rows.validate(full=True)
@@ -394,6 +395,11 @@ def check_inside(folder: Path, place: Path) -> None:
     Raises:
         RecordError: one does, or leads back to itself.
     """
+    names = str(place).removeprefix(str(folder)).strip(os.sep).split(os.sep)
+    below = accumulate(names, os.path.join, initial=str(folder))
+    next(below)  # the folder itself may be reached by a link
+    if not any(map(os.path.islink, below)):
+        return
     try:
         if place.resolve().is_relative_to(folder.resolve()):
             return

@@ -7,6 +7,7 @@ file of a few bytes may claim any number of rows.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache, lru_cache
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,7 +20,8 @@ from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, Colum
 MAX_VALUES = 1 << 27
 
 
-def part_columns(table: str) -> dict[str, ColumnType]:
+@cache
+def part_columns(table: str) -> Mapping[str, ColumnType]:
     """Returns the types of the columns of a folder's parts, of a table or `models/<table>`."""
     model = table.removeprefix("models/")
     if model != table:
@@ -85,20 +87,21 @@ def check_parquet(source: str, footer: bytes, table: str) -> pq.FileMetaData:
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{source} cannot be read: it is damaged: {error}") from error
     check_columns(source, arrow_columns(schema), part_columns(table))
-    if _value_count(metadata) > MAX_VALUES:
+    if _value_count(metadata, table) > MAX_VALUES:
         raise RecordError(
             f"{source} is damaged: it claims {metadata.num_rows:,} rows, more than a part has"
         )
     return metadata
 
 
-def _value_count(metadata: pq.FileMetaData) -> int:
+def _value_count(metadata: pq.FileMetaData, table: str) -> int:
     """Returns the number of values that the columns of a part have, as it claims."""
-    count = metadata.num_rows * metadata.num_columns
-    if all(metadata.schema.column(n).max_repetition_level == 0 for n in range(metadata.num_columns)):
+    count: int = metadata.num_rows * metadata.num_columns
+    if not {"points", "triples"} & set(part_columns(table).values()):
         return count
     groups = map(metadata.row_group, range(metadata.num_row_groups))
-    return count + sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
+    nested: int = sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
+    return count + nested
 
 
 def check_stream(source: str, schema: pa.Schema, table: str) -> None:
@@ -125,6 +128,7 @@ def arrow_columns(schema: pa.Schema) -> list[tuple[str, str]]:
     return [(field.name, _arrow_type(field.type)) for field in schema]
 
 
+@lru_cache(maxsize=64)
 def _arrow_type(type: pa.DataType) -> str:
     if pa.types.is_string(type) or pa.types.is_large_string(type):
         return "string"

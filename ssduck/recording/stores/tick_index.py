@@ -127,7 +127,7 @@ def checked_ticks(rows: pa.Table, source: str) -> TickBuffer:
     if rows["tick"].null_count or rows["time"].null_count:
         raise RecordError(f"{source} is damaged: a tick lacks its number or its time")
     numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
-    if len(numbers) and not (0 <= numbers.min() and numbers.max() < _MAX_TICK):
+    if len(numbers) and not (numbers.min() >= 0 and numbers.max() < _MAX_TICK):
         raise RecordError(f"{source} is damaged: the number of a tick is out of bounds")
     if (np.diff(numbers) <= 0).any():
         raise RecordError(f"{source} is damaged: its ticks do not ascend")
