@@ -395,7 +395,7 @@ def check_inside(folder: Path, place: Path) -> None:
     Raises:
         RecordError: one does, or leads back to itself.
     """
-    names = str(place).removeprefix(str(folder)).strip(os.sep).split(os.sep)
+    names = place.parts[len(folder.parts) :]
     below = accumulate(names, os.path.join, initial=str(folder))
     next(below)  # the folder itself may be reached by a link
     if not any(map(os.path.islink, below)):
