@@ -264,6 +264,7 @@ _ENTITIES = Table(
         Column("enabled", "boolean", "whether it takes part in collisions"),
         Column("visible", "boolean", "whether it is drawn"),
         _model_only("links", "integer", "number of links"),
+        _model_only("joints", "integer", "number of joints"),
         _model_only("movable", "boolean", "whether the simulation can move it; NULL for a sensor"),
         _model_only("host", "integer", "id of the entity that a sensor is mounted on"),
         _model_only("host_link", "integer", "number of the link that a sensor is mounted on"),
@@ -457,6 +458,10 @@ HISTORIES: Mapping[str, Table] = {name: RECORDED[name] for name in ("ticks", *RE
 MODELS: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.model}
 # The recorded poses of links, where the table of links is not recorded.
 FRAMES = _FRAMES.name
+# The columns that records have since a later version; older ones lack them.
+LATER_COLUMNS = frozenset(
+    ("run", "margin", "exact", "joints", "joint", "anchor_x", "anchor_y", "anchor_z", "reference")
+)
 
 
 def link_id(entity: int, link: int) -> int:

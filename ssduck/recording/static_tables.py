@@ -78,9 +78,9 @@ def _member_row(member: EntityInfo) -> tuple[Any, ...]:
     body, sensor = member.body, member.sensor
     common = (member.id, member.name, member.kind, member.parent, member.mass)
     if body is not None:
-        return (*common, len(body.links), body.movable, None, None, None)
+        return (*common, len(body.links), len(body.joints), body.movable, None, None, None)
     spec = None if sensor is None else json.dumps(asdict(sensor), sort_keys=True)
-    return (*common, 0, None, *member.mount, spec)
+    return (*common, 0, 0, None, *member.mount, spec)
 
 
 def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
@@ -156,6 +156,7 @@ def default_values(run: int | None, geometries: str) -> dict[str, str]:
         f"FROM {geometries} AS types WHERE types.id = geometry"
     )
     anchors = dict.fromkeys(("anchor_x", "anchor_y", "anchor_z", "reference"), "0.0")
+    anchors["joints"] = "greatest(links - 1, 0)"
     return {"margin": margin, "joint": JOINT_OF_LINK, **anchors} | (
         {} if run is None else {"run": f"{run:d}"}
     )
@@ -222,8 +223,15 @@ def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]
         rows: the columns that differ from tick to tick.
         model: the columns that do not.
         names: the columns of the result, in order.
+
+    Raises:
+        RecordError: a row is of an entity without a model.
     """
-    place = np.searchsorted(*_sorted_keys(table, model, rows))
+    sorted_keys, keys = _sorted_keys(table, model, rows)
+    place = np.searchsorted(sorted_keys, keys)
+    is_known = len(sorted_keys) > 0 and (sorted_keys.take(place, mode="clip") == keys).all()
+    if len(keys) and not is_known:
+        raise RecordError(f"a row of {table} is of an unknown entity, or an unknown part of one")
     order = _order(table, model)
     model_rows = pa.array(order[place])
     columns = [

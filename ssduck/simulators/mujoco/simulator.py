@@ -14,7 +14,7 @@ import numpy as np
 
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
@@ -275,8 +275,8 @@ class MuJoCoSimulator(PartialSimulator):
         if self._only is None:
             return contacts
         # Those of the step before the other bodies were left out.
-        flags: Flags = np.isin(contacts.bodies, list(self._only)).all(axis=1)
-        return contacts.select(flags)
+        is_chosen = np.isin(contacts.bodies, list(self._only))
+        return contacts.select(is_chosen[:, 0] & is_chosen[:, 1])
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
