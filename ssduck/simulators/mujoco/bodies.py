@@ -15,6 +15,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
+from ssduck.simulators.mujoco.height_fields import height_field
 from ssduck.simulators.mujoco.library import mujoco
 
 _GEOM, _JOINT, _OBJECT = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtObj
@@ -203,6 +204,8 @@ def _geometry(model: Any, number: int) -> tuple[Geometry, Array, bool]:
         return Geometry.primitive("cylinder", (a, 2 * b, 0)), centre, True
     if type == _GEOM.mjGEOM_MESH:
         return Geometry.hull(_hull_vertices(model, int(model.geom_dataid[number]))), centre, True
+    if type == _GEOM.mjGEOM_HFIELD:
+        return height_field(model, int(model.geom_dataid[number])), centre, True
     box = model.geom_aabb[number]
     return Geometry.primitive("box", 2 * box[3:]), box[:3].copy(), False
 
