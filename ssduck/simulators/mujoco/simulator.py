@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
@@ -20,6 +21,7 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     SCALAR_JOINTS,
     Body,
+    CameraView,
     ContactPoints,
     Kind,
     LinkPoses,
@@ -36,8 +38,10 @@ from ssduck.simulators.mujoco.bodies import (
 )
 from ssduck.simulators.mujoco.contacts import read_contacts
 from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
 from ssduck.simulators.partial import PartialSimulator
+from ssduck.simulators.scenes import Camera
 
 # The number of lists of bodies whose rows stay prepared.
 _PREPARED = 4
@@ -282,6 +286,24 @@ class MuJoCoSimulator(PartialSimulator):
         """Advances by a number of steps."""
         self._refresh()
         mujoco.mj_step(self.model, self.data, count)
+
+    # -- pictures -------------------------------------------------------------------------
+
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
+        """Returns the colour image of a camera, (height, width, 3), with or without shadows."""
+        viewpoint = Viewpoint.of_camera(camera)
+        return draw(self.model, self._state, viewpoint, (width, height), shadow=shadow)
+
+    def segment(self, camera: Camera, width: int, height: int) -> Indices:
+        """Returns the root body in each pixel, (height, width); -1 for none."""
+        return segment(self.model, self._state, Viewpoint.of_camera(camera), (width, height))
+
+    def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
+        """Returns the colour image of a camera on a body, without shadows, (height, width, 3)."""
+        viewpoint, size = Viewpoint.of_view(view), (view.width, view.height)
+        return draw(self.model, self._state, viewpoint, size, shadow=False)
 
     # -- changes --------------------------------------------------------------------------
 

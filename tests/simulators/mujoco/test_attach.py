@@ -323,7 +323,6 @@ def test_ticks_take_no_time_from_the_user(model, data):
 
 UNSUPPORTED = {
     "rays": lambda world: world.reading(world.add_sensor("range_finder", "ball", max_range=1.0)),
-    "picture": lambda world: world.render(10, 10),
     "save": lambda world: world.save("nowhere/at/all"),
     "hold": lambda world: world["arm"].hold(world["ball"]),
     "hide": lambda world: setattr(world["ball"], "visible", False),
