@@ -26,6 +26,7 @@ from ssduck.simulators.interface import (
     Kind,
     LinkPoses,
     MotorTarget,
+    RayHits,
 )
 from ssduck.simulators.mujoco.actuators import drive, hold_positions
 from ssduck.simulators.mujoco.bodies import (
@@ -38,6 +39,7 @@ from ssduck.simulators.mujoco.bodies import (
 )
 from ssduck.simulators.mujoco.contacts import read_contacts
 from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
 from ssduck.simulators.partial import PartialSimulator
@@ -107,6 +109,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._described: tuple[Any, list[bytes]] | None = None
         self._bodies: list[Body] = []
         self._rows: list[_Rows] = []
+        self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         self._warned: set[str] = set()
         self._is_closed = False
@@ -134,6 +137,7 @@ class MuJoCoSimulator(PartialSimulator):
         kept = set(bodies).difference(added)
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, content), bodies
+        self._ray_caster = None
         self._rows, self._joint_rows = [], None
         self._warn_of_boxes(added)
         return (added, gone) if added or gone else None
@@ -286,6 +290,12 @@ class MuJoCoSimulator(PartialSimulator):
         """Advances by a number of steps."""
         self._refresh()
         mujoco.mj_step(self.model, self.data, count)
+
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
+        """Returns the first body that each ray hits; see `ssduck.simulators.mujoco.rays`."""
+        if self._ray_caster is None:
+            self._ray_caster = RayCaster(self.model, self._only)
+        return self._ray_caster.cast(self._state, starts, ends, through)
 
     # -- pictures -------------------------------------------------------------------------
 
