@@ -12,7 +12,8 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from ssduck.errors import SqlError
+from ssduck.database.file_paths import damage_text, is_damage
+from ssduck.errors import RecordError, SqlError
 
 # The size of DuckDB's log, in bytes, from which on it is moved to the file. That takes tenths of a
 # second, and rewrites some earlier rows, so that fewer and larger moves take less time.
@@ -29,12 +30,19 @@ class WriterConnection:
     Args:
         connection: the connection to the database.
         file: the file of the database; None for memory.
+        record: the attached file that is read; None if there is none.
     """
 
-    def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
+    def __init__(
+        self,
+        connection: duckdb.DuckDBPyConnection,
+        file: Path | None = None,
+        record: Path | None = None,
+    ) -> None:
         self._connection = connection.cursor()
         self._reading = connection.cursor()
         self._file = file
+        self._record = record
         self._lock = threading.RLock()
         self._reading_lock = threading.RLock()
 
@@ -91,18 +99,23 @@ class WriterConnection:
             for name, table in (tables or {}).items():
                 self._reading.register(name, table)
                 stack.callback(self._reading.unregister, name)
-            try:
+            with self._reading_errors():
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
-            except duckdb.Error as error:
-                raise SqlError(f"recorded ticks cannot be read: {error}") from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
-        with self._reading_lock:
-            try:
-                return self._reading.execute(sql).fetchall()
-            except duckdb.Error as error:
-                raise SqlError(f"recorded ticks cannot be read: {error}") from error
+        with self._reading_lock, self._reading_errors():
+            return self._reading.execute(sql).fetchall()
+
+    @contextmanager
+    def _reading_errors(self) -> Iterator[None]:
+        """Turns DuckDB's errors while rows are read into ssduck's."""
+        try:
+            yield
+        except duckdb.Error as error:
+            if self._record is not None and is_damage(error):
+                raise RecordError(damage_text(self._record, error)) from error
+            raise SqlError(f"recorded ticks cannot be read: {error}") from error
 
     def close(self) -> None:
         """Closes the connection."""

@@ -222,6 +222,7 @@ class StoredRun:
             every=history.recording.every,
             entities=history.recording.entities,
             ticks=history.ticks(),
+            complete=self.description.get("complete"),
         )
 
 

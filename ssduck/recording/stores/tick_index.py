@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.errors import RecordError
+from ssduck.recording.stores.checksums import read_parquet, write_parquet
 
 INDEX = "index"
 # The index is written after so many parts, and at the end if there are as many as a quarter.
@@ -36,7 +36,7 @@ class TickIndex:
     """
 
     def __init__(self, place: Path, key: str) -> None:
-        self._file = _file_in(place)
+        self._file = index_file(place)
         self._key = key
         self._parts: list[pa.Table] = []
 
@@ -62,25 +62,24 @@ class TickIndex:
             return
         self._file.parent.mkdir(parents=True, exist_ok=True)
         rows = pa.concat_tables(self._parts).replace_schema_metadata({_LABEL: _label(self._key)})
-        write_atomically(
-            self._file, lambda file: pq.write_table(rows, file.absolute(), compression="zstd")
-        )
+        write_parquet(rows, self._file, compression="zstd")
 
 
-def indexed_ticks(place: Path, key: str, parts: int) -> list[pa.Table]:
+def indexed_ticks(place: Path, key: str, parts: int, *, has_checksums: bool) -> list[pa.Table]:
     """Returns the numbers and times of the ticks of each part that an index knows, in order.
 
     Args:
         place: the folder of the index.
         key: the text that identifies the episode.
         parts: the number of parts that are there.
+        has_checksums: whether the index must have checksums.
     """
-    file = _file_in(place)
+    file = index_file(place)
     if not file.is_file():
         return []
     try:
-        rows = pq.ParquetFile(file.absolute()).read()
-    except (pa.ArrowException, OSError):  # the parts have what it has
+        rows = read_parquet(file, has_checksums=has_checksums)
+    except RecordError:  # the parts have what it has
         return []
     if (rows.schema.metadata or {}).get(_LABEL) != _label(key):
         return []
@@ -99,7 +98,8 @@ def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
     ]
 
 
-def _file_in(place: Path) -> Path:
+def index_file(place: Path) -> Path:
+    """Returns the file of the index in a folder."""
     return place / "ticks.parquet"
 
 
