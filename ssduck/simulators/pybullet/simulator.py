@@ -269,11 +269,22 @@ class PyBulletSimulator:
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
-        present = self._present(bodies)
-        link_margins = {body: self._descriptions[body.handle].link_margins for body in present}
-        return self._call(
-            lambda: [margins_of(self.client, body, link_margins.get(body, ())) for body in bodies]
-        )
+        descriptions = {
+            body: description
+            for body in bodies
+            if (description := self._descriptions.get(body.handle)) is not None
+            and description.body is body
+            and description.links_with_margins
+        }
+        present = self._present(list(descriptions))
+
+        def read(body: Body) -> list[float]:
+            if body not in present:
+                return body.margins
+            known = descriptions[body]
+            return margins_of(self.client, body, known.link_margins, known.links_with_margins)
+
+        return self._call(lambda: [read(body) for body in bodies])
 
     def _present(self, bodies: Sequence[Body]) -> set[Body]:
         """Returns the bodies that the client still has."""
