@@ -452,6 +452,8 @@ HISTORIES: Mapping[str, Table] = {name: RECORDED[name] for name in ("ticks", *RE
 MODELS: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.model}
 # The recorded poses of links, where the table of links is not recorded.
 FRAMES = _FRAMES.name
+# The columns that records have since a later version; older ones lack them.
+LATER_COLUMNS = frozenset(("run", "margin", "exact"))
 
 
 def link_id(entity: int, link: int) -> int:

@@ -30,7 +30,7 @@ class WriterConnection:
     Args:
         connection: the connection to the database.
         file: the file of the database; None for memory.
-        record: the attached file that is read; None if there is none.
+        record: the record that it reads; None for the database itself.
     """
 
     def __init__(
@@ -39,10 +39,10 @@ class WriterConnection:
         file: Path | None = None,
         record: Path | None = None,
     ) -> None:
+        self._record = record
         self._connection = connection.cursor()
         self._reading = connection.cursor()
         self._file = file
-        self._record = record
         self._lock = threading.RLock()
         self._reading_lock = threading.RLock()
 
@@ -99,23 +99,25 @@ class WriterConnection:
             for name, table in (tables or {}).items():
                 self._reading.register(name, table)
                 stack.callback(self._reading.unregister, name)
-            with self._reading_errors():
+            try:
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
+            except duckdb.Error as error:
+                raise self._reading_error(error) from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
-        with self._reading_lock, self._reading_errors():
-            return self._reading.execute(sql).fetchall()
+        with self._reading_lock:
+            try:
+                return self._reading.execute(sql).fetchall()
+            except duckdb.Error as error:
+                raise self._reading_error(error) from error
 
-    @contextmanager
-    def _reading_errors(self) -> Iterator[None]:
-        """Turns DuckDB's errors while rows are read into ssduck's."""
-        try:
-            yield
-        except duckdb.Error as error:
-            if self._record is not None and is_damage(error):
-                raise RecordError(damage_text(self._record, error)) from error
-            raise SqlError(f"recorded ticks cannot be read: {error}") from error
+    def _reading_error(self, error: duckdb.Error) -> SqlError | RecordError:
+        if self._record is None:
+            return SqlError(f"recorded ticks cannot be read: {error}")
+        if is_damage(error):
+            return RecordError(damage_text(self._record, error))
+        return RecordError(f"{self._record} cannot be read: {error}")
 
     def close(self) -> None:
         """Closes the connection."""

@@ -16,10 +16,10 @@ from ssduck.recording.stores.checksums import (
     footer_of,
     json_text,
     parquet_problem,
-    read_json,
-    read_parquet,
+    verified_parquet,
     write_json,
 )
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     DESCRIPTION,
@@ -134,17 +134,17 @@ def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
         problem = "is of an export that did not end"
         yield _RunDamage(run.about_file, problem, f"{episode}, which is not complete", run=run)
         return
-    for number in range(run.part_count):
+    for number in run.numbers_to_check(is_model=False):
         if number in run.removed_parts:
             continue
         for table in tables:
-            problem = run.problem(table, number, with_data=True)
+            problem = run.problem(table, number)
             if problem is not None:
                 file, loss = run.place(table) / part_name(number), _loss(run, number)
                 yield _RunDamage(file, problem, loss, run=run, part=number)
-    for number in range(run.model_part_count):
+    for number in run.numbers_to_check(is_model=True):
         for table in (f"models/{model}" for model in MODELS):
-            problem = run.problem(table, number, with_data=True)
+            problem = run.problem(table, number)
             if problem is not None:
                 file = run.place(table) / part_name(number)
                 yield _RunDamage(file, problem, f"all of {episode}", run=run)
@@ -172,10 +172,10 @@ def _index_problem(run: FolderRun, index: Path) -> str | None:
 
 def _loss(run: FolderRun, part: int) -> str:
     """Returns the ticks that are lost with a part."""
-    if run.problem("ticks", part, with_data=True) is not None:
+    if run.problem("ticks", part) is not None:
         return f"ticks of part {part}"
     file = run.place("ticks") / part_name(part)
-    ticks = read_parquet(file, has_checksums=run.has_checksums)["tick"]
+    ticks = verified_parquet(file, has_checksums=run.has_checksums).read(["tick"])["tick"]
     first, last = ticks[0].as_py(), ticks[-1].as_py()
     return f"tick {first}" if first == last else f"ticks {first} to {last}"
 
@@ -194,7 +194,7 @@ def _repair_run(run: FolderRun, damages: Sequence[_RunDamage]) -> list[Damage]:
     """
     parts = sorted({damage.part for damage in damages if damage.part is not None})
     if parts:
-        about = read_json(run.about_file)
+        about = read_description(run.about_file)
         removed = sorted({*about.get("removed", ()), *parts})
         content = about | {"removed": removed}
         write_atomically(run.about_file, lambda file: write_json(content, file))

@@ -206,8 +206,15 @@ def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]
         rows: the columns that differ from tick to tick.
         model: the columns that do not.
         names: the columns of the result, in order.
+
+    Raises:
+        RecordError: a row is of an entity without a model.
     """
-    place = np.searchsorted(*_sorted_keys(table, model, rows))
+    sorted_keys, keys = _sorted_keys(table, model, rows)
+    place = np.searchsorted(sorted_keys, keys)
+    is_known = len(sorted_keys) > 0 and (sorted_keys.take(place, mode="clip") == keys).all()
+    if len(keys) and not is_known:
+        raise RecordError(f"a row of {table} is of an unknown entity, or an unknown part of one")
     order = _order(table, model)
     model_rows = pa.array(order[place])
     columns = [

@@ -22,6 +22,7 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.scenes import Camera
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
+JointType: TypeAlias = Literal["revolute", "prismatic", "spherical", "planar", "fixed"]
 # The types of joints whose position is one number.
 SCALAR_JOINTS = ("revolute", "prismatic")
 # The simulator of worlds that do not name one.
@@ -63,7 +64,7 @@ class Joint:
     """
 
     name: str
-    type: Literal["revolute", "prismatic", "spherical", "planar", "fixed"]
+    type: JointType
     link: int
     lower: float | None
     upper: float | None

@@ -10,7 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
-from ssduck.recording.stores.checksums import read_json
+from ssduck.recording.stores.descriptions import read_description
 from tests.support.command_line import answer, ssduck_
 from tests.support.recorded import python
 from tools import flip
@@ -143,7 +143,7 @@ def test_a_repair_takes_out_damaged_parts_alone(run: Path) -> None:
     assert files - {file.name.removesuffix(".damaged") for file in run.rglob("*")} == set()
     aside = sum(file.stat().st_size for file in run.rglob("*.damaged"))
     assert aside + sum(file.stat().st_size for file in run.rglob("*.parquet")) < size
-    assert read_json(run / "episodes" / "lab-0.json")["removed"] == [1, 3]
+    assert read_description(run / "episodes" / "lab-0.json")["removed"] == [1, 3]
 
 
 def test_a_record_can_be_opened_without_its_damaged_parts(run: Path) -> None:

@@ -14,7 +14,8 @@ from ssduck import Recording
 from ssduck.database import recorders
 from ssduck.errors import RecordError, SqlError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
-from ssduck.recording.stores.checksums import read_json, write_json, write_parquet
+from ssduck.recording.stores.checksums import write_json, write_parquet
+from ssduck.recording.stores.descriptions import read_description
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
@@ -48,18 +49,18 @@ class Reads:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.ticks: list[str] = []
         self.rows: list[str] = []
-        read, rows_of = parquet_layout.read_parquet, parquet_archive._rows_of_ticks
+        read, rows_of = parquet_layout._read, parquet_archive._rows_of_ticks
 
-        def counted(file: Path, *, has_checksums: bool) -> object:
+        def counted(file: Path, *arguments: object, has_checksums: bool) -> object:
             if file.parts[-4] == "ticks":
                 self.ticks.append(file.name)
-            return read(file, has_checksums=has_checksums)
+            return read(file, *arguments, has_checksums=has_checksums)  # type: ignore[arg-type]
 
         def rows(file: Path, *arguments: object) -> object:
             self.rows.append(file.name)
             return rows_of(file, *arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(parquet_layout, "read_parquet", counted)
+        monkeypatch.setattr(parquet_layout, "_read", counted)
         monkeypatch.setattr(parquet_archive, "_rows_of_ticks", rows)
 
 
@@ -109,7 +110,7 @@ def test_parts_that_are_removed_do_not_count(run: Path) -> None:
     with pytest.raises(RecordError, match="was closed with 10 parts"):
         _ticks(run)
     about = run / "episodes" / "lab-1.json"  # as at a kill
-    description = read_json(about)
+    description = read_description(about)
     del description["parts"]
     write_json(description, about)
     assert _ticks(run) == ALL[:16]

@@ -15,7 +15,8 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import RecordError
-from ssduck.recording.stores.checksums import read_json, write_json
+from ssduck.recording.stores.checksums import write_json
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import part_name
 
 PARTS = 4
@@ -157,7 +158,7 @@ def test_a_whole_one_says_nothing(run: Path) -> None:
 
 def test_a_record_that_was_not_closed_ends_where_it_ends(run: Path) -> None:
     about = run / "episodes" / "lab-1.json"
-    told = read_json(about)
+    told = read_description(about)
     assert told.pop("parts")["ticks"] == PARTS
     write_json(told, about)
     without(run, PARTS - 1)
@@ -171,7 +172,7 @@ def older(run: Path) -> None:
         duckdb.sql(f"CREATE OR REPLACE TEMP TABLE rows AS FROM '{file}'")
         duckdb.sql(f"COPY rows TO '{file}' (FORMAT parquet)")
     about = run / "episodes" / "lab-1.json"
-    told = read_json(about)
+    told = read_description(about)
     del told["parts"], told["key"], told["checksums"]
     about.write_text(json.dumps(told))
 

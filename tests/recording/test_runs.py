@@ -13,7 +13,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import EvaluationError, SelectScriptError, SqlError
-from ssduck.recording.stores.checksums import read_json
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.schema import RECORDABLE
 
 ALL = Recording(tables=RECORDABLE)
@@ -218,7 +218,7 @@ def test_a_record_that_does_not_tell_runs_is_opened(folder: Path, tmp_path: Path
         duckdb.sql(f"CREATE OR REPLACE TEMP TABLE rows AS SELECT * EXCLUDE (run) FROM '{file}'")
         duckdb.sql(f"COPY rows TO '{file}' (FORMAT parquet)")
     for file in old.glob("episodes/*.json"):
-        told = read_json(file)
+        told = read_description(file)
         del told["key"], told["parts"], told["checksums"]
         file.write_text(json.dumps(told))
     with ssduck.open(old) as ss:

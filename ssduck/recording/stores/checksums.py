@@ -32,7 +32,7 @@ _FOOTER_SUMS = re.compile(rb"crc32 of data (%s), of footer (%s)" % (_DIGITS, _DI
 _FILE_SUM = re.compile(rb"crc32 of file (%s)" % _DIGITS)
 _NONE = b"0" * 8
 # The key of the checksum of a JSON file.
-_JSON_KEY = "crc32"
+CHECKSUM_KEY = "crc32"
 NOT_COMPLETE = "is damaged: it is no complete Parquet file"
 WRONG_CHECKSUM = "is damaged: its checksum is wrong"
 
@@ -124,23 +124,18 @@ def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
     return _problem(file.read_bytes(), has_checksums=has_checksums)
 
 
-def read_parquet(file: Path, *, has_checksums: bool) -> pa.Table:
-    """Returns the rows of a Parquet file, with their metadata.
+def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
+    """Returns a Parquet file, which is in memory and was checked.
 
     Raises:
-        RecordError: the file is damaged, or cannot be read.
+        RecordError: the file is damaged.
+        OSError: it cannot be read.
     """
-    try:
-        content = file.read_bytes()
-        problem = _problem(content, has_checksums=has_checksums)
-        if problem is not None:
-            raise RecordError(f"{file} {problem}")
-        # The threads of the library take longer to wake up than most of these files to read.
-        return pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
-    except (pa.ArrowException, OSError) as error:
-        if isinstance(error, RecordError):
-            raise
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    content = file.read_bytes()
+    problem = _problem(content, has_checksums=has_checksums)
+    if problem is not None:
+        raise RecordError(f"{file} {problem}")
+    return pq.ParquetFile(pa.BufferReader(content))
 
 
 def _problem(content: bytes, *, has_checksums: bool) -> str | None:
@@ -198,28 +193,14 @@ def write_json(content: Mapping[str, Any], file: Path) -> None:
 
 def json_text(content: Mapping[str, Any]) -> str:
     """Returns a JSON object with its checksum."""
-    values = {key: value for key, value in content.items() if key != _JSON_KEY}
-    return json.dumps(values | {_JSON_KEY: _json_sum(values)}, indent=2) + "\n"
+    values = {key: value for key, value in content.items() if key != CHECKSUM_KEY}
+    return json.dumps(values | {CHECKSUM_KEY: _json_sum(values)}, indent=2) + "\n"
 
 
-def read_json(file: Path) -> dict[str, Any]:
-    """Returns the JSON object of a file.
-
-    Raises:
-        RecordError: the file cannot be read, or is damaged.
-    """
-    try:
-        content = json.loads(file.read_text("utf-8"))
-    except OSError as error:
-        raise RecordError(f"{file} cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise RecordError(f"{file} is damaged: {error}") from error
-    if not isinstance(content, dict):
-        raise RecordError(f"{file} is damaged: it has no JSON object")
-    checksum = content.pop(_JSON_KEY, None)
-    if checksum is not None and checksum != _json_sum(content):
-        raise RecordError(f"{file} {WRONG_CHECKSUM}; remove the key {_JSON_KEY!r} if you edited it")
-    return content
+def pop_checksum(content: dict[str, Any]) -> bool:
+    """Removes the checksum of a JSON object; returns whether it is right, or there is none."""
+    checksum = content.pop(CHECKSUM_KEY, None)
+    return checksum is None or checksum == _json_sum(content)
 
 
 def _json_sum(content: Mapping[str, Any]) -> str:

@@ -33,8 +33,9 @@ from ssduck.recording.stores.atomic_files import (
     write_atomically,
 )
 from ssduck.recording.stores.base import TickStore
-from ssduck.recording.stores.checksums import json_text, read_json, write_json, write_parquet
+from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     DESCRIPTION,
@@ -153,7 +154,7 @@ class ParquetStore(TickStore):
         try:
             self._index.write()
             self._move_staged()
-            about = read_json(self.run.about_file) | {"parts": parts}
+            about = read_description(self.run.about_file) | {"parts": parts}
             about.pop("exporting", None)
             write_atomically(self.run.about_file, lambda file: write_json(about, file))
         except OSError as error:

@@ -27,14 +27,15 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, count, islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
@@ -43,12 +44,20 @@ from ssduck.recording.stores.checksums import (
     footer_of,
     footer_problem,
     parquet_problem,
-    read_json,
-    read_parquet,
+    verified_parquet,
+)
+from ssduck.recording.stores.descriptions import (
+    EPISODE,
+    PARTS,
+    RECORDING,
+    check_description,
+    read_description,
 )
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
-from ssduck.recording.stores.tick_index import INDEX, indexed_ticks
+from ssduck.recording.stores.stored_columns import check_parquet, part_columns
+from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
 from ssduck.schema import RECORDABLE
+from ssduck.world.live_tables import ARROW_TYPES
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -65,8 +74,12 @@ ABOUT = "ssduck.json"
 # The contents of that file.
 DESCRIPTION = {"format": FORMAT, "version": VERSION, "units": UNITS}
 LOG = "log"
-_PART = re.compile(r"part-(\d{6,})\.parquet")
-_EPISODE = re.compile(r"(.+)-(\d+)\.json")
+# The largest number of missing parts that a check lists.
+_MOST_MISSING = 1000
+# The largest number of digits of a part and of an episode keeps them below 10**9.
+_PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
+_FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
+_EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 MISSING = "is missing: the record was damaged, or only copied in part"
 RESCUE = (
     "`ssduck check --repair` drops what is damaged, and ssduck.open(…, partial=True) leaves it out"
@@ -102,17 +115,21 @@ class FolderRun:
 
     @cached_property
     def _about(self) -> dict[str, Any]:
-        about = read_json(self.about_file)
+        check_inside(self.path, self.about_file)
+        about = read_description(self.about_file)
+        source = str(self.about_file)
         episode = about.get("world"), about.get("episode")
         if episode not in ((self.world, self.number), (None, None)):
             raise RecordError(
                 f"{self.about_file} describes episode {episode[1]} of {episode[0]!r}: it was "
                 "renamed or copied; give it its name again"
             )
-        tables, recording = about.get("tables"), about.get("recording")
-        is_valid = isinstance(about.get("started"), str) and isinstance(recording, dict)
-        if not (is_valid and isinstance(tables, list) and "entities" in tables):
-            raise RecordError(f"{self.about_file} is damaged: it lacks what is recorded")
+        lack = "what is recorded"
+        check_description(about, EPISODE, source, lack)
+        check_description(about["recording"], RECORDING, f"{source}: 'recording'", lack)
+        check_description(about.get("parts", {}), PARTS, f"{source}: 'parts'", lack)
+        if not self.world.isidentifier():
+            raise RecordError(f"{source} is damaged: {self.world!r} is no name of a world")
         return about
 
     @property
@@ -163,6 +180,7 @@ class FolderRun:
 
     @cached_property
     def _parts_and_log(self) -> tuple[list[int], dict[str, pa.Table]]:
+        check_inside(self.path, self.place(LOG))
         files = read_log(
             self.place(LOG), self.key or "", has_checksums=self.has_checksums, end=self.log_end
         )
@@ -170,7 +188,7 @@ class FolderRun:
         parts = part_numbers(self.place("ticks"))
         log = following_rows(files, max({*parts, *self.removed_parts}, default=-1) + 1)
         if log and set(log) != set(self.tables):
-            raise RecordError(f"{self.place(LOG)} is damaged: it lacks tables")
+            raise RecordError(f"{self.place(LOG)} is damaged: its tables are not those recorded")
         return [part for part in parts if part not in self.removed_parts], log
 
     @property
@@ -189,9 +207,9 @@ class FolderRun:
         place = self.place("models/entities" if is_model else "ticks")
         numbers = part_numbers(place) if is_model else self.parts
         missing = self._missing(numbers, is_model=is_model)
-        if missing:
-            file, hint = place / part_name(missing[0]), "" if is_model else f"; {RESCUE}"
-            if missing[0] < max(numbers, default=-1):
+        if missing is not None:
+            file, hint = place / part_name(missing), "" if is_model else f"; {RESCUE}"
+            if missing < max(numbers, default=-1):
                 raise RecordError(
                     f"{file} is missing, and parts after it are there: put it back{hint}"
                 )
@@ -201,32 +219,29 @@ class FolderRun:
             )
         return numbers
 
-    def _missing(self, numbers: Iterable[int], *, is_model: bool) -> list[int]:
-        """Returns the numbers of missing parts, ascending, from those of the present ones."""
-        count = max(max(numbers, default=-1) + 1, self._expected(is_model=is_model))
-        removed = frozenset[int]() if is_model else self.removed_parts
-        return sorted(set(range(count)) - set(numbers) - removed)
+    def _missing(self, numbers: Iterable[int], *, is_model: bool) -> int | None:
+        """Returns the number of the first missing part; None if all are present or removed."""
+        present = {*numbers} if is_model else {*numbers, *self.removed_parts}
+        first = next(number for number in count() if number not in present)
+        last = max(max(present, default=-1), self._expected(is_model=is_model) - 1)
+        return first if first <= last else None
 
     def _expected(self, *, is_model: bool) -> int:
         """Returns the number of parts that there were when the recording was closed, or 0."""
         expected: int = self._about.get("parts", {}).get("models" if is_model else "ticks", 0)
         return expected
 
-    @property
-    def part_count(self) -> int:
-        """The number of parts that there must be: complete, missing and removed ones."""
-        present = part_numbers(self.place("ticks"))
-        return max(max(present, default=-1) + 1, self._expected(is_model=False))
-
-    @property
-    def model_part_count(self) -> int:
-        """The number of parts that the models must have."""
-        present = part_numbers(self.place("models/entities"))
-        return max(max(present, default=-1) + 1, self._expected(is_model=True))
+    def numbers_to_check(self, *, is_model: bool) -> list[int]:
+        """Returns the numbers of parts that are there or missing; of missing ones, the first."""
+        present = set(part_numbers(self.place("models/entities" if is_model else "ticks")))
+        end = max(max(present, default=-1) + 1, self._expected(is_model=is_model))
+        missing = (number for number in range(end) if number not in present)
+        return sorted({*present, *islice(missing, _MOST_MISSING)})
 
     @property
     def has_begun(self) -> bool:
         """Whether there is an episode: its file may be empty at the very beginning."""
+        check_inside(self.path, self.about_file)
         if self.about_file.stat().st_size == 0 and not self._has_rows:
             return False
         return not self.is_unfinished_export
@@ -267,7 +282,12 @@ class FolderRun:
         """
         place, numbers = self.place(table), self._parts_of(table)
         has_files = bool(numbers) and place.is_dir()
-        present = {entry.name for entry in os.scandir(place)} if has_files else set()
+        check_inside(self.path, place)
+        entries = list(os.scandir(place)) if has_files else []
+        for entry in entries:
+            if entry.is_symlink():
+                check_inside(self.path, place / entry.name)
+        present = {entry.name for entry in entries if entry.is_file()}
         for number in numbers:
             if part_name(number) not in present:
                 raise self._error_of(table, number, MISSING)
@@ -278,16 +298,23 @@ class FolderRun:
         key = self._about.get("key")
         return None if key is None else label_of(key, table, number)
 
-    def check(self, table: str, numbers: Iterable[int]) -> None:
-        """Checks that the files of parts exist, are complete, and have the right footers.
+    def check(self, table: str, numbers: Iterable[int]) -> list[pq.FileMetaData]:
+        """Checks that the files of parts are there and complete, with right footers.
+
+        Returns:
+            The footers.
 
         Raises:
             RecordError: a file is missing or damaged.
         """
+        checked = []
         for number in numbers:
-            problem = self.problem(table, number, with_data=False)
-            if problem is not None:
-                raise self._error_of(table, number, problem)
+            footer, problem = self._footer_of(table, number)
+            if footer is None or problem is not None:
+                raise self._error_of(table, number, problem or MISSING)
+            file = self.place(table) / part_name(number)
+            checked.append(check_parquet(str(file), footer, table))
+        return checked
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
         """Checks all bytes of the files of parts.
@@ -296,31 +323,42 @@ class FolderRun:
             RecordError: a file is missing or damaged.
         """
         for number in numbers:
-            problem = self.problem(table, number, with_data=True)
+            problem = self.problem(table, number)
             if problem is not None:
                 raise self._error_of(table, number, problem)
 
-    def problem(self, table: str, number: int, *, with_data: bool) -> str | None:
-        """Returns what is wrong with the file of a part; None for nothing.
+    def problem(self, table: str, number: int) -> str | None:
+        """Returns what is wrong with the file of a part, all of which is read; None for nothing.
 
         Args:
             table: the table, or the model such as `models/entities`.
             number: the number of the part.
-            with_data: whether all bytes are read, and not only the footer.
         """
-        file, label = self.place(table) / part_name(number), self.label(table, number)
+        footer, problem = self._footer_of(table, number)
+        if footer is None or problem is not None:
+            return problem
+        file = self.place(table) / part_name(number)
         try:
-            footer = footer_of(file)
-            problem = footer_problem(footer, has_checksums=self.has_checksums)
-            if problem is None and label is not None and label not in (footer or b""):
-                problem = "is another part, or of another record: it was renamed, or copied there"
-            if problem is None and with_data:
-                problem = parquet_problem(file, has_checksums=self.has_checksums)
-        except FileNotFoundError:
-            return MISSING
+            check_parquet(str(file), footer, table)
+            return parquet_problem(file, has_checksums=self.has_checksums)
+        except RecordError as error:
+            return error.message.removeprefix(f"{file} ")
         except OSError as error:
             return f"cannot be read: {error.strerror}"
-        return problem
+
+    def _footer_of(self, table: str, number: int) -> tuple[bytes | None, str | None]:
+        """Returns the footer of the file of a part, and what is wrong with it."""
+        try:
+            footer = footer_of(self.place(table) / part_name(number))
+        except FileNotFoundError:
+            return None, MISSING
+        except OSError as error:
+            return None, f"cannot be read: {error.strerror}"
+        problem = footer_problem(footer, has_checksums=self.has_checksums)
+        label = self.label(table, number)
+        if problem is None and label is not None and label not in (footer or b""):
+            problem = "is another part, or of another record: it was renamed, or copied there"
+        return footer, problem
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:
         """Returns the error that there is a problem with a part."""
@@ -333,14 +371,16 @@ class FolderRun:
         Raises:
             RecordError: a file is missing or damaged, or there is none.
         """
-        files = self.files(table)
+        files = self.listed_files(table)
         if not files:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
-        return pa.concat_tables([self._read(file) for file in files])
+        rows = self._rows(table, files)
+        return pa.concat_tables(rows, promote_options="default")  # older parts may lack columns
 
-    def _read(self, file: Path) -> pa.Table:
-        """Returns the rows of a file of a part."""
-        return read_parquet(file, has_checksums=self.has_checksums).replace_schema_metadata()
+    def _rows(self, table: str, files: Sequence[Path]) -> list[pa.Table]:
+        """Returns the rows of files of a table, with the columns that it is to have."""
+        self.check(table, map(part_number, files))
+        return [_read(file, table, has_checksums=self.has_checksums) for file in files]
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
         """Returns the first tick of each part, then of the log if it has rows, and all ticks.
@@ -349,22 +389,21 @@ class FolderRun:
             RecordError: a file is damaged, or nothing was stored.
         """
         files = self.listed_files("ticks")
+        check_inside(self.path, self.place(INDEX))
         parts = []
         if not self.removed_parts:
             parts = indexed_ticks(
                 self.place(INDEX), self.key or "", len(files), has_checksums=self.has_checksums
             )
-        self.check("ticks", map(part_number, files[len(parts) :]))
-        parts += [self._read(file).select(["tick", "time"]) for file in files[len(parts) :]]
+        rest = self._rows("ticks", files[len(parts) :])
+        parts += [rows.select(["tick", "time"]) for rows in rest]
         if self.log:
             parts.append(self.log["ticks"].select(["tick", "time"]))
         if not parts:
             raise RecordError(f"{self.place('ticks')} has no complete part: nothing was stored")
-        rows = pa.concat_tables(parts)
-        numbers = rows["tick"].to_numpy()
-        if (np.diff(numbers) <= 0).any():
-            raise RecordError(f"{self.place('ticks')} is damaged: its ticks do not ascend")
-        ticks = TickBuffer.from_arrays(numbers, rows["time"].to_numpy())
+        if not all(part.num_rows for part in parts):
+            raise RecordError(f"{self.place('ticks')} is damaged: a part has no ticks")
+        ticks = checked_ticks(pa.concat_tables(parts), str(self.place("ticks")))
         return [part["tick"][0].as_py() for part in parts], ticks
 
     @property
@@ -415,6 +454,43 @@ def label_of(key: str, table: str, number: int | str) -> bytes:
     return json.dumps({"episode": key, "table": table, "part": number}).encode()
 
 
+def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
+    """Returns the rows of a part, with the columns that it is to have."""
+    types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
+    try:
+        part = verified_parquet(file, has_checksums=has_checksums)
+        # The threads of the library take longer to wake up than most of these files to read.
+        present = set(part.schema_arrow.names)
+        names = [name for name in types if name in present]
+        rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
+        rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
+        rows.validate(full=True)
+    except RecordError:
+        raise
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    return rows
+
+
+def check_inside(folder: Path, place: Path) -> None:
+    """Checks that no symbolic link leads out of a record's folder.
+
+    Raises:
+        RecordError: one does, or leads back to itself.
+    """
+    names = place.parts[len(folder.parts) :]
+    below = accumulate(names, os.path.join, initial=str(folder))
+    next(below)  # the folder itself may be reached by a link
+    if not any(map(os.path.islink, below)):
+        return
+    try:
+        if place.resolve().is_relative_to(folder.resolve()):
+            return
+    except (OSError, RuntimeError):  # a link to itself
+        pass
+    raise RecordError(f"{place} is a symbolic link that leaves {folder}: put a copy in its place")
+
+
 def runs_in(path: Path) -> list[FolderRun]:
     """Returns the runs in a folder, sorted by world and number; looks at none of their files.
 
@@ -435,10 +511,16 @@ def runs_in(path: Path) -> list[FolderRun]:
 def runs_named(path: Path) -> list[FolderRun]:
     """Returns the episodes of a folder that have a file, sorted by world and number."""
     place = path / "episodes"
+    check_inside(path, place)
     names = [file.name for file in place.iterdir()] if place.is_dir() else []
     matches = map(_EPISODE.fullmatch, names)
     keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
     return [FolderRun(path, world, number) for world, number in keys]
+
+
+def _names(place: Path) -> list[str]:
+    """Returns the names in a folder, or nothing if there is none."""
+    return [entry.name for entry in place.iterdir()] if place.is_dir() else []
 
 
 def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun]:
@@ -452,14 +534,14 @@ def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun
     for world, number in keys:
         numbers.setdefault(world, set()).add(number)
     places = [path / table for table in ("ticks", LOG)]
-    folders = {folder.name for place in places if place.is_dir() for folder in place.iterdir()}
+    folders = {folder for place in places for folder in _names(place)}
     for folder in sorted(folders):
         world = folder.removeprefix("world=")
-        present = numbers.get(world, set())
-        for number in sorted(set(range(max(present, default=-1) + 2)) - present):
-            run = FolderRun(path, world, number)
-            if run.place("ticks").is_dir() or run.place(LOG).is_dir():
-                yield run
+        episodes = [episode for place in places for episode in _names(place / folder)]
+        matches = filter(None, map(_FOLDER.fullmatch, episodes))
+        found = {int(match.group(1)) for match in matches}
+        for number in sorted(found - numbers.get(world, set())):
+            yield FolderRun(path, world, number)
 
 
 def check_about(folder: Path) -> None:
@@ -471,7 +553,8 @@ def check_about(folder: Path) -> None:
     about_file = folder / ABOUT
     if not about_file.is_file():
         raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")
-    about = read_json(about_file)
+    check_inside(folder, about_file)
+    about = read_description(about_file)
     if about.get("format") != FORMAT:
         raise RecordError(f"{folder} is no record of ssduck: {about_file} is of another format")
     version = about.get("version")

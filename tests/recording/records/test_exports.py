@@ -13,7 +13,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import ArgumentError, EvaluationError, RecordError, SqlError
-from ssduck.recording.stores.checksums import read_json
+from ssduck.recording.stores.descriptions import read_description
 from tests.support.cases import sampled
 from tests.support.recorded import (
     ALL,
@@ -227,7 +227,7 @@ def _json(record, name, text):
 
 
 def _version(record, number):
-    told = read_json(record / "ssduck.json")
+    told = read_description(record / "ssduck.json")
     _json(record, "ssduck.json", json.dumps(told | {"version": number}))
 
 
