@@ -95,7 +95,7 @@ class Connection:
         self.meter = UsageMeter(limits)
         self.on_demand: OnDemand[Connection] = OnDemand()
         self.has_records = self.is_file
-        # Whether something may be in the database that `_empty` does not remove.
+        # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
         self._attached = False
         self._functions: set[str] = set()
@@ -195,8 +195,11 @@ class Connection:
         POOL.give_back(self._instance)
 
     def writer(self) -> WriterConnection:
-        """Returns a second connection to the same database, to store recorded ticks."""
-        self._is_altered = self.has_records = True
+        """Returns a second connection to the same database, to store recorded ticks.
+
+        Their schema is all that it may change there: `_give_back` drops it.
+        """
+        self.has_records = True
         return self.reader()
 
     def reader(self) -> WriterConnection:
