@@ -543,5 +543,5 @@ def main(arguments: Sequence[str]) -> int:
     if "opening" in options.only:
         print_table(opening.HEADER, opening.rows(6 * options.rounds))
     if "realtime" in options.only:
-        print_table(realtime.HEADER, realtime.rows(options.ticks, options.rounds))
+        print_table(realtime.HEADER, realtime.rows(options.ticks))
     return 0

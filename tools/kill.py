@@ -34,6 +34,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import recorders, writer
 from ssduck.errors import RecordError, SelectScriptError
+from tests.support.bodies import create_linked_body
 
 Kind: TypeAlias = Literal["parquet", "file"]
 TABLES = ("entities", "links", "joints", "shapes", "contacts")
@@ -112,18 +113,13 @@ def _world(rng: random.Random) -> tuple[ssduck.World, Any]:
     balls = [pybullet.createMultiBody(1, ball) for _ in range(BALLS)]
     pybullet.createMultiBody(0, box, basePosition=[0, 0, -5])
     pushed = pybullet.createMultiBody(1, box)
-    arm = pybullet.createMultiBody(
+    arm = create_linked_body(
+        client,
         0,
         box,
+        link_shape=ball,
         basePosition=[0, 0, -9],
-        linkMasses=[1],
-        linkCollisionShapeIndices=[ball],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0, 0, 0.5]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_REVOLUTE],
         linkJointAxis=[[1, 0, 0]],
     )

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
+from ssduck.formatting import count_of
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -112,10 +113,11 @@ def record(
             with writer or nullcontext():
                 _run(ss.call_variable(description.name), steps, received)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
-    print_line(
-        f"{episode.ticks} ticks of {episode.world!r}, from {episode.start:g} s to "
-        f"{episode.end:g} s: episode {episode.number} in {output}"
-    )
+    times = f"from {episode.start:g} s to {episode.end:g} s"
+    if episode.ticks == 1:
+        times = f"at {episode.start:g} s"
+    ticks = f"{count_of(episode.ticks, 'tick')} of {episode.world!r}, {times}"
+    print_line(f"{ticks}: episode {episode.number} in {output}")
     if received:
         word = "interrupted" if received[0] == signal.SIGINT else "terminated"
         sys.stderr.write(f"{word}: the record is complete up to then\n")

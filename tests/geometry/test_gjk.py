@@ -383,4 +383,4 @@ def test_meshes_that_collide_cost_one_call():
 def test_box_depths_of_no_boxes():
     tick = narrow([(sphere(), (0, 0, 0))])
     none = np.zeros(0, np.intp)
-    assert not len(box_depths(tick.tick_shapes(sorts_of(tick)), none, none))
+    assert not len(box_depths(tick.tick_shapes(sorts_of(tick)).placed_cores, none, none))
