@@ -199,9 +199,14 @@ class Connection:
         self._is_altered = self.has_records = True
         return self.reader()
 
-    def reader(self) -> WriterConnection:
-        """Returns a second connection to the same database, to read recorded ticks."""
-        return WriterConnection(self._connection, Path(self._path) if self.is_file else None)
+    def reader(self, record: Path | None = None) -> WriterConnection:
+        """Returns a second connection to the same database, to read recorded ticks.
+
+        Args:
+            record: the record that it reads; None for the database itself.
+        """
+        file = Path(self._path) if self.is_file else None
+        return WriterConnection(self._connection, file, record)
 
     def attach(self, path: Path) -> str:
         """Attaches a DuckDB file to be read, and returns its name.
@@ -214,7 +219,8 @@ class Connection:
         except SqlError as error:
             raise RecordError(error.message) from error
         try:
-            self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY)")
+            # DuckDB would download an extension to read a file of another type.
+            self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY, TYPE duckdb)")
         except SqlError as error:
             raise RecordError(open_error_text(str(path), error)) from error
         self._attached = self.has_records = True

@@ -42,6 +42,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
 from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.sql.types import Signature, SqlType
+from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
 
 __all__ = ["Database", "Statement"]
@@ -288,6 +289,18 @@ class Database:
             if recording is not None:
                 check_names(recording, world.snapshot.entities)
             self._worlds.record(bound, recording)
+
+    def observe_episodes(self, observer: EpisodeObserver) -> None:
+        """Lets an observer know of new episodes of the worlds that are bound from now on."""
+        self._worlds.episode_observer = observer
+
+    def begin_episode(self, world: World) -> None:
+        """Records a world that was reset as before, in new records; ends the records before."""
+        with self._lock:
+            bound = self._worlds.entry(world)
+            if bound.history is not None and bound.history.recorder is not None:
+                self._worlds.record(bound, bound.history.store.recording)
+            self._recorders.begin_episodes(world)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
         """Writes the ticks of a world to a folder, too, from now on."""

@@ -115,6 +115,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
         self._database = Database(database, tracer, limits, recording)
+        self._database.observe_episodes(self)
         self._limits = limits
         self._execution = Execution(
             self._database, limits, self._value_of_query, row_by_row=row_by_row, strict=strict

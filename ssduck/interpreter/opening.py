@@ -22,6 +22,7 @@ def load(
     *,
     recording: Recording | Literal["default"] | None = "default",
     limits: Limits | None = None,
+    simulator: str | None = None,
 ) -> Interpreter:
     """Returns an interpreter with the world of a scene, bound to the name of the scene.
 
@@ -31,6 +32,8 @@ def load(
         database: the path of a DuckDB file, or `":memory:"`.
         recording: the recording of the world; see `Interpreter`.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
+        simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
+            file, and PyBullet for everything else.
 
     Raises:
         UnknownNameError: no scene has that name; the error suggests the nearest names.
@@ -44,7 +47,7 @@ def load(
     description = find_scene(scene)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
-        world = World.load(description)
+        world = World.load(description, simulator=simulator)
         interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:

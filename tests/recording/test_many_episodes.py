@@ -105,9 +105,9 @@ def test_the_last_episode_of_a_file_is_opened_at_once(
     read: list[str] = []
     description = archives._description
 
-    def counted(path: Path, schema: str, rows: list[tuple[object, ...]]) -> dict[str, object]:
+    def counted(path: Path, schema: str, texts: list[object]) -> dict[str, object]:
         read.append(schema)
-        return description(path, schema, rows)
+        return description(path, schema, texts)
 
     monkeypatch.setattr(archives, "_description", counted)
     with ssduck.open(path) as ss:

@@ -49,10 +49,10 @@ class Reads:
         self.rows: list[str] = []
         read, rows_of = parquet_layout._read, parquet_archive._rows_of_ticks
 
-        def counted(file: Path) -> object:
+        def counted(file: Path, *arguments: object) -> object:
             if file.parts[-4] == "ticks":
                 self.ticks.append(file.name)
-            return read(file)
+            return read(file, *arguments)  # type: ignore[arg-type]
 
         def rows(file: Path, *arguments: object) -> object:
             self.rows.append(file.name)

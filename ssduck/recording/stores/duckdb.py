@@ -20,7 +20,7 @@ import pyarrow as pa
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
-from ssduck.recording.static_tables import IdProvider
+from ssduck.recording.static_tables import JOINT_OF_LINK, IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -37,6 +37,9 @@ from ssduck.recording.stores.history_sql import (
     near_pair_rows,
 )
 from ssduck.recording.stores.model_tables import ModelTables
+from ssduck.recording.stores.record_file import RecordFile
+from ssduck.recording.stores.stored_columns import tick_types
+from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 
@@ -51,7 +54,7 @@ class DuckDBStore(TickStore, TickArchive):
         connection: the store's own connection.
         recording: what is recorded of each tick.
         world: the name of the world, to create the schema; None to read an existing one.
-        catalog: the attached file that has the schema; None for the database itself.
+        file: the attached file that has the schema; None for the database itself.
     """
 
     def __init__(
@@ -61,12 +64,13 @@ class DuckDBStore(TickStore, TickArchive):
         recording: Recording,
         world: str | None = None,
         *,
-        catalog: str | None = None,
+        file: RecordFile | None = None,
     ) -> None:
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
         self._connection = connection
-        self._models = ModelTables(schema, connection, catalog)
+        self._file = file
+        self._models = ModelTables(schema, connection, file)
         self._slots = SLOTS if recording.is_bounded else 1
         # The number and the first tick of each slot in use, oldest first.
         self._used_slots: list[tuple[int, int]] = [(0, 0)]
@@ -75,9 +79,6 @@ class DuckDBStore(TickStore, TickArchive):
         # The size of the rows that were added to each slot in use, bytes, oldest first.
         self._slot_bytes = [0]
         self._max_bytes = bytes_before_dropping(recording)
-        self._is_new = world is not None
-        # The columns that the stored rows of each table of an older record have.
-        self._present_columns: dict[str, frozenset[str]] = {}
         if world is not None:
             with self._models.transaction():
                 self._models.create(world, recording)
@@ -179,8 +180,13 @@ class DuckDBStore(TickStore, TickArchive):
         """Returns the numbers and times of the stored ticks."""
         stored = self._stored_rows("ticks")
         sql = f"SELECT tick, time FROM ({stored}) AS ticks ORDER BY tick"  # noqa: S608
-        rows = self._connection.rows(sql)
-        return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
+        if self._file is None:
+            rows = self._connection.rows(sql)
+            return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
+        source = f"{self._file.path}: the ticks of {self._models.schema}"
+        slots = [(self._models.schema, f"ticks {slot}") for slot in range(self._slots)]
+        self._file.check_size(source, 2 * sum(self._file.rows[slot] for slot in slots))
+        return checked_ticks(self._connection.rows(sql), source)
 
     def model_rows(self) -> dict[str, pa.Table]:
         """Returns the stored rows of each model, by the name of its table."""
@@ -255,19 +261,24 @@ class DuckDBStore(TickStore, TickArchive):
         )
 
     def _source_of_slot(self, table: str, slot: int) -> str:
-        """Returns the stored rows of a slot, in SQL; adds the columns that older records lack."""
+        """Returns the stored rows of a slot, in SQL, after a check of those of a file.
+
+        Older records lack some columns, which are added.
+        """
         place = self._slot(table, slot)
-        if self._is_new:
+        if self._file is None:
             return place
-        if table not in self._present_columns:
-            rows = self._connection.rows(f"SELECT * FROM {place} LIMIT 0")  # noqa: S608
-            self._present_columns[table] = frozenset(rows.column_names)
-        present, columns = self._present_columns[table], RECORDED[table].tick_columns.sql
-        if present >= columns.keys():
-            return place
+        types = tick_types(table)
         if self._has_changes_only(table):
+            types["until"] = "integer"
+        name = f"{table} {slot}"
+        present = self._file.columns(self._connection, self._models.schema, name, types)
+        if present >= types.keys():
+            return place
+        columns = RECORDED[table].tick_columns.sql
+        if "until" in types:
             columns |= {"until": "BIGINT"}
-        return f"({all_columns(place, columns, present, {})})"
+        return f"({all_columns(place, columns, present, {'joint': JOINT_OF_LINK})})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:

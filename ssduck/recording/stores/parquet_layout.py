@@ -26,22 +26,31 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, warn
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
+from ssduck.recording.stores.descriptions import (
+    EPISODE,
+    PARTS,
+    RECORDING,
+    check_description,
+    read_description,
+)
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
-from ssduck.recording.stores.tick_index import INDEX, indexed_ticks
+from ssduck.recording.stores.stored_columns import check_parquet, part_columns
+from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
 from ssduck.schema import RECORDABLE
+from ssduck.world.live_tables import ARROW_TYPES
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -56,8 +65,9 @@ UNITS = {
 }
 ABOUT = "ssduck.json"
 LOG = "log"
-_PART = re.compile(r"part-(\d{6,})\.parquet")
-_EPISODE = re.compile(r"(.+)-(\d+)\.json")
+# The largest number of digits of a part and of an episode keeps them below 10**9.
+_PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
+_EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
 _MISSING = "is missing: the record was damaged, or only copied in part"
@@ -90,17 +100,21 @@ class FolderRun:
 
     @cached_property
     def _about(self) -> dict[str, Any]:
-        about = _json(self.about_file)
+        check_inside(self.path, self.about_file)
+        about = read_description(self.about_file)
+        source = str(self.about_file)
         episode = about.get("world"), about.get("episode")
         if episode not in ((self.world, self.number), (None, None)):
             raise RecordError(
                 f"{self.about_file} describes episode {episode[1]} of {episode[0]!r}: it was "
                 "renamed or copied; give it its name again"
             )
-        tables, recording = about.get("tables"), about.get("recording")
-        is_valid = isinstance(about.get("started"), str) and isinstance(recording, dict)
-        if not (is_valid and isinstance(tables, list) and "entities" in tables):
-            raise RecordError(f"{self.about_file} is damaged: it lacks what is recorded")
+        lack = "what is recorded"
+        check_description(about, EPISODE, source, lack)
+        check_description(about["recording"], RECORDING, f"{source}: 'recording'", lack)
+        check_description(about.get("parts", {}), PARTS, f"{source}: 'parts'", lack)
+        if not self.world.isidentifier():
+            raise RecordError(f"{source} is damaged: {self.world!r} is no name of a world")
         return about
 
     @property
@@ -136,12 +150,13 @@ class FolderRun:
 
     @cached_property
     def _parts_and_log(self) -> tuple[list[int], dict[str, pa.Table]]:
+        check_inside(self.path, self.place(LOG))
         files = read_log(self.place(LOG), self.key or "")
         # In this order: the files of a log are removed when their part is complete.
         parts = _part_numbers(self.place("ticks"))
         log = following_rows(files, max(parts, default=-1) + 1)
         if log and set(log) != set(self.tables):
-            raise RecordError(f"{self.place(LOG)} is damaged: it lacks tables")
+            raise RecordError(f"{self.place(LOG)} is damaged: its tables are not those recorded")
         return parts, log
 
     @property
@@ -159,11 +174,11 @@ class FolderRun:
         is_model = table.startswith("models/")
         place = self.place("models/entities" if is_model else "ticks")
         numbers = _part_numbers(place) if is_model else self.parts
-        missing = sorted(set(range(max(numbers, default=-1))) - set(numbers))
-        if missing:
+        missing = next((n for n, number in enumerate(numbers) if n != number), None)
+        if missing is not None:
             hint = "" if is_model else ", or remove those: the parts before it can be opened then"
             raise RecordError(
-                f"{place / part_name(missing[0])} is missing, and parts after it are there: put it "
+                f"{place / part_name(missing)} is missing, and parts after it are there: put it "
                 f"back{hint}"
             )
         expected = self._about.get("parts", {}).get("models" if is_model else "ticks", 0)
@@ -180,6 +195,7 @@ class FolderRun:
     @property
     def has_begun(self) -> bool:
         """Whether it is said what is recorded: the file is empty at the very beginning."""
+        check_inside(self.path, self.about_file)
         return self.about_file.stat().st_size > 0
 
     @property
@@ -205,7 +221,12 @@ class FolderRun:
         """
         place, numbers = self.place(table), self._parts_of(table)
         has_files = bool(numbers) and place.is_dir()
-        present = {entry.name for entry in os.scandir(place)} if has_files else set()
+        check_inside(self.path, place)
+        entries = list(os.scandir(place)) if has_files else []
+        for entry in entries:
+            if entry.is_symlink():
+                check_inside(self.path, place / entry.name)
+        present = {entry.name for entry in entries if entry.is_file()}
         for number in numbers:
             if part_name(number) not in present:
                 raise self._error_of(table, number, _MISSING)
@@ -216,20 +237,28 @@ class FolderRun:
         key = self._about.get("key")
         return None if key is None else label_of(key, table, number)
 
-    def check(self, table: str, numbers: Iterable[int]) -> None:
-        """Checks that the files of parts exist, are complete, and have the right labels.
+    def check(self, table: str, numbers: Iterable[int]) -> list[pq.FileMetaData]:
+        """Checks that the files of parts are there and complete, with their labels and columns.
+
+        Returns:
+            The footers.
 
         Raises:
             RecordError: a file is missing or damaged.
         """
+        checked = []
         for number in numbers:
             label = self.label(table, number)
+            file = self.place(table) / part_name(number)
             try:
-                footer = _footer(self.place(table) / part_name(number))
+                footer = _footer(file)
             except FileNotFoundError:
                 problem = _MISSING
+            except OSError as error:
+                problem = f"cannot be read: {error.strerror}"
             else:
                 if footer is not None and (label is None or label in footer):
+                    checked.append(check_parquet(str(file), footer, table))
                     continue
                 problem = "is damaged: it is no complete Parquet file"
                 if footer is not None:
@@ -237,6 +266,7 @@ class FolderRun:
                         "is another part, or of another record: it was renamed, or copied there"
                     )
             raise self._error_of(table, number, problem)
+        return checked
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:
         """Returns the error that there is a problem with a part."""
@@ -253,10 +283,18 @@ class FolderRun:
         Raises:
             RecordError: a file is missing or damaged, or there is none.
         """
-        files = self.files(table)
+        files = self.listed_files(table)
         if not files:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
-        return pa.concat_tables([_read(file) for file in files])
+        rows = self._rows(table, files, range(len(files)))
+        return pa.concat_tables(rows, promote_options="default")  # older parts may lack columns
+
+    def _rows(self, table: str, files: Sequence[Path], parts: Sequence[int]) -> list[pa.Table]:
+        """Returns the rows of parts of a table, with the columns that it is to have."""
+        footers = self.check(table, parts)
+        return [
+            _read(files[part], table, footer) for part, footer in zip(parts, footers, strict=True)
+        ]
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
         """Returns the first tick of each part, then of the log if it has rows, and all ticks.
@@ -265,18 +303,17 @@ class FolderRun:
             RecordError: a file is damaged, or nothing was stored.
         """
         files = self.listed_files("ticks")
+        check_inside(self.path, self.place(INDEX))
         parts = indexed_ticks(self.place(INDEX), self.key or "", len(files))
-        self.check("ticks", range(len(parts), len(files)))
-        parts += [_read(file).select(["tick", "time"]) for file in files[len(parts) :]]
+        rest = self._rows("ticks", files, range(len(parts), len(files)))
+        parts += [rows.select(["tick", "time"]) for rows in rest]
         if self.log:
             parts.append(self.log["ticks"].select(["tick", "time"]))
         if not parts:
             raise RecordError(f"{self.place('ticks')} has no complete part: nothing was stored")
-        rows = pa.concat_tables(parts)
-        numbers = rows["tick"].to_numpy()
-        if (np.diff(numbers) <= 0).any():
-            raise RecordError(f"{self.place('ticks')} is damaged: its ticks do not ascend")
-        ticks = TickBuffer.from_arrays(numbers, rows["time"].to_numpy())
+        if not all(part.num_rows for part in parts):
+            raise RecordError(f"{self.place('ticks')} is damaged: a part has no ticks")
+        ticks = checked_ticks(pa.concat_tables(parts), str(self.place("ticks")))
         return [part["tick"][0].as_py() for part in parts], ticks
 
     @property
@@ -336,13 +373,39 @@ def _footer(file: Path) -> bytes | None:
         return stream.read()
 
 
-def _read(file: Path) -> pa.Table:
+def _read(file: Path, table: str, footer: pq.FileMetaData) -> pa.Table:
+    """Returns the rows of a part, with the columns that it is to have."""
+    types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
     try:
         # The threads of the library take longer to wake up than most of these files to read.
-        rows = pq.ParquetFile(file.absolute()).read(use_threads=False)
-        return rows.replace_schema_metadata()
+        part = pq.ParquetFile(file.absolute(), metadata=footer)
+        present = set(part.schema_arrow.names)
+        names = [name for name in types if name in present]
+        rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
+        rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
+        rows.validate(full=True)
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    return rows
+
+
+def check_inside(folder: Path, place: Path) -> None:
+    """Checks that no symbolic link leads out of a record's folder.
+
+    Raises:
+        RecordError: one does, or leads back to itself.
+    """
+    names = place.parts[len(folder.parts) :]
+    below = accumulate(names, os.path.join, initial=str(folder))
+    next(below)  # the folder itself may be reached by a link
+    if not any(map(os.path.islink, below)):
+        return
+    try:
+        if place.resolve().is_relative_to(folder.resolve()):
+            return
+    except (OSError, RuntimeError):  # a link to itself
+        pass
+    raise RecordError(f"{place} is a symbolic link that leaves {folder}: put a copy in its place")
 
 
 def runs_in(path: Path) -> list[FolderRun]:
@@ -353,6 +416,7 @@ def runs_in(path: Path) -> list[FolderRun]:
     """
     check_about(path)
     place = path / "episodes"
+    check_inside(path, place)
     names = [file.name for file in place.iterdir()] if place.is_dir() else []
     matches = map(_EPISODE.fullmatch, names)
     keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
@@ -368,7 +432,8 @@ def check_about(folder: Path) -> None:
     about_file = folder / ABOUT
     if not about_file.is_file():
         raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")
-    about = _json(about_file)
+    check_inside(folder, about_file)
+    about = read_description(about_file)
     if about.get("format") != FORMAT:
         raise RecordError(f"{folder} is no record of ssduck: {about_file} is of another format")
     version = about.get("version")
@@ -379,15 +444,3 @@ def check_about(folder: Path) -> None:
             f"{folder} is a record of version {version}; this ssduck reads those up to {VERSION}: "
             "install a newer one"
         )
-
-
-def _json(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file.read_text("utf-8"))
-    except OSError as error:
-        raise RecordError(f"{file} cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise RecordError(f"{file} is damaged: {error}") from error
-    if not isinstance(content, dict):
-        raise RecordError(f"{file} is damaged: it has no JSON object")
-    return content

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import re
+import stat
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +23,10 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.stored_columns import check_stream
+from ssduck.schema import RECORDED
 
-_FILE = re.compile(r"part-(\d{6,})-(\d{4,})\.arrow")
+_FILE = re.compile(r"part-([0-9]{6,9})-([0-9]{4,9})\.arrow")
 # The keys of metadata: the label of a file, and the name of a table.
 _LABEL, _TABLE = b"ssduck log", b"table"
 # A reader that finds a file gone looks again, so many times.
@@ -168,21 +171,37 @@ def _write(path: Path, rows: Mapping[str, pa.Table], label: bytes) -> None:
 
 
 def _read(file: Path, key: str) -> dict[str, pa.Table]:
+    if not stat.S_ISREG(file.lstat().st_mode):
+        raise RecordError(f"{file} is no file: put a copy in its place")
     content = pa.BufferReader(file.read_bytes())
-    tables = {}
+    tables: dict[str, pa.Table] = {}
     try:
         while content.tell() < content.size():
-            rows = pa.ipc.open_stream(content).read_all()
-            metadata = rows.schema.metadata or {}
+            stream = pa.ipc.open_stream(content)
+            metadata = stream.schema.metadata or {}
             if metadata[_LABEL] != _label(key, file.name):
                 raise RecordError(
                     f"{file} is another file of a log, or of another record: it was renamed, or "
                     "copied there; remove it"
                 )
-            tables[metadata[_TABLE].decode()] = rows.replace_schema_metadata()
-    except (pa.ArrowException, OSError, KeyError) as error:
+            table = metadata[_TABLE].decode()
+            if table in tables or table not in RECORDED:
+                raise RecordError(f"{file} is damaged: {table!r} is no table, or there twice")
+            check_stream(f"{file}, {table}", stream.schema, table)
+            tables[table] = _validated(stream.read_all()).replace_schema_metadata()
+    except (pa.ArrowException, OSError, KeyError, UnicodeDecodeError) as error:
+        if isinstance(error, RecordError):
+            raise
         raise RecordError(
             f"{file} cannot be read: it is damaged: {error}; remove it and those after it to open "
             "the ticks before them"
         ) from error
     return tables
+
+
+def _validated(rows: pa.Table) -> pa.Table:
+    """Returns rows whose buffers have the values that they claim, with none missing."""
+    rows.validate(full=True)
+    if any(rows[field.name].null_count for field in rows.schema if field.type != pa.float64()):
+        raise pa.ArrowInvalid("a number is missing")
+    return rows

@@ -17,13 +17,20 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ssduck.errors import RecordError
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.stored_columns import MAX_VALUES, arrow_columns, check_columns
+from ssduck.schema import ColumnType
 
 INDEX = "index"
 # The index is written after so many parts, and at the end if there are as many as a quarter.
 INDEXED_PARTS = 64
 MIN_PARTS = INDEXED_PARTS // 4
 _COLUMNS = ("tick", "time")
+_TYPES: dict[str, ColumnType] = {"part": "integer", "tick": "integer", "time": "double"}
+# Numbers of ticks are less, so that each of them is also a double.
+_MAX_TICK = 1 << 53
 _LABEL = b"ssduck index"
 
 
@@ -79,16 +86,24 @@ def indexed_ticks(place: Path, key: str, parts: int) -> list[pa.Table]:
     if not file.is_file():
         return []
     try:
-        rows = pq.ParquetFile(file.absolute()).read()
-    except (pa.ArrowException, OSError):  # the parts have what it has
+        index = pq.ParquetFile(file.absolute())
+        if (index.schema_arrow.metadata or {}).get(_LABEL) != _label(key):
+            return []
+        check_columns(str(file), arrow_columns(index.schema_arrow), _TYPES)
+        if index.metadata.num_rows > MAX_VALUES:
+            return []
+        rows = index.read(columns=list(_TYPES))
+    except (pa.ArrowException, OSError):  # the parts have what it has; a RecordError is an OSError
         return []
-    if (rows.schema.metadata or {}).get(_LABEL) != _label(key):
+    if any(rows[name].null_count for name in _TYPES):
         return []
     return _by_part(rows, range(parts))
 
 
 def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
     numbers = rows["part"].to_numpy()
+    if (np.diff(numbers) < 0).any():
+        return []
     starts = np.searchsorted(numbers, parts).tolist()
     ends = np.searchsorted(numbers, parts, side="right").tolist()
     ticks = rows.select(_COLUMNS).replace_schema_metadata()
@@ -97,6 +112,28 @@ def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
         for start, end in zip(starts, ends, strict=True)
         if end > start
     ]
+
+
+def checked_ticks(rows: pa.Table, source: str) -> TickBuffer:
+    """Returns the ticks of a record in order.
+
+    Args:
+        rows: their numbers and times, `tick` and `time`.
+        source: the file or folder that has them, to begin the message.
+
+    Raises:
+        RecordError: a number or a time is missing or out of bounds, or they do not ascend.
+    """
+    if rows["tick"].null_count or rows["time"].null_count:
+        raise RecordError(f"{source} is damaged: a tick lacks its number or its time")
+    numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
+    if len(numbers) and not (numbers.min() >= 0 and numbers.max() < _MAX_TICK):
+        raise RecordError(f"{source} is damaged: the number of a tick is out of bounds")
+    if (np.diff(numbers) <= 0).any():
+        raise RecordError(f"{source} is damaged: its ticks do not ascend")
+    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise RecordError(f"{source} is damaged: the times of its ticks do not ascend")
+    return TickBuffer.from_arrays(numbers, times)
 
 
 def _file_in(place: Path) -> Path:
