@@ -97,7 +97,7 @@ class Connection:
         self.meter = UsageMeter(limits)
         self.on_demand: OnDemand[Connection] = OnDemand()
         self.has_records = self.is_file
-        # Whether something may be in the database that `_empty` does not remove.
+        # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
         # The attached file with a record.
         self._attached: Path | None = None
@@ -107,7 +107,7 @@ class Connection:
         self._raised: list[BaseException] = []
         # For small data and many queries, a second thread costs more time than it saves.
         self.run("SET threads = 1")
-        self.forbid_merge_joins()
+        self.avoid_ie_joins()
         # DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
         # setting it is an error.
         if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
@@ -143,8 +143,8 @@ class Connection:
         self.run("SET enable_external_access = false")
         self.run("SET lock_configuration = true")
 
-    def forbid_merge_joins(self) -> None:
-        """Lets DuckDB plan other joins than IE joins, but for SEMI and ANTI joins.
+    def avoid_ie_joins(self) -> None:
+        """Has DuckDB plan other joins in place of IE joins, but for SEMI and ANTI joins.
 
         In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
         statement invalidates the database at its second run.
@@ -198,8 +198,11 @@ class Connection:
         POOL.give_back(self._instance)
 
     def writer(self) -> WriterConnection:
-        """Returns a second connection to the same database, to store recorded ticks."""
-        self._is_altered = self.has_records = True
+        """Returns a second connection to the same database, to store recorded ticks.
+
+        Their schema is all that it may change there: `_give_back` drops it.
+        """
+        self.has_records = True
         return self.reader()
 
     def reader(self, record: Path | None = None) -> WriterConnection:
