@@ -10,6 +10,7 @@ marked `slow`: those that take long or draw many random cases. Of a test that is
 
 from __future__ import annotations
 
+import gc
 import signal
 import tomllib
 from pathlib import Path
@@ -31,6 +32,12 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_collection_finish():
+    """Keep the garbage collector from going through what was collected: it stays to the end."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

@@ -75,6 +75,8 @@ class Database:
         self._references = ReferencedTables()
         self.plans = PreparedPlans(self.connection, self._references.persistent)
         self._schemas = Schemas(self.connection)
+        if self.connection.is_file:
+            self._schemas.drop_stale_views()
         self._recorders = Recorders(self.connection, running)
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
@@ -86,8 +88,6 @@ class Database:
         self._record_folders: list[Path] = []
         self._is_sealed = False
         self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
-        if self.connection.is_file:
-            self._schemas.drop_stale_views()
         offer_geometry_functions(self.connection, self._worlds.by_schema)
         self.connection.apply_limits()
 
