@@ -34,6 +34,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import recorders, writer
 from ssduck.errors import RecordError, SelectScriptError
+from tests.support.bodies import create_linked_body
 
 Kind: TypeAlias = Literal["parquet", "file"]
 TABLES = ("entities", "links", "joints", "shapes", "contacts")
@@ -72,7 +73,7 @@ def record(kind: Kind, path: str, seed: int) -> None:
         few = rng.randrange(1, 9)
         vars(recorders).update(BUFFERED_TICKS=few, PART_TICKS=few)
         writer.LONG_LOG = 1
-    world, move = _world(rng)
+    world, move = new_world(rng)
     recording = Recording(tables=TABLES, flush_every=FLUSH_EVERY)
     stands_still_at = rng.randrange(30, 150) if timed and rng.random() < 0.3 else None
     _report(begun=True)
@@ -102,7 +103,7 @@ def is_timed(seed: int) -> bool:
     return seed // 2 % 2 == 1
 
 
-def _world(rng: random.Random) -> tuple[ssduck.World, Any]:
+def new_world(rng: random.Random) -> tuple[ssduck.World, Any]:
     """Returns a world and a function that places its bodies for a tick."""
     import pybullet
 
@@ -112,18 +113,13 @@ def _world(rng: random.Random) -> tuple[ssduck.World, Any]:
     balls = [pybullet.createMultiBody(1, ball) for _ in range(BALLS)]
     pybullet.createMultiBody(0, box, basePosition=[0, 0, -5])
     pushed = pybullet.createMultiBody(1, box)
-    arm = pybullet.createMultiBody(
+    arm = create_linked_body(
+        client,
         0,
         box,
+        link_shape=ball,
         basePosition=[0, 0, -9],
-        linkMasses=[1],
-        linkCollisionShapeIndices=[ball],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0, 0, 0.5]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[pybullet.JOINT_REVOLUTE],
         linkJointAxis=[[1, 0, 0]],
     )

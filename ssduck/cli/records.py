@@ -1,4 +1,4 @@
-"""Defines the commands about records: `ssduck record`, `export` and `episodes`."""
+"""Defines the commands about records: `ssduck record`, `export`, `episodes` and `check`."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
+from ssduck.formatting import count_of
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -112,10 +113,11 @@ def record(
             with writer or nullcontext():
                 _run(ss.call_variable(description.name), steps, received)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
-    print_line(
-        f"{episode.ticks} ticks of {episode.world!r}, from {episode.start:g} s to "
-        f"{episode.end:g} s: episode {episode.number} in {output}"
-    )
+    times = f"from {episode.start:g} s to {episode.end:g} s"
+    if episode.ticks == 1:
+        times = f"at {episode.start:g} s"
+    ticks = f"{count_of(episode.ticks, 'tick')} of {episode.world!r}, {times}"
+    print_line(f"{ticks}: episode {episode.number} in {output}")
     if received:
         word = "interrupted" if received[0] == signal.SIGINT else "terminated"
         sys.stderr.write(f"{word}: the record is complete up to then\n")
@@ -225,6 +227,29 @@ def episodes(
         for e in _episodes(path)
     ]
     print_table(DisplayTable(columns, rows))
+
+
+def check(
+    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="Take damaged files out of the record; their names then end in .damaged.",
+        ),
+    ] = False,
+) -> None:
+    """List the damaged and missing files of a record, and what is lost with each."""
+    from ssduck.interpreter.record_check import check as damages_of
+
+    damages = damages_of(path, repair=repair)
+    if not damages:
+        print_line(f"{path} is intact")
+        return
+    rows = [(str(d.file), d.problem, d.loss, d.is_repaired) for d in damages]
+    print_table(DisplayTable(["file", "problem", "lost", "repaired"], rows))
+    if not all(damage.is_repaired for damage in damages):
+        raise typer.Exit(1)
 
 
 def _episodes(path: Path) -> list[Episode]:

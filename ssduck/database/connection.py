@@ -20,7 +20,7 @@ from sqlglot import exp
 from ssduck.database import interrupts as ctrl_c
 from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
-from ssduck.database.file_paths import absolute_path, open_error_text
+from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import MEMORY, POOL, create_file
 from ssduck.database.limited_fetch import limited_rows, limited_table
 from ssduck.database.on_demand import OnDemand
@@ -44,6 +44,8 @@ T = TypeVar("T")
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
+# Errors of functions that SQL calls, which stay as they are.
+_OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
 # The largest number of rows that are fetched as tuples.
 _BY_ROW = 100
 # The types whose columns NumPy represents exactly.
@@ -95,16 +97,17 @@ class Connection:
         self.meter = UsageMeter(limits)
         self.on_demand: OnDemand[Connection] = OnDemand()
         self.has_records = self.is_file
-        # Whether something may be in the database that `_empty` does not remove.
+        # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
-        self._attached = False
+        # The attached file with a record.
+        self._attached: Path | None = None
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
         # The exception of a function that SQL called: DuckDB keeps its text only.
         self._raised: list[BaseException] = []
         # For small data and many queries, a second thread costs more time than it saves.
         self.run("SET threads = 1")
-        self.forbid_merge_joins()
+        self.avoid_ie_joins()
         # DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
         # setting it is an error.
         if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
@@ -140,8 +143,8 @@ class Connection:
         self.run("SET enable_external_access = false")
         self.run("SET lock_configuration = true")
 
-    def forbid_merge_joins(self) -> None:
-        """Lets DuckDB plan other joins than IE joins, but for SEMI and ANTI joins.
+    def avoid_ie_joins(self) -> None:
+        """Has DuckDB plan other joins in place of IE joins, but for SEMI and ANTI joins.
 
         In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
         statement invalidates the database at its second run.
@@ -181,7 +184,7 @@ class Connection:
         """Empties the database, and gives it to the next interpreter."""
         for name in self._functions:
             self._connection.remove_function(name)
-        if self._attached:
+        if self._attached is not None:
             self._connection.execute(f"DETACH {_ATTACHED_NAME}")
         schemas = self._connection.execute(
             "SELECT schema_name FROM duckdb_schemas() "
@@ -195,13 +198,21 @@ class Connection:
         POOL.give_back(self._instance)
 
     def writer(self) -> WriterConnection:
-        """Returns a second connection to the same database, to store recorded ticks."""
-        self._is_altered = self.has_records = True
+        """Returns a second connection to the same database, to store recorded ticks.
+
+        Their schema is all that it may change there: `_give_back` drops it.
+        """
+        self.has_records = True
         return self.reader()
 
-    def reader(self) -> WriterConnection:
-        """Returns a second connection to the same database, to read recorded ticks."""
-        return WriterConnection(self._connection, Path(self._path) if self.is_file else None)
+    def reader(self, record: Path | None = None) -> WriterConnection:
+        """Returns a second connection to the same database, to read recorded ticks.
+
+        Args:
+            record: the record that it reads; None for the database itself.
+        """
+        file = Path(self._path) if self.is_file else None
+        return WriterConnection(self._connection, file, record)
 
     def attach(self, path: Path) -> str:
         """Attaches a DuckDB file to be read, and returns its name.
@@ -214,16 +225,20 @@ class Connection:
         except SqlError as error:
             raise RecordError(error.message) from error
         try:
-            self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY)")
+            # DuckDB would download an extension to read a file of another type.
+            self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY, TYPE duckdb)")
         except SqlError as error:
-            raise RecordError(open_error_text(str(path), error)) from error
-        self._attached = self.has_records = True
+            text = open_error_text(str(path), error)
+            if error.__cause__ is not None and is_damage(error.__cause__):
+                text = damage_text(path, error.__cause__)
+            raise RecordError(text) from error
+        self._attached, self.has_records = path, True
         return _ATTACHED
 
     @property
     def may_have_views(self) -> bool:
         """Whether a file is open or attached: its views and macros may call relations."""
-        return self.is_file or self._attached
+        return self.is_file or self._attached is not None
 
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table readable under a name."""
@@ -475,13 +490,15 @@ class Connection:
             raise cause from None
         if interrupted:
             raise KeyboardInterrupt from error
-        if isinstance(cause, LimitError | UnknownNameError | UnsupportedError | EvaluationError):
+        if isinstance(cause, _OWN_ERRORS):
             raise cause from None
         if not self.is_open:
             raise SqlError("the interpreter is closed", is_final=True) from error
         self.meter.check_time()
         if isinstance(error, RuntimeError | duckdb.InterruptException):
             raise KeyboardInterrupt from error
+        if self._attached is not None and is_damage(error):
+            raise RecordError(damage_text(self._attached, error)) from error
         if isinstance(error, duckdb.OutOfMemoryException):
             raise LimitError(f"the query needs more memory than available: {error}") from error
         refused = isinstance(error, _REFUSAL_ERRORS)
@@ -548,7 +565,7 @@ def _finish(
     try:
         for recorder in recorders:
             try:
-                recorder.flush()
+                recorder.finish()
             except SelectScriptError as error:
                 failed = failed or error
     finally:  # its functions may refer to it, and would keep it open until Python ends

@@ -12,7 +12,8 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from ssduck.errors import SqlError
+from ssduck.database.file_paths import damage_text, is_damage
+from ssduck.errors import RecordError, SqlError
 
 # The size of DuckDB's log, in bytes, from which on it is moved to the file. That takes tenths of a
 # second, and rewrites some earlier rows, so that fewer and larger moves take less time.
@@ -29,9 +30,16 @@ class WriterConnection:
     Args:
         connection: the connection to the database.
         file: the file of the database; None for memory.
+        record: the record that it reads; None for the database itself.
     """
 
-    def __init__(self, connection: duckdb.DuckDBPyConnection, file: Path | None = None) -> None:
+    def __init__(
+        self,
+        connection: duckdb.DuckDBPyConnection,
+        file: Path | None = None,
+        record: Path | None = None,
+    ) -> None:
+        self._record = record
         self._connection = connection.cursor()
         self._reading = connection.cursor()
         self._file = file
@@ -94,7 +102,7 @@ class WriterConnection:
             try:
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
-                raise SqlError(f"recorded ticks cannot be read: {error}") from error
+                raise self._reading_error(error) from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
@@ -102,7 +110,14 @@ class WriterConnection:
             try:
                 return self._reading.execute(sql).fetchall()
             except duckdb.Error as error:
-                raise SqlError(f"recorded ticks cannot be read: {error}") from error
+                raise self._reading_error(error) from error
+
+    def _reading_error(self, error: duckdb.Error) -> SqlError | RecordError:
+        if self._record is None:
+            return SqlError(f"recorded ticks cannot be read: {error}")
+        if is_damage(error):
+            return RecordError(damage_text(self._record, error))
+        return RecordError(f"{self._record} cannot be read: {error}")
 
     def close(self) -> None:
         """Closes the connection."""

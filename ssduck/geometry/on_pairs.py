@@ -14,7 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.geometry.arrays import Flags, Indices
-from ssduck.geometry.batch import PairPredicate, TickShapes, proven_verdicts
+from ssduck.geometry.batch import (
+    PairPredicate,
+    TickShapes,
+    are_few_boxes,
+    pairs_of_boxes,
+    proven_verdicts,
+)
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
@@ -22,6 +28,7 @@ from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
 from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
 from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, Verdicts
+from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
@@ -132,7 +139,7 @@ def contact_verdicts(
         min_height: the least z of an upward unit normal, from 0 to 1.
     """
     table, verdicts = tick.table, np.full(len(first), UNDECIDED, np.int8)
-    are_boxes = np.flatnonzero(table.is_box[first] & table.is_box[second])
+    are_boxes = pairs_of_boxes(table, first, second)
     if len(are_boxes):
         of_boxes = first[are_boxes], second[are_boxes]
         verdicts[are_boxes] = _upward_boxes(tick, *of_boxes, min_height)
@@ -142,9 +149,10 @@ def contact_verdicts(
         verdicts[on_planes[heights >= min_height + _UP_ROOM]] = UPWARD
         verdicts[on_planes[heights <= min_height - _UP_ROOM]] = NOT_UPWARD
     are_bounded = table.is_convex & ~table.is_plane
-    left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
-    if len(left):
-        verdicts[left] = upward_verdicts(tick.placed_cores, first[left], second[left], min_height)
+    for decide in (upward_round_verdicts, upward_verdicts):
+        left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
+        if len(left) and not are_few_boxes(table, first[left], second[left]):
+            verdicts[left] = decide(tick.placed_cores, first[left], second[left], min_height)
     return verdicts
 
 
@@ -154,9 +162,9 @@ def _upward_boxes(tick: TickShapes, first: Indices, second: Indices, min_height:
     It is the axis of least overlap of boxes that overlap. All axes that rounding errors could make
     the least must agree.
     """
-    axes = box_axes(tick, first, second)
-    least = axes.overlaps.min(axis=1)
-    is_least = axes.overlaps <= least[:, None] + _TIE
+    axes = box_axes(tick.placed_cores, first, second)
+    least = axes.overlaps.min(axis=0)
+    is_least = axes.overlaps <= least + _TIE
     rising = axes.directions_z
     # Where the centres are level along an axis, its other direction has the same overlap.
     is_either = is_least & (axes.distances <= _TIE)
@@ -165,8 +173,8 @@ def _upward_boxes(tick: TickShapes, first: Indices, second: Indices, min_height:
     size = np.abs(tick.positions).max(axis=1, initial=0.0) + tick.table.bounding_radius
     is_sure = (least >= -_MAX_GAP) & ~axes.is_doubtful
     is_sure &= np.maximum(size[first], size[second]) <= _MAX_COORDINATE
-    upward = np.where(is_least, lowest, math.inf).min(axis=1) >= min_height + _UP_ROOM
-    not_upward = np.where(is_least, highest, -math.inf).max(axis=1) <= min_height - _UP_ROOM
+    upward = np.where(is_least, lowest, math.inf).min(axis=0) >= min_height + _UP_ROOM
+    not_upward = np.where(is_least, highest, -math.inf).max(axis=0) <= min_height - _UP_ROOM
     verdicts = np.full(len(first), UNDECIDED, np.int8)
     verdicts[is_sure & upward] = UPWARD
     verdicts[is_sure & not_upward] = NOT_UPWARD

@@ -2,35 +2,46 @@
 
 from __future__ import annotations
 
-import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from sqlglot import exp
-
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest
 from ssduck.recording.episode import Episode
 from ssduck.recording.paths import expand_path
+from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import geometries_of, members_of, run_of
 from ssduck.recording.stores.base import StoreConnection
+from ssduck.recording.stores.descriptions import (
+    DATABASE_EPISODE,
+    check_description,
+    parse_description,
+)
 from ssduck.recording.stores.duckdb import DuckDBStore
-from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION
 from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from ssduck.recording.stores.record_file import RecordFile
 from ssduck.schema import RECORDABLE
 from ssduck.world.run_numbers import new_run
+
+# The number of an episode in the name of a schema.
+_NUMBER = re.compile("0|[1-9][0-9]{0,8}")
 
 
 class RecordedRun(Protocol):
     """A recorded run of a world."""
+
+    @property
+    def path(self) -> Path:
+        """The folder or the file."""
 
     @property
     def world(self) -> str:
@@ -85,7 +96,7 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _runs_in_file(path, database.connection.attach(path), database.connection.reader())
+    return _runs_in_file(path, database.connection.attach(path), database.connection.reader(path))
 
 
 def select_runs(
@@ -134,28 +145,33 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
         recording = _recording({**run.recording, "tables": tables}, run.about_file)
-        archive = ParquetArchive(run, recording, database.connection.reader())
+        archive = ParquetArchive(run, recording, database.connection.reader(run.path))
         ticks, models = archive.ticks, archive.model_rows()
     else:
         assert isinstance(run, StoredRun)
-        archive = run.history(database.connection.reader())
+        archive = run.history(database.connection.reader(run.path))
         ticks, models = archive.ticks(), archive.model_rows()
     try:
         description = run_of(models)
     except RecordError as error:
-        raise RecordError(f"episode {run.number} of {run.world!r}: {error.message}") from error
+        raise RecordError(
+            f"{run.path}: episode {run.number} of {run.world!r}: {error.message}"
+        ) from error
     if description is None and models["entities"].num_rows:  # older rows lack the run
         archive.unrecorded_run = new_run()
     number = description or archive.unrecorded_run or new_run()
+    members = members_of(models)
+    rows = CheckedRows(archive, members, str(run.path))
     record = Record(
         None,
         ticks,
-        members_of(models),
+        members,
         archive.tables,
-        archive.fetch,
-        lambda tick: archive.near_pairs(tick, None),
+        rows.fetch,
+        rows.near_pairs,
         geometries_of(models),
         number,
+        source=rows.source,
     )
     return ReplayedWorld(run.world, record, archive)
 
@@ -168,20 +184,23 @@ class StoredRun:
     """A recorded run in a DuckDB file.
 
     Attributes:
-        path: the file.
-        catalog: the name under which it is attached.
+        file: the file.
         schema: the schema of the run.
         world: the name of the world.
         number: the number of the episode, from 0.
         reader: a connection that can read it.
     """
 
-    path: Path
-    catalog: str
+    file: RecordFile
     schema: str
     world: str
     number: int
     reader: StoreConnection
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self.file.path
 
     @cached_property
     def description(self) -> dict[str, Any]:
@@ -190,14 +209,13 @@ class StoredRun:
         Raises:
             RecordError: it is damaged, or of a newer version.
         """
-        table = ".".join(map(quoted, (self.catalog, self.schema, ABOUT)))
-        rows = self.reader.fetchall(f"SELECT about FROM {table}")  # noqa: S608
-        return _description(self.path, self.schema, rows)
+        rows = self.file.read(self.reader, self.schema, ABOUT, {"about": "string"})
+        return _description(self.path, self.schema, rows["about"].to_pylist())
 
     def history(self, reader: StoreConnection) -> DuckDBStore:
         """Returns the store of the run."""
         recording = _recording(self.description["recording"], self.path)
-        return DuckDBStore(self.schema, reader, recording, catalog=self.catalog)
+        return DuckDBStore(self.schema, reader, recording, file=self.file)
 
     @property
     def has_ticks(self) -> bool:
@@ -222,45 +240,36 @@ class StoredRun:
             every=history.recording.every,
             entities=history.recording.entities,
             ticks=history.ticks(),
+            complete=self.description.get("complete"),
         )
 
 
 def _runs_in_file(path: Path, catalog: str, reader: StoreConnection) -> list[StoredRun]:
-    file, about = (exp.Literal.string(text).sql("duckdb") for text in (catalog, ABOUT))
-    schemas = reader.fetchall(
-        f"SELECT schema_name FROM duckdb_tables() WHERE database_name = {file} "  # noqa: S608
-        f"AND table_name = {about}"
-    )
+    file = RecordFile.of(path, catalog, reader)
     runs = []
-    for (schema,) in schemas:
+    for schema in file.schemas_with(ABOUT):
         world, _, number = schema.rpartition(RUN_SCHEMA)
-        if not number.isdecimal():
+        if not (_NUMBER.fullmatch(number) and world.isidentifier()):
             raise RecordError(f"{path} is damaged: the schema {schema!r} is of no episode")
-        runs.append(StoredRun(path, catalog, schema, world, int(number), reader))
+        runs.append(StoredRun(file, schema, world, int(number), reader))
     if not runs:
         raise RecordError(f"nothing is recorded in the DuckDB file {path}")
     return sorted(runs, key=lambda run: (run.world, run.number))
 
 
-def _description(path: Path, schema: str, rows: list[tuple[Any, ...]]) -> dict[str, Any]:
+def _description(path: Path, schema: str, texts: list[Any]) -> dict[str, Any]:
     """Returns the description of a run, checked."""
-    try:
-        description: dict[str, Any] = json.loads(rows[0][0])
-        version = description["version"]
-        checked_values = (
-            description["world"],
-            description["recording"],
-            description["started"],
-            int(schema.rpartition("_")[2]),
-        )
-    except (IndexError, KeyError, TypeError, ValueError) as error:
-        raise RecordError(f"{path} is damaged: {schema} lacks its description") from error
-    assert checked_values
-    if version > VERSION:
+    if len(texts) != 1 or texts[0] is None:
+        raise RecordError(f"{path} is damaged: {schema} lacks its description")
+    source = f"{path}: the description of {schema}"
+    description = parse_description(texts[0], source)
+    version = description.get("version")
+    if type(version) is int and version > VERSION:
         raise RecordError(
             f"{schema} in {path} is a record of version {version}; this ssduck reads those up to "
             f"{VERSION}: install a newer one"
         )
+    check_description(description, DATABASE_EPISODE, source, "what is recorded")
     return description
 
 

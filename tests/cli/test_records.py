@@ -37,6 +37,11 @@ def test_a_scene_is_recorded_and_asked(here, output):
     assert re.fullmatch(r"two +1  \S+ +3 +0  0.1  entities", lines[3])
 
 
+def test_a_record_of_one_tick(here):
+    written = answer("record", "two.toml", "--seconds", "0", "-o", "run")
+    assert written == "1 tick of 'two', at 0 s: episode 0 in run\n"
+
+
 def test_a_record_is_exported(here):
     answer("record", "two.toml", "--seconds", "0.5", "-o", "run.duckdb")
     written = answer("export", "run.duckdb", "-o", "all")
@@ -57,7 +62,7 @@ RECORD_ERRORS = [
     (["query", "two.toml", "1;", "--episode", "3"], 2, "two.toml is no record"),
     (["episodes", "nothing"], 1, "there is no record nothing: neither a folder nor a DuckDB file"),
     (["episodes", "two.toml"], 1, "two.toml cannot be opened"),
-    (["export", "run", "-o", "empty/../run/ssduck.json"], 1, "File exists"),
+    (["export", "run", "-o", "empty/../run/ssduck.json"], 1, "is a file, and a record"),
     (["export", "run", "-o", "out", "--entities", "bigg"], 1, "did you mean 'big'?"),
     (["export", "run", "-o", "out", "--world", "too"], 1, "did you mean 'two'?"),
     (["export", "run", "-o", "out", "--start", "9"], 1, "no tick of 'two' of that time"),
@@ -68,7 +73,8 @@ RECORD_ERRORS = [
     (["record", "two.toml", "--seconds", "1", "-o", "out", "--tables", "entitis"], 1, "'entities'"),
     (["record", "two.toml", "--seconds", "1", "-o", "out", "--entities", "bg"], 1, "'big'?"),
     (["record", "two.toml", "--seconds", "1", "-o", "."], 1, "has something else in it"),
-    (["record", "two.toml", "--seconds", "1", "-o", "box.urdf"], 1, "box.urdf cannot be written"),
+    (["record", "two.toml", "--seconds", "1", "-o", "box.urdf"], 1, "box.urdf is a file, and a"),
+    (["export", "run", "-o", "box.urdf/run"], 1, "box.urdf/run cannot be written: Not a directory"),
 ]
 
 

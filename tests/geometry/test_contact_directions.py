@@ -22,6 +22,7 @@ from ssduck.geometry.proofs.contact_directions import (
     upward_verdicts,
 )
 from ssduck.geometry.proofs.gjk import UNDECIDED
+from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
 from tests.support.solids import box, narrow, sorts_of, sphere
@@ -88,9 +89,26 @@ def test_verdicts_are_what_the_normals_of_single_pairs_say(kinds):
     assert undecided < 0.12 * len(HEIGHTS) * 2 * len(two)
 
 
-def verdict(first, second, min_height=MIN_UP):
+def verdict(first, second, min_height=MIN_UP, decide=upward_verdicts):
     cores = pairs.bodies([first, second])
-    return int(upward_verdicts(cores, np.array([0]), np.array([1]), min_height)[0])
+    return int(decide(cores, np.array([0]), np.array([1]), min_height)[0])
+
+
+@pytest.mark.parametrize("kinds", [("sphere", kind) for kind in KINDS[:4]])
+def test_the_cores_of_spheres_decide(kinds):
+    """The normal of two shapes whose cores are apart is that of the cores."""
+    decided = 0
+    for seed in range(40):
+        first, second = pairs.pair(kinds, seed)
+        result = gap(first, second)
+        radii = sum(s.geometry.size[0] for s in (first, second) if s.geometry.type == "sphere")
+        are_apart = result.distance + radii > 1e-3
+        found = verdict(first, second, decide=upward_round_verdicts)
+        assert found == UNDECIDED or (found == UPWARD) == (-result.normal[2] >= MIN_UP)
+        is_clear = abs(-result.normal[2] - MIN_UP) > 0.1
+        assert found != UNDECIDED or not (are_apart and is_clear)
+        decided += found != UNDECIDED
+    assert decided > 10
 
 
 @pytest.mark.parametrize("off", [1e-7, 1e-4, 0.02])

@@ -11,9 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from ssduck.geometry.poses import multiply
+from ssduck.geometry.proofs.footprints import OVER, over_verdicts
+from ssduck.geometry.proofs.gjk import UNDECIDED
 from ssduck.schema import ID_FACTOR
 from tests.geometry.test_colliding import fill
 from tests.support.cases import sampled
+from tests.support.solids import box as solid_box
+from tests.support.solids import narrow, sorts_of
 
 QUERY = "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE on(a.this, b.this) AS list;"
 KINDS = ("box", "sphere", "capsule", "cylinder", "hull")
@@ -75,6 +80,25 @@ def test_boxes_at_the_boundaries(tilt, spin, depth, along):
         assert at_once == one_by_one
     finally:
         pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-10, 1e-6, 0.3, math.pi / 2, 1.2])
+def test_centres_over_boxes_are_what_the_planes_of_the_faces_say(tilt):
+    random = np.random.default_rng(7)
+    turn = np.array([[math.cos(tilt / 2), math.sin(tilt / 2), 0.0, 0.0]])
+    spin = np.array([[math.cos(0.4), 0.0, 0.0, math.sin(0.4)]])
+    lower = (solid_box(0.6, 0.4, 0.2), np.array([1.0, 2.0, 3.0]), multiply(spin, turn)[0])
+    uppers = [
+        (solid_box(0.2, 0.2, 0.2), (*random.uniform(-0.5, 0.5, 2) + (1.0, 2.0), 4.0), spin[0])
+        for _ in range(200)
+    ]
+    scene = narrow([lower], *([upper] for upper in uppers))
+    a, b = np.zeros(200, np.intp), np.arange(1, 201)
+    verdicts = over_verdicts(scene.tick_shapes(sorts_of(scene)), scene.starts, a, b)
+    expected = [scene.is_over(0, int(other)) for other in b]
+    assert ((verdicts == OVER) == expected).all()
+    assert UNDECIDED not in verdicts
+    assert len(set(expected)) == 2
 
 
 def test_stacked_boxes_need_no_fcl(client):

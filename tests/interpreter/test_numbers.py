@@ -226,6 +226,7 @@ CALLS = {
 # ssduck and not by users, and what is another entry's.
 OTHERS = {
     "Entity(id)": "made by worlds", "Link(id)": "made by worlds",
+    "Damage": "a result",
     "Episode": "a result",
     "Past": "a result; `Interpreter.past` makes it",
     "OccupancyGrid": "a result", "Grid": "a result", "SensorGrid": "a result",
@@ -233,7 +234,7 @@ OTHERS = {
     "World.advance": "a part of step", "World.drive": "Entity.drive", "World.hold": "Entity.hold",
     "World.enable": "Entity.enabled", "World.show": "Entity.visible",
     "World.place": "Entity.move", "World.reading": "Sensor.reading",
-    "World.switch": "Sensor.power", "World.reached": "for followers",
+    "World.attach(forward)": "of MuJoCo, tests/simulators/mujoco", "World.switch": "Sensor.power", "World.reached": "for followers",
     "World.pin(is_read)": "a part of pinned", "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
     "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",

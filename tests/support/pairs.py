@@ -20,6 +20,7 @@ from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 
@@ -192,9 +193,10 @@ def wrong_normals(shape_pairs, rises, min_height):
     first = np.arange(0, 2 * len(shape_pairs), 2)
     wrong, undecided = np.zeros(len(shape_pairs), bool), 0
     for sign, one, other in ((1.0, first, first + 1), (-1.0, first + 1, first)):
-        result = upward_verdicts(cores, one, other, min_height)
-        wrong |= (result == UPWARD) & (sign * rises < min_height)
-        wrong |= (result == NOT_UPWARD) & (sign * rises >= min_height)
+        for decide in (upward_round_verdicts, upward_verdicts):
+            result = decide(cores, one, other, min_height)
+            wrong |= (result == UPWARD) & (sign * rises < min_height)
+            wrong |= (result == NOT_UPWARD) & (sign * rises >= min_height)
         undecided += int((result == UNDECIDED).sum())
     return np.flatnonzero(wrong).tolist(), undecided
 

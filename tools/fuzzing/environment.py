@@ -106,6 +106,7 @@ def world_of_inputs() -> Any:
     import pybullet as p
 
     from ssduck import World
+    from tests.support.bodies import create_linked_body
 
     client = p.connect(p.DIRECT)
     box = p.createCollisionShape(p.GEOM_BOX, halfExtents=[0.5, 0.5, 0.2], physicsClientId=client)
@@ -119,23 +120,16 @@ def world_of_inputs() -> Any:
     ):
         number = p.createMultiBody(1, shape, basePosition=place, physicsClientId=client)
         names[number] = name
-    number = p.createMultiBody(
-        baseMass=1,
-        baseCollisionShapeIndex=box,
+    arm = create_linked_body(
+        client,
+        1,
+        box,
+        link_shape=ball,
         basePosition=[3, 3, 1],
-        linkMasses=[1],
-        linkCollisionShapeIndices=[ball],
-        linkVisualShapeIndices=[-1],
         linkPositions=[[0, 0, 0.5]],
-        linkOrientations=[[0, 0, 0, 1]],
-        linkInertialFramePositions=[[0, 0, 0]],
-        linkInertialFrameOrientations=[[0, 0, 0, 1]],
-        linkParentIndices=[0],
         linkJointTypes=[p.JOINT_REVOLUTE],
-        linkJointAxis=[[0, 0, 1]],
-        physicsClientId=client,
     )
-    return World.attach(client, names={**names, number: "arm"})
+    return World.attach(client, names={**names, arm: "arm"})
 
 
 # Programs and their values, whatever ran before.

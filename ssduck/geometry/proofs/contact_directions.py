@@ -8,8 +8,9 @@ The directions are divided into triangles on the unit sphere. The overlap at a d
 a support point of the difference, and bounds the least overlap from above. The support points of a
 triangle's corners are points of the difference, so that they bound the overlaps in the triangle
 from below. A triangle whose bound is above the least overlap found has no contact normal in it. The
-others are divided, until all that are left agree. Every verdict is proved, with more room than
-rounding errors and the tolerances of `ssduck.geometry.distance` need.
+others are divided, until all that are left agree. Most pairs are decided before, since one of the
+points is far above in all upward directions. Every verdict is proved, with more room than rounding
+errors and the tolerances of `ssduck.geometry.distance` need.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ UPWARD, NOT_UPWARD = 1, -1
 # Overlaps that differ by less, metres, may be that of the contact normal.
 _ROOM = 2e-6
 # Heights of normals that are nearer to the least one are not decided here.
-_HEIGHT_ROOM = 1e-9
+HEIGHT_ROOM = 1e-9
 # The number of times that triangles are divided, and the greatest number of triangles of a pair.
 _MAX_DIVISIONS = 8
 _MAX_TRIANGLES = 96
@@ -100,8 +101,8 @@ def _classes(heights: Array, stretch: Array, min_height: float) -> Indices:
         min_height: the least height of upward directions, not negative.
     """
     highest = heights.max(axis=0)
-    upward = highest * np.where(highest > 0.0, stretch, 1.0) >= min_height - _HEIGHT_ROOM
-    other = heights.min(axis=0) <= min_height + _HEIGHT_ROOM
+    upward = highest * np.where(highest > 0.0, stretch, 1.0) >= min_height - HEIGHT_ROOM
+    other = heights.min(axis=0) <= min_height + HEIGHT_ROOM
     classes: Indices = upward * _UPWARD_ONLY + other * _OTHER_ONLY
     return classes
 
@@ -196,53 +197,85 @@ def _bounds(products: Array, stretch: Array) -> tuple[Array, Array]:
 # -- pairs --------------------------------------------------------------------------------------
 
 
+def contact_room(cores: PlacedCores, first: Indices, second: Indices) -> Array:
+    """Returns how much overlaps may exceed that of the contact normal, (n,), metres."""
+    room: Array = _ROOM + 2.0 * tolerances(cores, first, second)
+    return room
+
+
+@dataclass(eq=False)
 class _Differences:
     """The differences of pairs of shapes, and the least overlaps that were found.
 
-    Args:
+    Attributes:
         cores: the shapes.
         first: (n,), the first shapes.
         second: (n,), the second shapes.
+        offsets: (3, n), from the centres of the second to those of the first.
+        room: (n,), see `contact_room`.
+        least: (n,), the least overlaps that were found, metres.
+        heights: (n,), the heights of their directions.
     """
 
-    def __init__(self, cores: PlacedCores, first: Indices, second: Indices) -> None:
-        self._cores, self._first, self._second = cores, first, second
-        self._offsets = cores.centres.take(first, axis=1) - cores.centres.take(second, axis=1)
-        self._room = _ROOM + 2.0 * tolerances(cores, first, second)
-        self._least = np.full(len(first), math.inf)
-        self.heights = np.zeros(len(first))
+    cores: PlacedCores
+    first: Indices
+    second: Indices
+    offsets: Array
+    room: Array
+    least: Array
+    heights: Array
+
+    @classmethod
+    def of(cls, cores: PlacedCores, first: Indices, second: Indices) -> _Differences:
+        """Returns the differences of pairs, for which no overlap was found yet."""
+        offsets = cores.centres.take(first, axis=1) - cores.centres.take(second, axis=1)
+        least, heights = np.full(len(first), math.inf), np.zeros(len(first))
+        room = contact_room(cores, first, second)
+        return cls(cores, first, second, offsets, room, least, heights)
+
+    def select(self, places: Indices) -> _Differences:
+        """Returns the selected pairs."""
+        return _Differences(
+            self.cores,
+            self.first[places],
+            self.second[places],
+            self.offsets.take(places, axis=1),
+            self.room[places],
+            self.least[places],
+            self.heights[places],
+        )
 
     def __len__(self) -> int:
-        return len(self._first)
+        return len(self.first)
 
     @property
     def limits(self) -> Array:
         """The overlaps above which a direction is not the contact normal, (n,), metres."""
-        limits: Array = self._least + self._room
+        limits: Array = self.least + self.room
         return limits
 
     def points_all_around(self, directions: Array) -> Array:
         """Returns the support points of all pairs in directions (3, m), (3, m, n)."""
-        points = self._cores.support_points_all_around(self._first, directions)
-        points -= self._cores.support_points_all_around(self._second, -directions)
-        points += self._offsets[:, None]
+        points = self.cores.support_points_all_around(self.first, directions)
+        points -= self.cores.support_points_all_around(self.second, -directions)
+        points += self.offsets[:, None]
         overlaps = np.einsum("cmn,cm->mn", points, directions)
         best = overlaps.argmin(axis=0)
-        self._least, self.heights = overlaps[best, np.arange(len(self))], directions[2, best]
+        self.least, self.heights = overlaps[best, np.arange(len(self))], directions[2, best]
         return points
 
     def points(self, owners: Indices, directions: Array) -> Array:
         """Returns the support points (3, n) of pairs in unit directions (3, n)."""
-        shapes = np.concatenate((self._first[owners], self._second[owners]))
+        shapes = np.concatenate((self.first[owners], self.second[owners]))
         count = len(owners)
-        both = self._cores.support_points(shapes, np.concatenate((directions, -directions), axis=1))
+        both = self.cores.support_points(shapes, np.concatenate((directions, -directions), axis=1))
         points: Array = both[:, :count] - both[:, count:]
-        points += self._offsets.take(owners, axis=1)
+        points += self.offsets.take(owners, axis=1)
         overlaps = np.einsum("cn,cn->n", points, directions)
-        less = np.flatnonzero(overlaps < self._least[owners])
+        less = np.flatnonzero(overlaps < self.least[owners])
         # The last one that is written for a pair is the least.
         less = less[np.argsort(-overlaps[less], kind="stable")]
-        self._least[owners[less]] = overlaps[less]
+        self.least[owners[less]] = overlaps[less]
         self.heights[owners[less]] = directions[2, less]
         return points
 
@@ -263,14 +296,41 @@ def upward_verdicts(
     step = max(1, _TRIANGLES_AT_ONCE // len(mesh.stretch))
     for start in range(0, len(first), step):
         batch = slice(start, start + step)
-        pairs = _Differences(cores, first[batch], second[batch])
-        _classify(pairs, mesh, min_height, verdicts[batch])
+        pairs = _Differences.of(cores, first[batch], second[batch])
+        points = pairs.points_all_around(mesh.directions)
+        upward = points.compress(mesh.directions[2] >= min_height - HEIGHT_ROOM, axis=1)
+        is_above = _upward_bounds(upward, min_height - HEIGHT_ROOM) > pairs.limits
+        verdicts[batch][is_above] = NOT_UPWARD
+        left = np.flatnonzero(~is_above)
+        if len(left):
+            found = np.zeros(len(left), np.int8)
+            _classify(pairs.select(left), points.take(left, axis=2), mesh, min_height, found)
+            verdicts[start + left] = found
     return verdicts
 
 
-def _classify(pairs: _Differences, mesh: _Mesh, min_height: float, verdicts: Verdicts) -> None:
-    """Writes the verdicts of pairs."""
-    triangles, count = _initial_triangles(pairs, mesh), len(pairs)
+def _upward_bounds(points: Array, min_height: float) -> Array:
+    """Returns lower bounds of the overlaps in upward directions, (n,), metres.
+
+    The overlap at a direction is at least the product of the direction with any of the points. Of
+    all directions of a least height, that with the least product leans away from the point.
+
+    Args:
+        points: (3, m, n), points of the differences of pairs.
+        min_height: the least height of upward directions, not negative.
+    """
+    x, y, z = points
+    products = z * min_height - np.sqrt((x * x + y * y) * (1.0 - min_height * min_height))
+    products[z < 0.0] = -math.inf
+    bounds: Array = products.max(axis=0)
+    return bounds
+
+
+def _classify(
+    pairs: _Differences, points: Array, mesh: _Mesh, min_height: float, verdicts: Verdicts
+) -> None:
+    """Writes the verdicts of pairs, whose support points in the directions of a mesh are given."""
+    triangles, count = _initial_triangles(pairs, points, mesh), len(pairs)
     for division in range(_MAX_DIVISIONS + 1):
         places = np.flatnonzero(triangles.bounds <= pairs.limits[triangles.owners])
         owners, classes = triangles.owners[places], triangles.classes[places]
@@ -289,11 +349,10 @@ def _classify(pairs: _Differences, mesh: _Mesh, min_height: float, verdicts: Ver
         triangles = triangles.select(places[~is_divided & is_open[owners]]).joined(divided)
 
 
-def _initial_triangles(pairs: _Differences, mesh: _Mesh) -> _Triangles:
+def _initial_triangles(pairs: _Differences, points: Array, mesh: _Mesh) -> _Triangles:
     """Returns the triangles of a mesh that may contain the contact normals of pairs."""
     directions, corners = mesh.directions, mesh.corners
     count, size = directions.shape[1], len(pairs)
-    points = pairs.points_all_around(directions)
     products = np.matmul(directions.T, points.swapaxes(0, 1))  # (point, direction, pair)
     places = corners[:, None] * count + corners  # (corner's point, corner, triangle)
     products = products.reshape(-1, size).take(places.ravel(), axis=0).reshape(3, 3, -1)

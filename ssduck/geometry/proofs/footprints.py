@@ -1,7 +1,8 @@
 """Decides for many pairs of entities at once whether one's centre is over the other's footprint.
 
 `ssduck.geometry.containment.Footprint` defines the footprint: the convex hull of the projections of
-an entity's shapes on the ground. Support points in directions all around bound it from both sides.
+an entity's shapes on the ground. That of a box has a formula. Support points in directions all
+around bound other footprints from both sides.
 A verdict has more room than rounding errors, and the polyhedra that stand for round shapes, need.
 """
 
@@ -22,6 +23,12 @@ OVER, OUTSIDE = 1, -1
 _ROUND_ERROR = 3e-3
 # Points that are nearer to the boundary, metres, are not decided here.
 _ROOM = 1e-6
+# An edge of a box whose sine to up is less has no direction on the ground.
+_MIN_SINE = 1e-8
+# What is added to the room of a box, relatively to its size, since such an edge is left out.
+_BOX_ERROR = 1e-6
+# Among others, fewer boxes are decided together with these.
+_MIN_BOXES = 8
 # Beyond this distance from the origin, metres, rounding errors may be as large.
 _MAX_COORDINATE = 1e6
 # A half-space whose normal is nearer to level has a footprint that depends on the place.
@@ -84,9 +91,15 @@ def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indice
     verdicts[is_beyond & ~has_plane & has_centre] = OUTSIDE
     left = np.flatnonzero((verdicts == UNDECIDED) & ~has_plane)
     left = left[np.abs(centres[:, left]).max(axis=0, initial=0.0) <= _MAX_COORDINATE]
+    firsts = np.array(starts)
+    is_box = _are_boxes(tick, firsts, a[left])
+    if is_box.any() and np.count_nonzero(is_box) >= min(_MIN_BOXES, len(left)):
+        boxes = left[is_box]
+        verdicts[boxes] = _over_boxes(tick, firsts[a[boxes]], centres[:, boxes])
+        left = left[verdicts[left] == UNDECIDED]
     for directions in _DIRECTIONS:
         if len(left):
-            found = _over_bounded(tick, np.array(starts), a[left], centres[:, left], directions)
+            found = _over_bounded(tick, firsts, a[left], centres[:, left], directions)
             verdicts[left] = found
             left = left[found == UNDECIDED]
     return verdicts
@@ -100,6 +113,37 @@ def _have_steep_planes(tick: TickShapes, count: int) -> Flags:
     have: Flags = np.zeros(count, dtype=bool)
     have[table.entities[planes[np.abs(heights) > _LEVEL]]] = True
     return have
+
+
+def _are_boxes(tick: TickShapes, starts: Indices, entities: Indices) -> Flags:
+    """Checks whether entities that have shapes consist of a box."""
+    shapes = starts[entities]
+    are: Flags = tick.table.is_box[shapes] & (starts[entities + 1] - shapes == 1)
+    return are
+
+
+def _over_boxes(tick: TickShapes, boxes: Indices, centres: Array) -> Verdicts:
+    """Returns whether points (2, n) of the ground are over boxes (n,).
+
+    The footprint of a box is a zonogon: it is between two lines along the projection of each edge.
+    """
+    cores = tick.placed_cores
+    half_extents = cores.cores.half_extents.take(boxes, axis=1)
+    axes = cores.rotations.take(boxes, axis=1).reshape(3, 3, -1)[:2]
+    offsets = centres - cores.centres[:2].take(boxes, axis=1)
+    sines = np.sqrt(axes[0] * axes[0] + axes[1] * axes[1])
+    # The cross product of an axis with another edge: of unit axes, the distance of lines.
+    edges = axes * half_extents
+    widths = np.abs(axes[0, :, None] * edges[1] - axes[1, :, None] * edges[0]).sum(axis=1)
+    beyond = np.abs(axes[0] * offsets[1] - axes[1] * offsets[0]) - widths
+    has_line = sines > _MIN_SINE
+    beyond /= np.where(has_line, sines, 1.0)
+    farthest = np.where(has_line, beyond, -math.inf).max(axis=0)
+    room = _ROOM + _BOX_ERROR * half_extents.max(axis=0)
+    verdicts = np.full(len(boxes), UNDECIDED, np.int8)
+    verdicts[farthest > room] = OUTSIDE
+    verdicts[farthest < -room] = OVER
+    return verdicts
 
 
 def _over_bounded(

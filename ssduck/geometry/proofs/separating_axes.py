@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.cores import PlacedCores
 
 # The cross product of edges that are more parallel is no separating axis.
 _MIN_SINE = 1e-6
@@ -15,31 +15,15 @@ _MIN_SINE = 1e-6
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
-class PlacedBoxes(Protocol):
-    """Boxes at poses; of other shapes, half the sizes have no meaning."""
-
-    @property
-    def half_extents(self) -> Array:
-        """Half the sizes, (3, n), metres."""
-
-    @property
-    def positions(self) -> Array:
-        """The centres, (n, 3)."""
-
-    @property
-    def matrices(self) -> Array:
-        """The rotation matrices, (n, 3, 3)."""
-
-
 @dataclass(frozen=True, eq=False)
 class BoxAxes:
     """The axes of pairs of boxes: the faces of the first, those of the second, pairs of edges.
 
     Attributes:
-        overlaps: (n, 15), metres; negative for an axis that separates the boxes, infinite for
+        overlaps: (15, n), metres; negative for an axis that separates the boxes, infinite for
             edges that are parallel.
-        distances: (n, 15), of the centres along the axes, metres.
-        directions_z: (n, 15), the height in the world of the unit axis from the first box to the
+        distances: (15, n), of the centres along the axes, metres.
+        directions_z: (15, n), the height in the world of the unit axis from the first box to the
             second.
         is_doubtful: (n,), whether edges are so nearly parallel that another computation may leave
             out an axis, or take it.
@@ -51,108 +35,97 @@ class BoxAxes:
     is_doubtful: Flags
 
 
-@dataclass(frozen=True, eq=False)
-class _Relative:
+class _BoxPairs:
     """Pairs of boxes, the second in the frame of the first.
 
+    Args:
+        cores: boxes at poses; those of other shapes have no meaning.
+        first: (n,), the first boxes.
+        second: (n,), the second boxes.
+
     Attributes:
-        a: (n, 3), half the sizes of the first.
-        b: (n, 3), half the sizes of the second.
-        rotations: (n, 3, 3).
+        a: (3, n), half the sizes of the first.
+        b: (3, n), half the sizes of the second.
+        matrices_a: (3, 3, n), the rotation matrices of the first.
+        matrices_b: (3, 3, n), those of the second.
+        rotations: (3, 3, n), of the second in the frame of the first.
         magnitudes: the same without signs.
-        offsets: (n, 3).
+        offsets: (3, n), of the second along the axes of the first.
+        offsets_b: (3, n), the same along the axes of the second.
+        sines: (3, 3, n), of the angles of the edges.
     """
 
-    a: Array
-    b: Array
-    rotations: Array
-    magnitudes: Array
-    offsets: Array
+    def __init__(self, cores: PlacedCores, first: Indices, second: Indices) -> None:
+        half_extents, rotations, centres = cores.cores.half_extents, cores.rotations, cores.centres
+        self.a, self.b = half_extents.take(first, axis=1), half_extents.take(second, axis=1)
+        self.matrices_a = matrices_a = rotations.take(first, axis=1).reshape(3, 3, -1)
+        self.matrices_b = matrices_b = rotations.take(second, axis=1).reshape(3, 3, -1)
+        between = centres.take(second, axis=1) - centres.take(first, axis=1)
+        self.rotations = _sum_of_products(matrices_a[:, :, None], matrices_b[:, None])
+        self.offsets = _sum_of_products(matrices_a, between[:, None])
+        self.offsets_b = _sum_of_products(self.rotations, self.offsets[:, None])
+        self.magnitudes = np.abs(self.rotations)
+        self.sines = np.sqrt(np.maximum(1.0 - self.rotations * self.rotations, 0.0))
 
-    @property
-    def along_faces_of_second(self) -> Array:
-        """The offsets along the axes of the second, (n, 3)."""
-        offsets: Array = np.einsum("nij,ni->nj", self.rotations, self.offsets)
-        return offsets
+    def overlaps(self) -> Array:
+        """Returns the overlaps along all axes, (15, n)."""
+        a, b, magnitudes = self.a, self.b, self.magnitudes
+        count = a.shape[1]
+        overlaps = np.zeros((15, count))
+        overlaps[:3] = a + _sum_of_products(magnitudes.swapaxes(0, 1), b[:, None])
+        overlaps[:3] -= np.abs(self.offsets)
+        overlaps[3:6] = b + _sum_of_products(magnitudes, a[:, None])
+        overlaps[3:6] -= np.abs(self.offsets_b)
+        edges = overlaps[6:].reshape(3, 3, count)
+        rows_next, rows_last = magnitudes.take(_NEXT, axis=0), magnitudes.take(_LAST, axis=0)
+        np.multiply(a.take(_NEXT, axis=0)[:, None], rows_last, out=edges)
+        edges += a.take(_LAST, axis=0)[:, None] * rows_next
+        edges += b.take(_NEXT, axis=0) * magnitudes.take(_LAST, axis=1) + b.take(
+            _LAST, axis=0
+        ) * magnitudes.take(_NEXT, axis=1)
+        edges -= np.abs(self.edge_distances())
+        is_parallel = self.sines < _MIN_SINE
+        edges /= np.where(is_parallel, 1.0, self.sines)
+        edges[is_parallel] = np.inf
+        return overlaps
+
+    def edge_distances(self) -> Array:
+        """Returns the offsets along the cross products of edges, times their sines, (3, 3, n)."""
+        distances: Array = self.offsets.take(_LAST, axis=0)[:, None] * self.rotations.take(
+            _NEXT, axis=0
+        )
+        distances -= self.offsets.take(_NEXT, axis=0)[:, None] * self.rotations.take(_LAST, axis=0)
+        return distances
 
 
-def _relative(boxes: PlacedBoxes, first: Indices, second: Indices) -> _Relative:
-    half_extents = boxes.half_extents
-    rotations_a, rotations_b = boxes.matrices[first], boxes.matrices[second]
-    rotations = np.einsum("nji,njk->nik", rotations_a, rotations_b)
-    offsets = np.einsum("nji,nj->ni", rotations_a, boxes.positions[second] - boxes.positions[first])
-    return _Relative(
-        half_extents[:, first].T, half_extents[:, second].T, rotations, np.abs(rotations), offsets
-    )
+def _sum_of_products(first: Array, second: Array) -> Array:
+    """Returns the sums of products over the first axis, of length 3."""
+    total: Array = first[0] * second[0]
+    total += first[1] * second[1]
+    total += first[2] * second[2]
+    return total
 
 
-def box_depths(boxes: PlacedBoxes, first: Indices, second: Indices) -> Array:
+def box_depths(cores: PlacedCores, first: Indices, second: Indices) -> Array:
     """Returns the depths of pairs of boxes, m: their least overlaps along 15 axes, signed."""
-    depths: Array = _overlaps(_relative(boxes, first, second)).min(axis=1)
+    depths: Array = _BoxPairs(cores, first, second).overlaps().min(axis=0)
     return depths
 
 
-def _overlaps(pair: _Relative) -> Array:
-    """Returns the overlaps along all axes, (n, 15)."""
-    a, b, magnitudes = pair.a, pair.b, pair.magnitudes
-    faces_a = a + np.einsum("nij,nj->ni", magnitudes, b) - np.abs(pair.offsets)
-    faces_b = b + np.einsum("nij,ni->nj", magnitudes, a) - np.abs(pair.along_faces_of_second)
-    edges = _edge_overlaps(pair).reshape(len(a), 9)
-    overlaps: Array = np.concatenate((faces_a, faces_b, edges), axis=1)
-    return overlaps
-
-
-def _edge_overlaps(pair: _Relative) -> Array:
-    """Returns the overlaps along the cross products of edges, (n, 3, 3)."""
-    a, b, magnitudes = pair.a, pair.b, pair.magnitudes
-    extents_a = (
-        a[:, _NEXT, None] * magnitudes[:, _LAST, :] + a[:, _LAST, None] * magnitudes[:, _NEXT, :]
-    )
-    extents_b = (
-        b[:, None, _NEXT] * magnitudes[:, :, _LAST] + b[:, None, _LAST] * magnitudes[:, :, _NEXT]
-    )
-    length = _sines(pair)
-    is_parallel = length < _MIN_SINE
-    overlaps: Array = (extents_a + extents_b - np.abs(_edge_distances(pair))) / np.where(
-        is_parallel, 1.0, length
-    )
-    return np.where(is_parallel, np.inf, overlaps)
-
-
-def _edge_distances(pair: _Relative) -> Array:
-    """Returns the offsets along the cross products of edges, times their sines, (n, 3, 3)."""
-    distances: Array = (
-        pair.offsets[:, _LAST, None] * pair.rotations[:, _NEXT, :]
-        - pair.offsets[:, _NEXT, None] * pair.rotations[:, _LAST, :]
-    )
-    return distances
-
-
-def _sines(pair: _Relative) -> Array:
-    """Returns the sines of the angles of the edges, (n, 3, 3)."""
-    sines: Array = np.sqrt(np.maximum(1.0 - pair.rotations * pair.rotations, 0.0))
-    return sines
-
-
-def box_axes(boxes: PlacedBoxes, first: Indices, second: Indices) -> BoxAxes:
+def box_axes(cores: PlacedCores, first: Indices, second: Indices) -> BoxAxes:
     """Returns the axes of pairs of boxes, with their overlaps."""
-    pair = _relative(boxes, first, second)
-    count, sines = len(first), _sines(pair)
+    pairs = _BoxPairs(cores, first, second)
+    count, sines = len(first), pairs.sines
     lengths = np.where(sines < _MIN_SINE, 1.0, sines)
     # Along the cross product of the edges: signed as `a_i x b_j`.
-    edge_distances = _edge_distances(pair) / lengths
     distances = np.concatenate(
-        (pair.offsets, pair.along_faces_of_second, edge_distances.reshape(count, 9)), axis=1
+        (pairs.offsets, pairs.offsets_b, (pairs.edge_distances() / lengths).reshape(9, count))
     )
-    matrices_a, matrices_b = boxes.matrices[first], boxes.matrices[second]
-    crossed = np.cross(
-        matrices_a.transpose(0, 2, 1)[:, :, None, :], matrices_b.transpose(0, 2, 1)[:, None, :, :]
-    )
-    heights = np.concatenate(
-        (matrices_a[:, 2], matrices_b[:, 2], (crossed[..., 2] / lengths).reshape(count, 9)), axis=1
-    )
+    (xs_a, ys_a, zs_a), (xs_b, ys_b, zs_b) = pairs.matrices_a, pairs.matrices_b
+    crossed_z = xs_a[:, None] * ys_b - ys_a[:, None] * xs_b
+    heights = np.concatenate((zs_a, zs_b, (crossed_z / lengths).reshape(9, count)))
     is_near = (sines > _MIN_SINE / 2) & (sines < _MIN_SINE * 2)
-    is_doubtful: Flags = np.asarray(is_near.any(axis=(1, 2)))
+    is_doubtful: Flags = np.asarray(is_near.any(axis=(0, 1)))
     return BoxAxes(
-        _overlaps(pair), np.abs(distances), np.copysign(heights, heights * distances), is_doubtful
+        pairs.overlaps(), np.abs(distances), np.copysign(heights, heights * distances), is_doubtful
     )

@@ -62,6 +62,7 @@ class Record:
         run: the number of the run; None for that of the world.
         mass_changes: the bodies whose masses changed after they were recorded; None for none.
         recording: what is recorded; None for a record of another time.
+        source: the folder or the file that has it, for messages.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -80,8 +81,10 @@ class Record:
         run: int | None = None,
         mass_changes: MassChanges | None = None,
         recording: Recording | None = None,
+        source: str = "the record",
     ) -> None:
         self.recording = recording
+        self.source = source
         self._world: weakref.ref[World] | None = None
         if world is not None:
             self.world = world
@@ -102,7 +105,7 @@ class Record:
         if geometries is None:
             assert world is not None
             geometries, run = world.snapshot.geometries, world.snapshot.run
-        self._row_cache = RowCache(fetch, ticks)
+        self._row_cache = RowCache(fetch, ticks, source)
         self._restorer = SnapshotRestorer(
             members, self.tables, self._row_cache, Snapshot(geometries, run)
         )

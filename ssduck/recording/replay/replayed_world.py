@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import EvaluationError
+from ssduck.errors import EvaluationError, RecordError
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.stores.base import TickArchive
@@ -150,6 +150,8 @@ class ReplayedWorld(PastWorld):
     def _restore_wall_time(self, snapshot: Snapshot) -> None:
         """Restores the recorded wall time of the tick into its snapshot."""
         wall_time = self._record.rows("ticks", self._tick)["wall_time"]
+        if len(wall_time) != 1:
+            raise RecordError(f"{self._record.source} is damaged: it has no tick {self._tick}")
         snapshot.tables["ticks"]["wall_time"][:] = wall_time
 
     def entity(self, id: int) -> Entity:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.recording.replay.row_cache import RowCache
@@ -32,11 +33,13 @@ class _Template:
         sources: the rows of the link poses of each body group: of entities, then of links.
         bases: the row of the base of each body with several links, and the row of its entity,
             which has the velocity, (n, 2).
+        link_owners: the ids of the bodies with several links, once for each link, ascending.
     """
 
     snapshot: Snapshot
     sources: tuple[tuple[BodyGroup, Indices], ...]
     bases: Indices
+    link_owners: Indices
 
 
 class SnapshotRestorer:
@@ -88,7 +91,8 @@ class SnapshotRestorer:
         order = by_id[np.searchsorted(rows["id"][by_id], listed)]
         doubles = np.array([rows[name] for name in _ENTITY_DOUBLES])[:, order]
         own_states = np.array([rows[name] for name in _STATE])[:, order].T
-        states = np.concatenate((own_states, self._states_of_links(tick)))
+        links = self._states_of_links(tick, template.link_owners)
+        states = np.concatenate((own_states, links))
         states[template.bases[:, 0], 7:] = states[template.bases[:, 1], 7:]
         absent = {
             name: frozenset(
@@ -127,6 +131,8 @@ class SnapshotRestorer:
     def _template_of(self, ids: tuple[int, ...]) -> _Template:
         if ids not in self._templates:
             members = [self._members[id] for id in ids]
+            if not {member.mount[0] for member in members if member.sensor} <= set(ids):
+                raise self._damage("a sensor is there without the body that carries it")
             template = Snapshot(self._empty.geometries, self._empty.run)
             layout = TableLayout(members, is_external=False)
             simulator = StaticSimulator(
@@ -147,14 +153,31 @@ class SnapshotRestorer:
                 for part in (template_layout.static_bodies, template_layout.moving_bodies)
             )
             bases = [(start, template_layout.rows[id]) for id, start in starts.items()]
+            bodies = dict(template_layout.bodies)
             self._templates[ids] = _Template(
-                template, sources, np.array(bases, dtype=np.intp).reshape(-1, 2)
+                template,
+                sources,
+                np.array(bases, dtype=np.intp).reshape(-1, 2),
+                np.repeat(list(starts), [len(bodies[id].links) for id in starts]).astype(np.int64),
             )
         return self._templates[ids]
 
-    def _states_of_links(self, tick: int) -> Array:
-        """Returns the poses and velocities of the links of bodies with several links, (n, 13)."""
+    def _damage(self, reason: str) -> RecordError:
+        return RecordError(f"{self._rows.source} is damaged: {reason}")
+
+    def _states_of_links(self, tick: int, owners: Indices) -> Array:
+        """Returns the poses and velocities of the links of bodies with several links, (n, 13).
+
+        Args:
+            tick: the number of the tick.
+            owners: the ids of these bodies, once for each link, ascending.
+
+        Raises:
+            RecordError: the links are those of other bodies.
+        """
         rows = self._rows.rows(self._links, tick)
+        if not np.array_equal(np.sort(rows["entity"]), owners):
+            raise self._damage(f"at tick {tick}, the links are not those of the entities")
         keys = np.array([rows[name] for name in ("entity", "link")])
         unknown = np.full(len(rows["tick"]), _NAN)
         doubles = [rows.get(name, unknown) for name in _STATE]
@@ -166,11 +189,13 @@ class SnapshotRestorer:
         rows = self._rows.rows("joints", tick)
         owners = rows["entity"]
         states = np.array([rows[name] for name in ("position", "velocity", "effort")])
-        links = rows["link"]
+        numbers = rows["joint"]
         joints = {}
         for id, body in layout.bodies:
             indices = np.flatnonzero(owners == id)
-            joints[body] = states[:, indices[np.argsort(links[indices])]].T.copy()
+            if len(indices) != len(body.joints):
+                raise self._damage(f"at tick {tick}, the joints are not those of the entities")
+            joints[body] = states[:, indices[np.argsort(numbers[indices])]].T.copy()
         return joints
 
 

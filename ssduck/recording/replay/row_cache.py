@@ -23,9 +23,13 @@ class RowCache:
     Args:
         fetch: returns the rows of a table at the ticks from a first to a last one.
         ticks: the recorded ticks.
+        source: the folder or the file that has them, for messages.
     """
 
-    def __init__(self, fetch: Callable[[str, int, int], pa.Table], ticks: TickBuffer) -> None:
+    def __init__(
+        self, fetch: Callable[[str, int, int], pa.Table], ticks: TickBuffer, source: str
+    ) -> None:
+        self.source = source
         self._fetch = fetch
         self._ticks = ticks
         self._blocks: OrderedDict[tuple[int, int], dict[str, dict[str, npt.NDArray[Any]]]] = (

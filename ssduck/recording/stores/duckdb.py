@@ -20,7 +20,7 @@ import pyarrow as pa
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
-from ssduck.recording.static_tables import IdProvider
+from ssduck.recording.static_tables import JOINT_OF_LINK, IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -37,6 +37,9 @@ from ssduck.recording.stores.history_sql import (
     near_pair_rows,
 )
 from ssduck.recording.stores.model_tables import ModelTables
+from ssduck.recording.stores.record_file import RecordFile
+from ssduck.recording.stores.stored_columns import tick_types
+from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 
@@ -51,7 +54,7 @@ class DuckDBStore(TickStore, TickArchive):
         connection: the store's own connection.
         recording: what is recorded of each tick.
         world: the name of the world, to create the schema; None to read an existing one.
-        catalog: the attached file that has the schema; None for the database itself.
+        file: the attached file that has the schema; None for the database itself.
     """
 
     def __init__(
@@ -61,12 +64,13 @@ class DuckDBStore(TickStore, TickArchive):
         recording: Recording,
         world: str | None = None,
         *,
-        catalog: str | None = None,
+        file: RecordFile | None = None,
     ) -> None:
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
         self._connection = connection
-        self._models = ModelTables(schema, connection, catalog)
+        self._file = file
+        self._models = ModelTables(schema, connection, file)
         self._slots = SLOTS if recording.is_bounded else 1
         # The number and the first tick of each slot in use, oldest first.
         self._used_slots: list[tuple[int, int]] = [(0, 0)]
@@ -75,9 +79,6 @@ class DuckDBStore(TickStore, TickArchive):
         # The size of the rows that were added to each slot in use, bytes, oldest first.
         self._slot_bytes = [0]
         self._max_bytes = bytes_before_dropping(recording)
-        self._is_new = world is not None
-        # The columns that the stored rows of each table of an older record have.
-        self._present_columns: dict[str, frozenset[str]] = {}
         if world is not None:
             with self._models.transaction():
                 self._models.create(world, recording)
@@ -167,20 +168,29 @@ class DuckDBStore(TickStore, TickArchive):
                 self._create_slot(table, slot, replace=True)
         return self._used_slots[0][1]
 
+    def finish(self) -> None:
+        """Marks the record as complete: its recorder was not killed."""
+        self._models.mark_as_complete()
+
     # -- reading ------------------------------------------------------------------------------
 
     @property
     def has_ticks(self) -> bool:
         """Whether ticks are stored."""
-        rows = self._stored_rows("ticks")
+        rows = self.stored_rows("ticks")
         return bool(self._connection.fetchall(f"SELECT tick FROM ({rows}) AS ticks LIMIT 1"))  # noqa: S608
 
     def ticks(self) -> TickBuffer:
         """Returns the numbers and times of the stored ticks."""
-        stored = self._stored_rows("ticks")
+        stored = self.stored_rows("ticks")
         sql = f"SELECT tick, time FROM ({stored}) AS ticks ORDER BY tick"  # noqa: S608
-        rows = self._connection.rows(sql)
-        return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
+        if self._file is None:
+            rows = self._connection.rows(sql)
+            return TickBuffer.from_arrays(rows["tick"].to_numpy(), rows["time"].to_numpy())
+        source = f"{self._file.path}: the ticks of {self._models.schema}"
+        slots = [(self._models.schema, f"ticks {slot}") for slot in range(self._slots)]
+        self._file.check_size(source, 2 * sum(self._file.rows[slot] for slot in slots))
+        return checked_ticks(self._connection.rows(sql), source)
 
     def model_rows(self) -> dict[str, pa.Table]:
         """Returns the stored rows of each model, by the name of its table."""
@@ -188,7 +198,7 @@ class DuckDBStore(TickStore, TickArchive):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the stored rows of a table at the ticks from first to last."""
-        rows = self._stored_rows(table)
+        rows = self.stored_rows(table)
         return self._connection.rows(
             f"SELECT * FROM ({rows}) AS stored WHERE tick BETWEEN ? AND ?",  # noqa: S608
             (first, last),
@@ -196,7 +206,7 @@ class DuckDBStore(TickStore, TickArchive):
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
-        return near_pair_rows(self._connection, self._stored_rows("entities"), request, buffered)
+        return near_pair_rows(self._connection, self.stored_rows("entities"), request, buffered)
 
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
         """Returns the SELECT of the view of a table's history; None if it is not recorded."""
@@ -206,12 +216,12 @@ class DuckDBStore(TickStore, TickArchive):
             self._all_rows(table, buffer_views),
             self._all_rows("entities", buffer_views),
         )
-        return history(TABLES[table], rows, entities, self._model_source)
+        return history(TABLES[table], rows, entities, self.model_source)
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: f"SELECT * FROM {self._model_source(table.name)}"  # noqa: S608
+            table.model_view: f"SELECT * FROM {self.model_source(table.name)}"  # noqa: S608
             for table in MODELS.values()
         }
 
@@ -227,16 +237,17 @@ class DuckDBStore(TickStore, TickArchive):
         for name, rows in self.views.items():
             self._connection.run(f"CREATE VIEW {self.place(name)} AS {rows}")
 
-    def _model_source(self, table: str) -> str:
+    def model_source(self, table: str) -> str:
+        """Returns the rows of a model, in SQL."""
         return self._models.source(table, self.unrecorded_run)
 
     def _all_rows(self, table: str, buffer_views: BufferViews | None) -> str:
         """Returns a SELECT of all rows of a table, buffered ones included."""
         views = () if buffer_views is None else buffer_views(table)
-        parts = [self._stored_rows(table), *(buffered_rows(table, view) for view in views)]
+        parts = [self.stored_rows(table), *(buffered_rows(table, view) for view in views)]
         return " UNION ALL ".join(parts)
 
-    def _stored_rows(self, table: str) -> str:
+    def stored_rows(self, table: str) -> str:
         """Returns a SELECT of the stored rows of a table."""
         return " UNION ALL ".join(self._rows_of_slot(table, slot) for slot in range(self._slots))
 
@@ -255,19 +266,24 @@ class DuckDBStore(TickStore, TickArchive):
         )
 
     def _source_of_slot(self, table: str, slot: int) -> str:
-        """Returns the stored rows of a slot, in SQL; adds the columns that older records lack."""
+        """Returns the stored rows of a slot, in SQL, after a check of those of a file.
+
+        Older records lack some columns, which are added.
+        """
         place = self._slot(table, slot)
-        if self._is_new:
+        if self._file is None:
             return place
-        if table not in self._present_columns:
-            rows = self._connection.rows(f"SELECT * FROM {place} LIMIT 0")  # noqa: S608
-            self._present_columns[table] = frozenset(rows.column_names)
-        present, columns = self._present_columns[table], RECORDED[table].tick_columns.sql
-        if present >= columns.keys():
-            return place
+        types = tick_types(table)
         if self._has_changes_only(table):
+            types["until"] = "integer"
+        name = f"{table} {slot}"
+        present = self._file.columns(self._connection, self._models.schema, name, types)
+        if present >= types.keys():
+            return place
+        columns = RECORDED[table].tick_columns.sql
+        if "until" in types:
             columns |= {"until": "BIGINT"}
-        return f"({all_columns(place, columns, present, {})})"
+        return f"({all_columns(place, columns, present, {'joint': JOINT_OF_LINK})})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:

@@ -6,14 +6,18 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from typing import Any
 
 import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
+from ssduck.recording.model_checks import check_models
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import IdProvider, default_values, model_rows
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
+from ssduck.recording.stores.record_file import RecordFile
+from ssduck.recording.stores.stored_columns import types_of
 from ssduck.schema import MODELS
 from ssduck.world.layout import EntityInfo
 
@@ -30,17 +34,17 @@ class ModelTables:
     Args:
         schema: the name of the schema.
         connection: the store's own connection.
-        catalog: the attached file that has the schema; None for the database itself.
+        file: the attached file that has the schema; None for the database itself.
     """
 
     def __init__(
-        self, schema: str, connection: StoreConnection, catalog: str | None = None
+        self, schema: str, connection: StoreConnection, file: RecordFile | None = None
     ) -> None:
         self.schema = schema
-        self._catalog = catalog
+        self._file = file
         self.connection = connection
         self._geometries: set[int] = set()
-        self._is_new = False
+        self._about: dict[str, Any] = {}
         # A SELECT of all columns of each model of an older record.
         self._completed: dict[str, str] = {}
 
@@ -51,18 +55,27 @@ class ModelTables:
             "world": world,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "recording": description_of(recording),
+            "complete": False,
         }
-        self._is_new = True
+        self._about = about
         self.connection.run(f"CREATE SCHEMA {quoted(self.schema)}")
         self.connection.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
         for table in MODELS.values():
             columns = {column.name: column.sql for column in table.model}
             self.connection.run(create_table(self._model_place(table.name), columns))
 
+    def mark_as_complete(self) -> None:
+        """Stores in the description of a new record that it is complete."""
+        about, place = self._about | {"complete": True}, self.place(ABOUT)
+        with self.transaction():
+            self.connection.run(f"DELETE FROM {place}")  # noqa: S608
+            self.connection.insert(place, pa.table({"about": [json.dumps(about)]}))
+
     def place(self, name: str) -> str:
         """Returns a table or view of the schema, in SQL."""
-        where = (self.schema,) if self._catalog is None else (self._catalog, self.schema)
-        return ".".join(map(quoted, (*where, name)))
+        if self._file is not None:
+            return self._file.place(self.schema, name)
+        return f"{quoted(self.schema)}.{quoted(name)}"
 
     def _model_place(self, table: str) -> str:
         return self.place(f"{table} model")
@@ -93,11 +106,19 @@ class ModelTables:
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 
     def rows(self) -> dict[str, pa.Table]:
-        """Returns the stored rows of each model, with the columns that they have."""
-        return {
-            table: self.connection.rows(f"SELECT * FROM {self._model_place(table)}")  # noqa: S608
-            for table in MODELS
+        """Returns the stored rows of each model in a file, with the columns that they have.
+
+        Raises:
+            RecordError: a table is missing or damaged.
+        """
+        file = self._file
+        assert file is not None
+        models = {
+            name: file.read(self.connection, self.schema, f"{name} model", types_of(table.model))
+            for name, table in MODELS.items()
         }
+        check_models(models, lambda table: f"{file.path}: {self.schema}.'{table} model'")
+        return models
 
     def source(self, table: str, run: int | None) -> str:
         """Returns the rows of a model with all its columns, in SQL.
@@ -107,14 +128,21 @@ class ModelTables:
             run: the number of the run for an older record, which lacks it.
         """
         place = self._model_place(table)
-        if self._is_new:
+        if self._file is None:
             return place
         if table not in self._completed:
-            present = self.connection.rows(f"SELECT * FROM {place} LIMIT 0").column_names  # noqa: S608
+            present = self._columns(table)
+            self._columns("geometries")
             missing = default_values(run, self._model_place("geometries"))
             columns = {column.name: column.sql for column in MODELS[table].model}
             self._completed[table] = f"({all_columns(place, columns, present, missing)})"
         return self._completed[table]
+
+    def _columns(self, table: str) -> frozenset[str]:
+        """Returns the columns that a model of a file has, after a check of it."""
+        assert self._file is not None
+        types = types_of(MODELS[table].model)
+        return self._file.columns(self.connection, self.schema, f"{table} model", types)
 
     def close(self, *, forget: bool) -> None:
         """Closes the connection; drops the schema first if `forget` is set."""

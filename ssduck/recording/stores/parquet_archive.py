@@ -16,12 +16,13 @@ import pyarrow.parquet as pq
 from sqlglot import exp
 
 from ssduck.errors import RecordError
+from ssduck.recording.model_checks import check_models
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import default_values
+from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
-from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.schema import MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
@@ -56,11 +57,13 @@ class ParquetArchive(TickArchive):
         # The working directory may change.
         self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
         self._columns: dict[str, list[str]] = {}
-        # The parts of each table that were checked: all of them here, unless they are many.
-        self._checked: dict[str, set[int]] = {table: set() for table in run.tables}
+        # The files whose bytes were checked. The footers of all files are checked here, unless they
+        # are many.
+        self._checked: set[Path] = set()
         for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
-            self._check(table, range(len(files)))
+            self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
+        check_models(self._models, lambda table: str(run.place(f"models/{table}")))
         entities = self._models["entities"]
         self._linked = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
         self._log = _logged_rows(run, self._models)
@@ -128,9 +131,10 @@ class ParquetArchive(TickArchive):
         Raises:
             RecordError: a file is missing or damaged.
         """
-        unchecked = [part for part in parts if part not in self._checked[table]]
-        self._run.check(table, unchecked)
-        self._checked[table].update(unchecked)
+        files = self._files[table][parts.start : parts.stop]
+        unchecked = [file for file in files if file not in self._checked]
+        self._run.check_data(table, map(part_number, unchecked))
+        self._checked.update(unchecked)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
@@ -174,10 +178,13 @@ class _LoggedRows:
 
 def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _LoggedRows]:
     """Returns the rows of the log of an episode with all columns, by table."""
-    return {
-        table: _LoggedRows(complete_rows(table, rows, run.log["entities"], models))
-        for table, rows in run.log.items()
-    }
+    try:
+        return {
+            table: _LoggedRows(complete_rows(table, rows, run.log["entities"], models))
+            for table, rows in run.log.items()
+        }
+    except RecordError as error:
+        raise RecordError(f"{run.place(LOG)} is damaged: {error.message}") from error
 
 
 @cache
@@ -202,11 +209,14 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     try:
         part = pq.ParquetFile(file)
         present = set(part.schema_arrow.names)
-        names = [name for name in types.names if name in present]
+        needed = {*types.names, "link"} if "joint" in types.names else set(types.names)
+        names = [name for name in part.schema_arrow.names if name in needed]
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
     rows = _between(rows, first, last)
+    if "joint" in types.names:
+        rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))

@@ -15,15 +15,21 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.errors import RecordError
+from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+from ssduck.recording.stores.stored_columns import MAX_VALUES, arrow_columns, check_columns
+from ssduck.schema import ColumnType
 
 INDEX = "index"
 # The index is written after so many parts, and at the end if there are as many as a quarter.
 INDEXED_PARTS = 64
 MIN_PARTS = INDEXED_PARTS // 4
 _COLUMNS = ("tick", "time")
+_TYPES: dict[str, ColumnType] = {"part": "integer", "tick": "integer", "time": "double"}
+# Numbers of ticks are less, so that each of them is also a double.
+_MAX_TICK = 1 << 53
 _LABEL = b"ssduck index"
 
 
@@ -36,7 +42,7 @@ class TickIndex:
     """
 
     def __init__(self, place: Path, key: str) -> None:
-        self._file = _file_in(place)
+        self._file = index_file(place)
         self._key = key
         self._parts: list[pa.Table] = []
 
@@ -62,33 +68,40 @@ class TickIndex:
             return
         self._file.parent.mkdir(parents=True, exist_ok=True)
         rows = pa.concat_tables(self._parts).replace_schema_metadata({_LABEL: _label(self._key)})
-        write_atomically(
-            self._file, lambda file: pq.write_table(rows, file.absolute(), compression="zstd")
-        )
+        write_parquet(rows, self._file, compression="zstd")
 
 
-def indexed_ticks(place: Path, key: str, parts: int) -> list[pa.Table]:
+def indexed_ticks(place: Path, key: str, parts: int, *, has_checksums: bool) -> list[pa.Table]:
     """Returns the numbers and times of the ticks of each part that an index knows, in order.
 
     Args:
         place: the folder of the index.
         key: the text that identifies the episode.
         parts: the number of parts that are there.
+        has_checksums: whether the index must have checksums.
     """
-    file = _file_in(place)
+    file = index_file(place)
     if not file.is_file():
         return []
     try:
-        rows = pq.ParquetFile(file.absolute()).read()
-    except (pa.ArrowException, OSError):  # the parts have what it has
+        index = verified_parquet(file, has_checksums=has_checksums)
+        if (index.schema_arrow.metadata or {}).get(_LABEL) != _label(key):
+            return []
+        check_columns(str(file), arrow_columns(index.schema_arrow), _TYPES)
+        if index.metadata.num_rows > MAX_VALUES:
+            return []
+        rows = index.read(columns=list(_TYPES))
+    except (pa.ArrowException, OSError):  # the parts have what it has; a RecordError is an OSError
         return []
-    if (rows.schema.metadata or {}).get(_LABEL) != _label(key):
+    if any(rows[name].null_count for name in _TYPES):
         return []
     return _by_part(rows, range(parts))
 
 
 def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
     numbers = rows["part"].to_numpy()
+    if (np.diff(numbers) < 0).any():
+        return []
     starts = np.searchsorted(numbers, parts).tolist()
     ends = np.searchsorted(numbers, parts, side="right").tolist()
     ticks = rows.select(_COLUMNS).replace_schema_metadata()
@@ -99,7 +112,30 @@ def _by_part(rows: pa.Table, parts: Sequence[int]) -> list[pa.Table]:
     ]
 
 
-def _file_in(place: Path) -> Path:
+def checked_ticks(rows: pa.Table, source: str) -> TickBuffer:
+    """Returns the ticks of a record in order.
+
+    Args:
+        rows: their numbers and times, `tick` and `time`.
+        source: the file or folder that has them, to begin the message.
+
+    Raises:
+        RecordError: a number or a time is missing or out of bounds, or they do not ascend.
+    """
+    if rows["tick"].null_count or rows["time"].null_count:
+        raise RecordError(f"{source} is damaged: a tick lacks its number or its time")
+    numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
+    if len(numbers) and not (numbers.min() >= 0 and numbers.max() < _MAX_TICK):
+        raise RecordError(f"{source} is damaged: the number of a tick is out of bounds")
+    if (np.diff(numbers) <= 0).any():
+        raise RecordError(f"{source} is damaged: its ticks do not ascend")
+    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise RecordError(f"{source} is damaged: the times of its ticks do not ascend")
+    return TickBuffer.from_arrays(numbers, times)
+
+
+def index_file(place: Path) -> Path:
+    """Returns the file of the index in a folder."""
     return place / "ticks.parquet"
 
 

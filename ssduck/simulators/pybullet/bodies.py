@@ -25,6 +25,7 @@ from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.collision_margins import (
     LinkMargin,
     link_margin,
+    links_with_margins,
     margin_of,
     with_margins,
 )
@@ -70,6 +71,11 @@ class BodyDescription:
     com: Pose
     exact: bool
     link_margins: tuple[LinkMargin, ...] = ()
+
+    @cached_property
+    def links_with_margins(self) -> frozenset[int]:
+        """The links whose shapes have margins that PyBullet can change."""
+        return links_with_margins(self.body.shapes, self.link_margins)
 
 
 def describe(

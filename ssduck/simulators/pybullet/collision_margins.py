@@ -9,7 +9,7 @@ margin, which has no effect.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -85,22 +85,38 @@ def with_margins(shapes: Sequence[PlacedGeometry], link_margin: LinkMargin) -> l
     return [replace(shape, margin=margin_of(shape.geometry.type, link_margin)) for shape in shapes]
 
 
-def margins_of(client: int, body: Body, link_margins: Sequence[LinkMargin]) -> list[float]:
+def links_with_margins(
+    shapes: Sequence[PlacedGeometry], link_margins: Sequence[LinkMargin]
+) -> frozenset[int]:
+    """Returns the links whose shapes have margins that PyBullet can change.
+
+    Args:
+        shapes: the shapes of a body.
+        link_margins: the margins when the body was described; empty if they do not change.
+    """
+    if not link_margins:
+        return frozenset()
+    links = {shape.frame for shape in shapes if shape.geometry.type in _PADDED}
+    return frozenset(link for link in links if link_margins[link].margin is not None)
+
+
+def margins_of(
+    client: int, body: Body, link_margins: Sequence[LinkMargin], links: Iterable[int]
+) -> list[float]:
     """Returns the margins of a body's shapes as they are now, metres.
 
     Args:
         client: the client that has the body.
         body: the body.
-        link_margins: the margins when the body was described; empty if they do not change.
+        link_margins: the margins when the body was described.
+        links: the links whose margins may have changed; see `links_with_margins`.
     """
-    links = {s.frame for s in body.shapes if s.geometry.type in _PADDED} if link_margins else set()
     now = {
         link: replace(
             link_margins[link],
             margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11]),
         )
         for link in links
-        if link_margins[link].margin is not None
     }
     return [
         margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin

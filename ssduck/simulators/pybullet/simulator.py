@@ -80,6 +80,8 @@ class PyBulletSimulator:
     """
 
     backend = "pybullet"
+    keeps_time = False
+    episode = 0
 
     def __init__(
         self,
@@ -269,11 +271,22 @@ class PyBulletSimulator:
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
-        present = self._present(bodies)
-        link_margins = {body: self._descriptions[body.handle].link_margins for body in present}
-        return self._call(
-            lambda: [margins_of(self.client, body, link_margins.get(body, ())) for body in bodies]
-        )
+        descriptions = {
+            body: description
+            for body in bodies
+            if (description := self._descriptions.get(body.handle)) is not None
+            and description.body is body
+            and description.links_with_margins
+        }
+        present = self._present(list(descriptions))
+
+        def read(body: Body) -> list[float]:
+            if body not in present:
+                return body.margins
+            known = descriptions[body]
+            return margins_of(self.client, body, known.link_margins, known.links_with_margins)
+
+        return self._call(lambda: [read(body) for body in bodies])
 
     def _present(self, bodies: Sequence[Body]) -> set[Body]:
         """Returns the bodies that the client still has."""
@@ -331,27 +344,28 @@ class PyBulletSimulator:
         self._call(put)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Sets joints by the indices of their links, at rest.
+        """Sets joints by their indices, at rest.
 
         The motors of a client that ssduck made hold the new positions.
         """
 
         def put() -> None:
-            for link, position in positions.items():
-                pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
+            for number, position in positions.items():
+                joint = body.joints[number]
+                pybullet.resetJointState(body.handle, number, position, 0.0, self.client)
                 if not self.is_external:
-                    hold_joint(body.handle, body.joints[link - 1], position, self.client)
-                    self.loaded.motor_positions.setdefault(body.handle, {})[link] = position
+                    hold_joint(body.handle, joint, position, self.client)
+                    self.loaded.motor_positions.setdefault(body.handle, {})[joint.link] = position
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Sets motors of joints by the indices of their links for the next steps."""
+        """Sets motors of joints by their indices for the next steps."""
 
         def put() -> None:
-            for link, motor in motors.items():
-                set_motor(body.handle, link, motor, self.client)
+            for number, motor in motors.items():
+                set_motor(body.handle, body.joints[number].link, motor, self.client)
 
         self._call(put)
 

@@ -134,8 +134,8 @@ def test_files_that_hold_no_record(tmp_path):
 @pytest.mark.parametrize(
     ("about", "told"),
     [
-        ("{", "is damaged: lab_record_0 lacks its description"),
-        ('{"version": 1}', "is damaged: lab_record_0 lacks its description"),
+        ("{", "the description of lab_record_0 is damaged: Expecting"),
+        ('{"version": 1}', "lab_record_0 is damaged: it lacks what is recorded: .*'world'"),
         (None, "lab_record_0 in .* is a record of version 9; .*install a newer one"),
         ("bad", "is damaged: it has no valid recording settings"),
     ],

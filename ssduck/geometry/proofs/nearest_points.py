@@ -1,0 +1,107 @@
+"""Decides for many pairs of round shapes at once whether their contact normal points up.
+
+A sphere and a capsule consist of all that is near their core, a point or a segment. While the cores
+of two shapes are apart, their contact normal is the direction of the nearest points of the cores,
+also if the shapes overlap. Projecting a point on one core and on the other, in turns, finds these
+points (von Neumann 1950), for a sphere at once.
+
+The points need not be exact. The difference of any two points of the cores is a point of the cores'
+difference, which bounds the overlaps in all directions from below. The support point in its
+direction bounds the least overlap from above. The contact normal is in the cone of directions in
+which the one bound is below the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.proofs.columns import column_lengths
+from ssduck.geometry.proofs.contact_directions import (
+    HEIGHT_ROOM,
+    NOT_UPWARD,
+    UPWARD,
+    contact_room,
+)
+from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.gjk import UNDECIDED, Verdicts
+
+# The number of further projections on each of two cores, if none is a point.
+_MORE_PROJECTIONS = 2
+
+
+def upward_round_verdicts(
+    cores: PlacedCores, first: Indices, second: Indices, min_height: float
+) -> Verdicts:
+    """Returns whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
+
+    Args:
+        cores: the shapes.
+        first: (n,), bounded convex shapes.
+        second: (n,), the same; normals point from the first to the second.
+        min_height: the least z of an upward unit normal, from 0 to 1.
+    """
+    verdicts = np.full(len(first), UNDECIDED, np.int8)
+    kinds, radius = cores.cores.kind, cores.cores.radius
+    has_formula = (kinds[first] < 0) & (kinds[second] < 0)
+    places = np.flatnonzero(has_formula & (radius[first] + radius[second] > 0.0))
+    if len(places):
+        verdicts[places] = _verdicts(cores, first[places], second[places], min_height)
+    return verdicts
+
+
+def _verdicts(cores: PlacedCores, first: Indices, second: Indices, min_height: float) -> Verdicts:
+    """Returns the verdicts of pairs without hulls."""
+    points = _difference_points(cores, first, second)
+    lengths = column_lengths(points)
+    directions = points / np.maximum(lengths, 1e-300)
+    support = cores.centres.take(first, axis=1) - cores.centres.take(second, axis=1)
+    support += cores.support_points(first, -directions)
+    support -= cores.support_points(second, directions)
+    # Of the cores' distance: that of the support point is less, that of the points is greater.
+    distances = np.einsum("cn,cn->n", directions, support)
+    reached = distances - contact_room(cores, first, second)
+    angles = np.arccos(np.clip(reached / np.maximum(lengths, 1e-300), 0.0, 1.0))
+    tilts = np.arccos(np.clip(-directions[2], -1.0, 1.0))
+    lowest, highest = (
+        np.cos(np.minimum(tilts + angles, np.pi)),
+        np.cos(np.maximum(tilts - angles, 0.0)),
+    )
+    verdicts = np.full(len(first), UNDECIDED, np.int8)
+    verdicts[(reached > 0.0) & (lowest >= min_height + HEIGHT_ROOM)] = UPWARD
+    verdicts[(reached > 0.0) & (highest <= min_height - HEIGHT_ROOM)] = NOT_UPWARD
+    return verdicts
+
+
+def _difference_points(cores: PlacedCores, first: Indices, second: Indices) -> Array:
+    """Returns points (3, n) of the differences of cores that are nearly nearest to the origin."""
+    on_second = cores.centres.take(second, axis=1)
+    on_first = _nearest_points(cores, first, on_second)
+    on_second = _nearest_points(cores, second, on_first)
+    size = cores.cores.half_extents[2] + cores.cores.disc_radius
+    are_long = np.flatnonzero((size[first] > 0.0) & (size[second] > 0.0))
+    if len(are_long):
+        first, second, some = first[are_long], second[are_long], on_second[:, are_long]
+        for _ in range(_MORE_PROJECTIONS):
+            others = _nearest_points(cores, first, some)
+            some = _nearest_points(cores, second, others)
+        on_first[:, are_long], on_second[:, are_long] = others, some
+    return on_first - on_second
+
+
+def _nearest_points(cores: PlacedCores, shapes: Indices, points: Array) -> Array:
+    """Returns the points of cores without corners that are nearest to points (3, n), (3, n)."""
+    half_extents, disc = (
+        cores.cores.half_extents.take(shapes, axis=1),
+        cores.cores.disc_radius[shapes],
+    )
+    rotations = cores.rotations.take(shapes, axis=1).reshape(3, 3, -1)
+    centres = cores.centres.take(shapes, axis=1)
+    local = np.einsum("ijn,in->jn", rotations, points - centres)
+    nearest = np.minimum(np.maximum(local, -half_extents), half_extents)
+    if disc.any():
+        length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
+        nearest[:2] += local[:2] * np.minimum(disc / length, disc > 0.0)
+    placed: Array = np.einsum("ijn,jn->in", rotations, nearest)
+    placed += centres
+    return placed

@@ -1,0 +1,170 @@
+"""Reads the JSON objects that describe records, and checks their values.
+
+A record may come from a stranger, so that any value may be of any type, missing, or nested deeply.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ssduck.errors import RecordError
+from ssduck.formatting import short_repr
+from ssduck.recording.stores.checksums import CHECKSUM_KEY, WRONG_CHECKSUM, pop_checksum
+from ssduck.schema import RECORDED
+
+# A description that names a million entities is shorter, bytes.
+MAX_DESCRIPTION = 1 << 26
+
+
+@dataclass(frozen=True)
+class Value:
+    """A value of a JSON object.
+
+    Attributes:
+        expected: a right value, in words.
+        fits: checks a value.
+        is_required: whether the object must have it.
+    """
+
+    expected: str
+    fits: Callable[[Any], bool]
+    is_required: bool = True
+
+
+# The values of an object, by key. Further keys are those of later versions.
+Description = Mapping[str, Value]
+
+
+def _is_whole(value: Any, least: int) -> bool:
+    return type(value) is int and least <= value < 1 << 53
+
+
+def _is_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) for name in value)
+
+
+def _is_parts(value: Any) -> bool:
+    return isinstance(value, list) and all(_is_whole(number, 0) for number in value)
+
+
+def _is_tables(value: Any) -> bool:
+    """Checks a list of recorded tables, whose names are those of folders."""
+    has_right_names = _is_names(value) and RECORDED.keys() >= set(value)
+    return has_right_names and len(set(value)) == len(value) and {"ticks", "entities"} <= set(value)
+
+
+_TEXT = Value("a text", lambda value: isinstance(value, str))
+_OBJECT = Value("an object", lambda value: isinstance(value, dict))
+_COUNT = Value("a number of parts", lambda value: _is_whole(value, 0), is_required=False)
+# What describes an episode in a folder.
+EPISODE: Description = {
+    "world": Value("a name", lambda value: isinstance(value, str), is_required=False),
+    "episode": Value("a number", lambda value: _is_whole(value, 0), is_required=False),
+    "key": Value("a text", lambda value: isinstance(value, str), is_required=False),
+    "tables": Value("a list of recorded tables, with ticks and entities", _is_tables),
+    "started": _TEXT,
+    "recording": _OBJECT,
+    "parts": Value("an object", lambda value: isinstance(value, dict), is_required=False),
+    "checksums": Value("a text", lambda value: isinstance(value, str), is_required=False),
+    "removed": Value("a list of parts", _is_parts, is_required=False),
+}
+# What it says of the recording, and of the number of complete parts.
+RECORDING: Description = {
+    "every": Value("a number of ticks", lambda value: _is_whole(value, 1), is_required=False),
+    "entities": Value(
+        "a list of names, or null",
+        lambda value: value is None or _is_names(value),
+        is_required=False,
+    ),
+}
+PARTS: Description = {"ticks": _COUNT, "models": _COUNT}
+# What describes an episode in a DuckDB file.
+DATABASE_EPISODE: Description = {
+    "version": Value("a number", lambda value: _is_whole(value, 1)),
+    "world": _TEXT,
+    "started": _TEXT,
+    "recording": _OBJECT,
+}
+
+
+def read_description(file: Path) -> dict[str, Any]:
+    """Returns the JSON object in a file.
+
+    Raises:
+        RecordError: the file cannot be read, or has no JSON object.
+    """
+    try:
+        if not file.is_file():  # a pipe would be waited for
+            raise RecordError(f"{file} cannot be read: there is no such file")
+        if file.stat().st_size > MAX_DESCRIPTION:
+            raise RecordError(f"{file} is damaged: it has more than {MAX_DESCRIPTION:,} bytes")
+        content = file.read_bytes()
+    except OSError as error:
+        raise RecordError(f"{file} cannot be read: {error.strerror}") from error
+    description = parse_description(content, str(file))
+    if not pop_checksum(description):
+        raise RecordError(
+            f"{file} {WRONG_CHECKSUM}; remove its key {CHECKSUM_KEY!r} if you edited it"
+        )
+    return description
+
+
+def parse_description(text: str | bytes, source: str) -> dict[str, Any]:
+    """Returns the JSON object in a text.
+
+    Args:
+        text: the text; bytes are UTF-8.
+        source: what has the text, to begin the message.
+
+    Raises:
+        RecordError: there is no JSON object.
+    """
+    try:
+        decoded = text.decode() if isinstance(text, bytes) else text
+        content = json.loads(decoded, object_pairs_hook=_unique)
+    except ValueError as error:
+        raise RecordError(f"{source} is damaged: {error}") from error
+    except RecursionError:
+        raise RecordError(f"{source} is damaged: it is nested too deeply") from None
+    if not isinstance(content, dict):
+        raise RecordError(f"{source} is damaged: it has no JSON object")
+    return content
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Returns an object of pairs of keys and values; readers differ in which of two they take."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        keys = [key for key, _ in pairs]
+        key = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"it has the key {short_repr(key)} twice")
+    return content
+
+
+def check_description(
+    content: Mapping[str, Any], description: Description, source: str, lack: str
+) -> None:
+    """Checks the values of a JSON object.
+
+    Args:
+        content: the object.
+        description: the values that it may have.
+        source: what has the object, to begin the message.
+        lack: what is missing without a required value, to end the message.
+
+    Raises:
+        RecordError: a value is missing or of the wrong kind.
+    """
+    for key, value in description.items():
+        if key not in content:
+            if value.is_required:
+                raise RecordError(f"{source} is damaged: it lacks {lack}: there is no {key!r}")
+        elif not value.fits(content[key]):
+            raise RecordError(
+                f"{source} is damaged: {key!r} is to be {value.expected}, not "
+                f"{short_repr(content[key])}"
+            )

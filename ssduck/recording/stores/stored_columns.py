@@ -1,0 +1,149 @@
+"""Checks the columns of stored tables against those that they are to have, before they are read.
+
+The tables of a record may come from a stranger: any column may be missing or of any type, and a
+file of a few bytes may claim any number of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache, lru_cache
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.errors import RecordError
+from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, ColumnType
+
+# The largest number of values that a file is read with: 1 GiB of doubles. A part that ssduck writes
+# has at most a few million of them, unless a mesh has more.
+MAX_VALUES = 1 << 27
+
+
+@cache
+def part_columns(table: str) -> Mapping[str, ColumnType]:
+    """Returns the types of the columns of a folder's parts, of a table or `models/<table>`."""
+    model = table.removeprefix("models/")
+    if model != table:
+        return types_of(MODELS[model].model)
+    return types_of((TABLES if table in TABLES else RECORDED)[table].columns)
+
+
+def tick_types(table: str) -> dict[str, ColumnType]:
+    """Returns the types of the columns that differ from tick to tick."""
+    names = RECORDED[table].tick_columns.names
+    return types_of(column for column in RECORDED[table].columns if column.name in names)
+
+
+def types_of(columns: Iterable[Column]) -> dict[str, ColumnType]:
+    """Returns the types of columns by name."""
+    return {column.name: column.type for column in columns}
+
+
+def check_columns(
+    source: str, present: Iterable[tuple[str, str]], expected: Mapping[str, ColumnType]
+) -> None:
+    """Checks the columns of a stored table; further columns do not matter.
+
+    Args:
+        source: the file, and the table if the file has several, to begin the message.
+        present: the names of its columns, and their types: of `ColumnType`, or any other text.
+        expected: the types of the columns that it is to have, by name.
+
+    Raises:
+        RecordError: a column is missing, twice there, or of another type.
+    """
+    found: dict[str, str] = {}
+    for name, type in present:
+        if name in found and name in expected:
+            raise RecordError(f"{source} is damaged: it has two columns {name!r}")
+        found[name] = type
+    if "joint" in expected and "joint" not in found:  # an old record: the link numbers the joint
+        expected = {**expected, "link": "integer"}
+    for name, type in expected.items():
+        if name not in found:
+            if name not in LATER_COLUMNS:
+                raise RecordError(f"{source} is damaged: it lacks the column {name!r}")
+        elif found[name] != type:
+            raise RecordError(
+                f"{source} is damaged: its column {name!r} has the type {found[name]}; it is to "
+                f"have values of the type {type}"
+            )
+
+
+def check_parquet(source: str, footer: bytes, table: str) -> pq.FileMetaData:
+    """Checks what the footer of a part says, and returns it.
+
+    Args:
+        source: the file, to begin the message.
+        footer: the footer, with the magic number at its end.
+        table: the table, or `models/<table>`.
+
+    Raises:
+        RecordError: the footer is damaged, a column is missing or of another type, or the part has
+            too many rows to be read.
+    """
+    try:
+        metadata = pq.read_metadata(pa.BufferReader(footer))
+        schema = metadata.schema.to_arrow_schema()
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{source} cannot be read: it is damaged: {error}") from error
+    check_columns(source, arrow_columns(schema), part_columns(table))
+    if _value_count(metadata, table) > MAX_VALUES:
+        raise RecordError(
+            f"{source} is damaged: it claims {metadata.num_rows:,} rows, more than a part has"
+        )
+    return metadata
+
+
+def _value_count(metadata: pq.FileMetaData, table: str) -> int:
+    """Returns the number of values that the columns of a part have, as it claims."""
+    count: int = metadata.num_rows * metadata.num_columns
+    if not {"points", "triples"} & set(part_columns(table).values()):
+        return count
+    groups = map(metadata.row_group, range(metadata.num_row_groups))
+    nested: int = sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
+    return count + nested
+
+
+def check_stream(source: str, schema: pa.Schema, table: str) -> None:
+    """Checks the columns of the rows of a log.
+
+    Args:
+        source: the file and the table, to begin the message.
+        schema: the columns.
+        table: the table.
+
+    Raises:
+        RecordError: a column is missing or of another type.
+    """
+    booleans = RECORDED[table].tick_columns.booleans
+    present = [
+        (name, "boolean" if type == "uint8" and name in booleans else type)
+        for name, type in arrow_columns(schema)
+    ]
+    check_columns(source, present, tick_types(table))
+
+
+def arrow_columns(schema: pa.Schema) -> list[tuple[str, str]]:
+    """Returns the names of columns, and their types: of `ColumnType`, or Arrow's names."""
+    return [(field.name, _arrow_type(field.type)) for field in schema]
+
+
+@lru_cache(maxsize=64)
+def _arrow_type(type: pa.DataType) -> str:
+    if pa.types.is_string(type) or pa.types.is_large_string(type):
+        return "string"
+    simple = {pa.int64(): "integer", pa.float64(): "double", pa.bool_(): "boolean"}
+    if type in simple:
+        return simple[type]
+    if _is_list(type) and _is_list(type.value_type):
+        nested = {pa.float64(): "points", pa.int32(): "triples"}
+        return nested.get(type.value_type.value_type, str(type))
+    return str(type)
+
+
+def _is_list(type: pa.DataType) -> bool:
+    return bool(
+        pa.types.is_list(type) or pa.types.is_large_list(type) or pa.types.is_fixed_size_list(type)
+    )

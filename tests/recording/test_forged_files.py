@@ -1,0 +1,271 @@
+"""Records from strangers in DuckDB files: they are read as data, and what is wrong is an error."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import duckdb
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording.stores import record_file
+from tests.support.cases import sampled
+from tests.support.forged import make_records, use
+
+SCHEMA = "lab_record_0"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("forged")
+    make_records(place)
+    (place / "secret.txt").write_text("the secret")
+    return place
+
+
+@pytest.fixture
+def file(made: Path, tmp_path: Path) -> Path:
+    """A valid record in a DuckDB file, beside a file with a secret."""
+    shutil.copy(made / "secret.txt", tmp_path)
+    return Path(shutil.copy(made / "file.duckdb", tmp_path))
+
+
+def place(table: str) -> str:
+    return f'{SCHEMA}."{table}"'
+
+
+def run(file: Path, *statements: str) -> None:
+    with duckdb.connect(file) as plain:
+        for statement in statements:
+            plain.execute(statement)
+
+
+def about(file: Path, **values: object) -> None:
+    """Changes the description of the record."""
+    with duckdb.connect(file) as plain:
+        ((text,),) = plain.sql(f"FROM {place('ssduck record')}").fetchall()
+        text = json.dumps(json.loads(text) | values)
+        plain.execute(f"UPDATE {place('ssduck record')} SET about = ?", [text])
+
+
+def in_place_of(table: str, select: str) -> Callable[[Path], None]:
+    """Returns a change that puts a view in the place of a table; {old} is the table."""
+
+    def change(file: Path) -> None:
+        secret = file.with_name("secret.txt")
+        text = select.format(old=place("old"), secret=secret)
+        run(
+            file,
+            f'ALTER TABLE {place(table)} RENAME TO "old"',
+            f"CREATE VIEW {place(table)} AS {text}",
+        )
+
+    return change
+
+
+def sql(*statements: str) -> Callable[[Path], None]:
+    return lambda file: run(file, *statements)
+
+
+LEAK = "SELECT * REPLACE ((SELECT content FROM read_text('{secret}')) AS name) FROM {old}"
+ENTITIES, SHAPES, GEOMETRIES = (
+    place("entities model"),
+    place("shapes model"),
+    place("geometries model"),
+)
+ROWS, LINK_ROWS, JOINT_ROWS, TICKS = (
+    place(f"{t} 0") for t in ("entities", "links", "joints", "ticks")
+)
+COMPUTED = (
+    f"CREATE TABLE {place('new')} AS FROM {TICKS}",
+    f"DROP TABLE {TICKS}",
+    f"CREATE TABLE {TICKS} (tick BIGINT, time DOUBLE, "
+    "wall_time DOUBLE GENERATED ALWAYS AS (random()))",
+    f"INSERT INTO {TICKS} SELECT tick, time FROM {place('new')}",
+)
+# (name, change, words of the error)
+ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
+    ("a view as a model", in_place_of("entities model", LEAK), "'entities model' is damaged: it is"),
+    *(
+        (f"a view as {table}", in_place_of(table, "FROM {old}"), f"'{table}' is damaged: it is")
+        for table in ("links model", "geometries model", "entities 0", "ticks 0", "contacts 0")
+    ),
+    ("a view as a description", in_place_of("ssduck record", "FROM {old}"), "nothing is recorded"),
+    ("a computed column", sql(*COMPUTED), "'ticks 0' is damaged: it is missing, or no table"),
+    ("no model", sql(f"DROP TABLE {SHAPES}"), "'shapes model' is damaged: it is missing"),
+    ("no rows", sql(f"DROP TABLE {ROWS}"), "'entities 0' is damaged: it is missing"),
+    ("two descriptions", sql(f"INSERT INTO {place('ssduck record')} FROM {place('ssduck record')}"),
+     "lacks its description"),
+    ("no description", sql(f"DELETE FROM {place('ssduck record')}"), "lacks its description"),
+    ("NULL", sql(f"UPDATE {place('ssduck record')} SET about = NULL"), "lacks its description"),
+    ("deep", sql(f"UPDATE {place('ssduck record')} SET about = repeat('[', 100000)"), "too deeply"),
+    ("a list", sql(f"UPDATE {place('ssduck record')} SET about = '[]'"), "it has no JSON object"),
+    ("of another name", sql('CREATE SCHEMA "x y_record_0"',
+     f'CREATE TABLE "x y_record_0"."ssduck record" AS FROM {place("ssduck record")}'),
+     "the schema 'x y_record_0' is of no episode"),
+    ("of another number", sql('CREATE SCHEMA "lab_record_00"',
+     f'CREATE TABLE lab_record_00."ssduck record" AS FROM {place("ssduck record")}'),
+     "is of no episode"),
+    ("another version", lambda f: about(f, version=2), "of version 2; .*install a newer one"),
+    ("a version of text", lambda f: about(f, version="1"), "'version' is to be a number"),
+    ("no version", lambda f: about(f, version=None), "'version' is to be a number"),
+    ("a recording of text", lambda f: about(f, recording="all"), "'recording' is to be an object"),
+    ("an unknown setting", lambda f: about(f, recording={"x": 1}), "no valid recording settings"),
+    ("tables of numbers", lambda f: about(f, recording={"tables": [1]}), "no valid recording"),
+    ("every 0", lambda f: about(f, recording={"every": 0}), "no valid recording settings"),
+    ("a column of text", sql(f"ALTER TABLE {ROWS} ALTER x TYPE VARCHAR"),
+     "'entities 0' is damaged: its column 'x' has the type string"),
+    ("a column of lists", sql(f"ALTER TABLE {ROWS} DROP x", f"ALTER TABLE {ROWS} ADD x DOUBLE[]"),
+     "its column 'x' has the type list<"),
+    ("a missing column", sql(f"ALTER TABLE {ROWS} DROP qw"), "it lacks the column 'qw'"),
+    ("a missing column of a model", sql(f"ALTER TABLE {ENTITIES} DROP kind"), "lacks the column 'kind'"),
+    ("an enumeration", sql("CREATE TYPE k AS ENUM ('robot', 'kinbody', 'sensor')",
+     f"ALTER TABLE {ENTITIES} ALTER kind TYPE k"), "its column 'kind' has the type dictionary"),
+    ("an id twice", sql(f"UPDATE {ENTITIES} SET id = 1"), "column 'id' has a number twice"),
+    ("an id of 0", sql(f"UPDATE {ENTITIES} SET id = id - 1"), "'id' has a number out of bounds"),
+    ("an unknown kind", sql(f"UPDATE {ENTITIES} SET kind = 'x' WHERE id = 1"), "'kind' has the value"),
+    ("no name", sql(f"UPDATE {ENTITIES} SET name = ''"), "an entity has no name"),
+    ("NULL as a name", sql(f"UPDATE {ENTITIES} SET name = NULL"), "'name' lacks a value"),
+    ("links < 0", sql(f"UPDATE {ENTITIES} SET links = -1 WHERE kind = 'robot'"), "has no links"),
+    ("links 2**40", sql(f"UPDATE {ENTITIES} SET links = 1099511627776 WHERE kind = 'robot'"),
+     "the links are not those of the bodies"),
+    ("several runs", sql(f"UPDATE {ENTITIES} SET run = id"), "its entities are of several runs"),
+    *(
+        (f"a sensor: {value}", sql(f"UPDATE {ENTITIES} SET {value} WHERE kind = 'sensor'"), words)
+        for value, words in [
+            ("host = 99", "mounted on an unknown link"),
+            ("host_link = 9", "mounted on an unknown link"),
+            ("sensor = NULL", "lacks its specification"),
+            ("sensor = '{'", "has no valid specification"),
+            ("sensor = '[]'", "has no valid specification"),
+            ("sensor = '{\"on\": \"arm\"}'", "no valid specification: values are missing"),
+            ("sensor = replace(sensor, 'planar_laser', 'x')", "there is no sensor type"),
+            ("sensor = replace(sensor, '5.0', '1e-9')", "more than 1,000,000 rays"),
+            ("sensor = replace(sensor, '5.0', 'NaN')", "expected a finite number"),
+            ("sensor = replace(sensor, '5.0', '[1]')", "expected a finite number"),
+        ]
+    ),
+    ("a parent of later", sql(f"UPDATE {place('links model')} SET parent = 7"), "does not come before"),
+    ("links without a body", sql(f"UPDATE {place('links model')} SET entity = 99"), "links are not those"),
+    ("the number of a link", sql(f"UPDATE {place('links model')} SET link = 5 WHERE link = 1"), "have gaps"),
+    ("no joints", sql(f"DELETE FROM {place('joints model')}"), "the joints are not those of the bodies"),
+    ("an unknown joint", sql(f"UPDATE {place('joints model')} SET type = 'x'"), "'type' has the value 'x'"),
+    ("an infinite axis", sql(f"UPDATE {place('joints model')} SET axis_x = 'inf'"), "'axis_x' has a number"),
+    ("a shape elsewhere", sql(f"UPDATE {SHAPES} SET link = 7"), "a shape is on an unknown link"),
+    ("a shape of nothing", sql(f"UPDATE {SHAPES} SET geometry = 999"), "has an unknown geometry"),
+    ("no rotation", sql(f"UPDATE {SHAPES} SET qw = 0, qx = 0, qy = 0, qz = 0"), "has the length 0"),
+    ("NaN", sql(f"UPDATE {SHAPES} SET x = 'nan'"), "'x' has a number that is not finite"),
+    ("a margin < 0", sql(f"UPDATE {SHAPES} SET margin = -1"), "the margin of a shape is negative"),
+    ("a size < 0", sql(f"UPDATE {GEOMETRIES} SET size_x = -1 WHERE type = 'sphere'"), "negative size"),
+    ("an unknown geometry", sql(f"UPDATE {GEOMETRIES} SET type = 'cone'"), "'type' has the value 'cone'"),
+    ("faces", sql(f"UPDATE {GEOMETRIES} SET faces = [[0, 1, 99]]"), "refers to a missing vertex"),
+    ("faces < 0", sql(f"UPDATE {GEOMETRIES} SET faces = [[0, 1, -1]]"), "refers to a missing vertex"),
+    ("NaN in a mesh", sql(f"UPDATE {GEOMETRIES} SET vertices = [['nan'::DOUBLE, 0, 0]], faces = []"),
+     "a vertex is no finite number"),
+    ("NULL in a mesh", sql(f"UPDATE {GEOMETRIES} SET vertices = [[NULL, 0, 0]], faces = []"),
+     "lacks a number of its vertices"),
+    ("NULL as a vertex", sql(f"UPDATE {GEOMETRIES} SET vertices = [NULL], faces = []"),
+     "lacks a number of its vertices"),
+    ("a sphere with vertices", sql(f"UPDATE {GEOMETRIES} SET vertices = [[0, 0, 0]] WHERE type = 'sphere'"),
+     "a sphere has vertices"),
+    ("an empty mesh", sql(f"UPDATE {GEOMETRIES} SET vertices = [], faces = []"), "a (mesh|hull) has no"),
+    ("a tick twice", sql(f"INSERT INTO {TICKS} FROM {TICKS}"), "its ticks do not ascend"),
+    ("a tick < 0", sql(f"UPDATE {TICKS} SET tick = -tick"), "the number of a tick is out of bounds"),
+    ("a tick of 2**62", sql(f"UPDATE {TICKS} SET tick = tick + 4611686018427387904"), "tick is out of bounds"),
+    ("no tick", sql(f"UPDATE {TICKS} SET tick = NULL WHERE tick = 3"), "lacks its number"),
+    ("NaN as a time", sql(f"UPDATE {TICKS} SET time = 'nan' WHERE tick = 3"), "times of its ticks"),
+    ("backwards", sql(f"UPDATE {TICKS} SET time = -time"), "the times of its ticks do not ascend"),
+    ("an entity twice", sql(f"INSERT INTO {ROWS} FROM {ROWS} WHERE id = 1"), "a row is twice there"),
+    ("an unknown entity", sql(f"UPDATE {ROWS} SET id = 99 WHERE id = 1"), "the entity 99 is unknown"),
+    ("an id of 2**62", sql(f"UPDATE {ROWS} SET id = 4611686018427387904 WHERE id = 1"), "is unknown"),
+    ("NULL as an entity", sql(f"UPDATE {ROWS} SET id = NULL WHERE id = 1"), "lacks a value"),
+    ("a link less", sql(f"DELETE FROM {LINK_ROWS} WHERE link = 1"), "a body lacks some of them"),
+    ("no links", sql(f"DELETE FROM {LINK_ROWS}"), "the links are not those of the entities"),
+    ("an unknown link", sql(f"UPDATE {LINK_ROWS} SET link = 9 WHERE link = 1"), "a link is unknown"),
+    ("no joints of a tick", sql(f"DELETE FROM {JOINT_ROWS}"), "the joints are not those"),
+    ("the body of a sensor", sql(f"DELETE FROM {ROWS} WHERE id = (SELECT id FROM {ENTITIES} WHERE name = 'arm')"),
+     "without the body that carries it"),
+    ("a contact of nobody", sql(f"UPDATE {place('contacts 0')} SET a = 77"), "the entity 77 is unknown"),
+]  # fmt: skip
+
+
+@sampled(("change", "words"), [a[1:] for a in ATTACKS], every=4, ids=[a[0] for a in ATTACKS])
+def test_a_forged_file_is_an_error(file: Path, change: Callable[[Path], None], words: str) -> None:
+    change(file)
+    with pytest.raises(RecordError, match=words) as error:
+        use(file)
+    assert str(file) in str(error.value)
+
+
+def test_the_valid_one_is_none(file: Path) -> None:
+    use(file)
+
+
+def test_a_view_of_the_file_is_not_read(file: Path) -> None:
+    """Views, macros and own tables in the schemas of the file are not ours."""
+    secret = file.with_name("secret.txt")
+    run(
+        file,
+        "CREATE SCHEMA IF NOT EXISTS lab",
+        f"CREATE OR REPLACE VIEW lab.entities_history AS FROM read_text('{secret}')",
+        f"CREATE OR REPLACE VIEW {SCHEMA}.ticks_history AS FROM read_text('{secret}')",
+        "CREATE TABLE entities AS SELECT 'mine' AS name",
+        *(f"CREATE MACRO {name}(a) AS 'theirs'" for name in ("abs", "count", "main.len")),
+        "CREATE MACRO collides(a, b) AS true",
+        "CREATE MACRO lab.collides(a, b) AS true",
+        f"CREATE MACRO unnest(a) AS TABLE FROM read_text('{secret}')",
+        "CREATE SEQUENCE s",
+        f"CREATE INDEX i ON {ENTITIES} (id)",
+    )
+    use(file)
+    with ssduck.open(file, limits=ssduck.Limits.strict()) as ss:
+        found = ss.sql("SELECT name, abs(-z), count(*) OVER () FROM entities").fetchall()
+        assert len(found) == 6
+        assert {name for name, *_ in found} == {"board", "ball", "other", "arm", "mesh", "eye"}
+        assert all(isinstance(z, float) and count == 6 for _, z, count in found)
+        apart = "a.name = 'board' AND b.name = 'mesh'"
+        ((hit,),) = ss.sql(
+            f"SELECT collides(a, b) FROM entities a, entities b WHERE {apart}"
+        ).fetchall()
+        assert hit is False
+        for statement in (
+            'FROM "ssduck record file".lab.entities_history',
+            f'FROM "ssduck record file".{SCHEMA}.ticks_history',
+            "SELECT collides(1, 2)",
+        ):
+            with pytest.raises(ssduck.SelectScriptError):
+                ss.sql(statement)
+
+
+def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:
+    """DuckDB would download an extension to read it."""
+    with sqlite3.connect(tmp_path / "run.duckdb") as other:
+        other.execute("CREATE TABLE t (x)")
+    with pytest.raises(RecordError, match=r"run.duckdb.* is not a valid DuckDB database file"):
+        ssduck.open(tmp_path / "run.duckdb")
+
+
+def test_a_table_that_does_not_fit_is_not_read(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(file, f"UPDATE {GEOMETRIES} SET vertices = [[x, x, x] for x in range(500)]")
+    monkeypatch.setattr(record_file, "MAX_VALUES", 1000)
+    with pytest.raises(RecordError, match=r"geometries model' is damaged: it has .* too many"):
+        ssduck.open(file)
+    run(file, f"INSERT INTO {TICKS} SELECT range + 1000, range + 1000, 0 FROM range(1000)")
+    with pytest.raises(RecordError, match="the ticks of lab_record_0 is damaged: it has 2,"):
+        ssduck.open(file)
+
+
+def test_the_users_own_database_keeps_its_views(tmp_path: Path) -> None:
+    path = tmp_path / "own.duckdb"
+    with ssduck.load("kitchen", str(path)) as ss:
+        ss.sql("CREATE VIEW high AS SELECT name FROM entities WHERE z > 1")
+        ss.sql("CREATE MACRO twice(a) AS 2 * a")
+        expected = ss.sql("SELECT * FROM high").fetchall()
+    with ssduck.load("kitchen", str(path)) as ss:
+        assert ss.sql("SELECT * FROM high").fetchall() == expected
+        assert ss.sql("SELECT twice(21)").fetchall() == [(42,)]

@@ -1,0 +1,357 @@
+"""Records from strangers in folders: nothing outside is read, and what is wrong is an error."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording.stores import stored_columns
+from ssduck.recording.stores.part_log import _LABEL, _TABLE
+from tests.support.cases import sampled
+from tests.support.forged import (
+    EPISODE,
+    describe,
+    make_records,
+    part,
+    rewrite,
+    use,
+    with_column,
+    without_checksums,
+)
+
+ABOUT = "episodes/lab-0.json"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("forged")
+    make_records(place)
+    for name in ("folder", "unfinished"):
+        without_checksums(place / name)
+    return place
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """A valid record in a folder."""
+    return Path(shutil.copytree(made / "folder", tmp_path / "folder"))
+
+
+def text(name: str, content: str | bytes) -> Callable[[Path], Any]:
+    as_bytes = content if isinstance(content, bytes) else content.encode()
+    return lambda record: (record / name).write_bytes(as_bytes)
+
+
+def about(**values: Any) -> Callable[[Path], Any]:
+    return lambda record: describe(record / ABOUT, **values)
+
+
+def rows(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Path], Any]:
+    return lambda record: rewrite(part(record, table), change)
+
+
+def column(table: str, name: str, values: Any) -> Callable[[Path], Any]:
+    return rows(table, with_column(name, values))
+
+
+def link(place: str, target: str) -> Callable[[Path], Any]:
+    """Returns a change that moves a file or a folder out of the record, and links to it."""
+
+    def change(record: Path) -> None:
+        outside = record.parent / target
+        (record / place).rename(outside)
+        (record / place).symlink_to(outside)
+
+    return change
+
+
+def pipe(place: str) -> Callable[[Path], Any]:
+    def change(record: Path) -> None:
+        (record / place).unlink()
+        os.mkfifo(record / place)
+
+    return change
+
+
+def moved(old: str, new: str) -> Callable[[Path], Any]:
+    return lambda record: shutil.move(record / old, record / new)
+
+
+ENTITIES, TICKS = f"entities/{EPISODE}/part-000000.parquet", f"ticks/{EPISODE}/part-000000.parquet"
+DEEP = "[" * 100_000
+# (name, change, words of the error)
+ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
+    ("deep", text("ssduck.json", DEEP), "ssduck.json is damaged: it is nested too deeply"),
+    ("deep objects", text(ABOUT, '{"a":' * 100_000), "lab-0.json is damaged: it is nested too"),
+    ("no UTF-8", text("ssduck.json", b"\xff\xfe{}"), "ssduck.json is damaged: .*utf-8"),
+    ("empty", text("ssduck.json", ""), "ssduck.json is damaged: Expecting value"),
+    ("a huge number", text("ssduck.json", '{"version": 1' + "0" * 5000 + "}"), "is damaged: Exceeds"),
+    ("a key twice", text("ssduck.json", '{"version": 2, "version": 1}'), "the key 'version' twice"),
+    ("a version of 10**30", lambda r: describe(r / "ssduck.json", version=10**30), "install a newer"),
+    ("tables elsewhere", about(tables=["ticks", "entities", "../../other"]), "'tables' is to be a list"),
+    ("an absolute table", about(tables=["ticks", "entities", "/etc"]), "'tables' is to be a list"),
+    ("a model as a table", about(tables=["ticks", "entities", "models/links"]), "'tables' is to be"),
+    ("NUL in a table", about(tables=["ticks", "entities", "a\0b"]), "'tables' is to be a list"),
+    ("a table twice", about(tables=["ticks", "entities", "ticks"]), "'tables' is to be a list"),
+    ("no ticks", about(tables=["entities"]), "'tables' is to be a list"),
+    ("every 2**70", about(recording={"every": 2**70}), "'every' is to be a number of ticks"),
+    ("every true", about(recording={"every": True}), "'every' is to be a number of ticks"),
+    ("entities", about(recording={"entities": [1]}), "'entities' is to be a list of names"),
+    ("parts", about(parts={"ticks": "1"}), "'ticks' is to be a number of parts"),
+    ("many parts", about(parts={"models": 10**15}), "part-000001.parquet is missing"),
+    ("a key of numbers", about(key=5), "'key' is to be a text"),
+    ("a key of another", about(key="0" * 16), "is another part, or of another record"),
+    ("another episode", about(episode=1), "describes episode 1 of 'lab'"),
+    ("another world", about(world="../lab"), r"describes episode 0 of '\.\./lab'"),
+    ("a pipe", pipe("ssduck.json"), "is no record of ssduck: it has no ssduck.json"),
+    ("a pipe as a part", pipe(ENTITIES), "part-000000.parquet is missing"),
+    ("a pipe as ticks", pipe(TICKS), "part-000000.parquet is missing"),
+    ("a folder as a part", lambda r: (part(r, "links").unlink(), part(r, "links").mkdir()), "is missing"),
+    *(
+        (f"{place} elsewhere", link(place, "outside"), "is a symbolic link that leaves")
+        for place in ("ssduck.json", ABOUT, "episodes", "entities", f"links/{EPISODE}", ENTITIES,
+                      TICKS, "models", f"models/shapes/{EPISODE}/part-000000.parquet")
+    ),
+    ("a link to itself", lambda r: ((r / ABOUT).unlink(), (r / ABOUT).symlink_to(r / ABOUT)), "lab-0.json"),
+    ("a part of 10**8", lambda r: shutil.copy(part(r, "ticks"), part(r, "ticks", 10**8)),
+     "part-000001.parquet is missing, and parts after it"),
+    ("zero bytes", text(ENTITIES, b""), "is damaged: it is no complete Parquet file"),
+    ("zeros", text(TICKS, b"PAR1" + bytes(100) + b"\x20\0\0\0PAR1"), "part-000000.parquet"),
+    ("another file", lambda r: pq.write_table(pa.table({"a": [1]}), part(r, "entities")),
+     "is another part, or of another record"),
+    ("no rows of ticks", rows("ticks", lambda t: t.slice(0, 0)), "ticks/.* is damaged: a part has no ticks"),
+    ("no models", rows("models/entities", lambda t: t.slice(0, 0)), "the entity 1 is unknown|links are not"),
+    ("a tick twice", column("ticks", "tick", lambda v: v[:1] * len(v)), "its ticks do not ascend"),
+    ("ticks < 0", column("ticks", "tick", lambda v: [n - 1000 for n in v]), "is out of bounds"),
+    ("a tick of 2**63 - 1", column("ticks", "tick", lambda v: [*v[:-1], 2**63 - 1]), "out of bounds"),
+    ("ticks in NULL", column("ticks", "tick", lambda v: [None, *v[1:]]), "lacks its number or its time"),
+    ("NaN as a time", column("ticks", "time", lambda v: [float("nan"), *v[1:]]), "times of its ticks"),
+    ("times that fall", column("ticks", "time", lambda v: v[::-1]), "the times of its ticks do not"),
+    ("an infinite time", column("ticks", "time", lambda v: [*v[:-1], float("inf")]), "times of its"),
+    *(
+        (f"{table}: {name} of another type", column(table, name, lambda v, t=kind: pa.nulls(len(v), t)),
+         f"{table}/.*its column '{name}' has the type {kind}")
+        for table, name, kind in [
+            ("ticks", "time", pa.float32()), ("entities", "id", pa.int32()),
+            ("entities", "x", pa.binary()), ("models/entities", "run", pa.uint64()),
+            ("models/geometries", "faces", pa.int16()),
+        ]
+    ),
+    *(
+        (f"{table} without {name}", rows(table, lambda t, n=name: t.drop_columns([n])),
+         f"{table}/.*lacks the column '{name}'")
+        for table, name in [
+            ("ticks", "time"), ("entities", "id"), ("entities", "qw"), ("links", "link"),
+            ("contacts", "a"), ("models/entities", "kind"), ("models/shapes", "geometry"),
+            ("models/joints", "axis_x"), ("models/geometries", "vertices"),
+        ]
+    ),
+    ("a column twice", rows("entities", lambda t: t.append_column("x", t["x"])), "has two columns 'x'"),
+    ("an unknown entity", column("entities", "id", lambda v: [v[0] + 90, *v[1:]]), "entity 9. is unknown"),
+    ("an entity twice", column("entities", "id", lambda v: [1] * len(v)), "a row is twice there"),
+    ("NULL as a flag", column("entities", "enabled", lambda v: [None] * len(v)), "'enabled' lacks a value"),
+    ("a link less", rows("links", lambda t: t.filter(pa.compute.not_equal(t["link"], 1))),
+     "a body lacks some of them|are not those of the entities"),
+    ("a link twice", rows("links", lambda t: pa.concat_tables([t, t])), "a row is twice there"),
+    ("rows of no tick", column("entities", "tick", lambda v: [n + 100 for n in v]), "links are not those"),
+    ("vertices of two numbers", column("models/geometries", "vertices", lambda v: pa.array(
+        [[[0.0, 0.0]] * 8 for _ in v])), "models/geometries/.*cannot be read"),
+    ("faces", column("models/geometries", "faces", lambda v: [[[0, 1, 10**9]] for _ in v]),
+     "refers to a missing vertex"),
+    ("a quaternion of 0", lambda r: [column("models/shapes", q, lambda v: [0.0] * len(v))(r)
+                                     for q in ("qw", "qx", "qy", "qz")], "has the length 0"),
+    ("a sensor", column("models/entities", "sensor", lambda v: [v and DEEP for v in v]), "too deeply"),
+    ("of other digits", moved(ABOUT, "episodes/lab-\u0660.json"), "lab-0.json is missing"),
+    ("of a longer number", moved(ABOUT, "episodes/lab-000.json"), "lab-0.json is missing"),
+    ("of a world with a quote", moved(ABOUT, "episodes/la'b-0.json"), "lab-0.json is missing"),
+]  # fmt: skip
+
+
+@sampled(("change", "words"), [a[1:] for a in ATTACKS], every=4, ids=[a[0] for a in ATTACKS])
+def test_a_forged_folder_is_an_error(
+    folder: Path, change: Callable[[Path], Any], words: str
+) -> None:
+    change(folder)
+    with pytest.raises(RecordError, match=words) as error:
+        use(folder)
+    assert str(folder.name) in str(error.value) or "nothing is recorded" in str(error.value)
+
+
+def test_the_valid_one_is_none(folder: Path, made: Path) -> None:
+    use(folder)
+    use(made / "unfinished")
+
+
+def test_odd_numbers_are_answers(folder: Path) -> None:
+    """What a diverged simulation leaves: poses that are not finite, and quaternions of length 0."""
+    for name, value in (("x", "nan"), ("y", "inf"), ("qw", "0"), ("xmax", "-inf"), ("vx", "1e308")):
+        rewrite(part(folder, "entities"), with_column(name, lambda v, x=value: [float(x)] * len(v)))
+        rewrite(part(folder, "links"), with_column(name, lambda v, x=value: [float(x)] * len(v)))
+        use(folder)
+
+
+def test_further_columns_do_not_matter(folder: Path) -> None:
+    for table in ("ticks", "entities", "models/entities", "models/shapes"):
+        rewrite(
+            part(folder, table), lambda t: t.append_column("extra", pa.nulls(len(t), pa.binary()))
+        )
+    use(folder)
+
+
+@pytest.mark.parametrize("name", ["[a]*?", "a'b", 'a"b', "x" * 200, "a;--", "{0}", "é\U0001f986"])
+def test_any_name_of_a_folder(folder: Path, name: str) -> None:
+    """Beside it is a folder that the name as a pattern finds."""
+    shutil.copytree(folder, folder.with_name("axy"))
+    use(folder.rename(folder.with_name(name)))
+
+
+# -- values of JSON -----------------------------------------------------------------------------
+
+OTHERS = [None, True, -1, 0, 2**63, 1.5, float("nan"), "", "x", "../x", [], [[]], [1], {}, {"a": 1}]
+
+
+def mutations(value: Any) -> Iterator[Any]:
+    """Yields a value with each of its parts replaced by values of other types, or removed."""
+    for other in OTHERS:
+        if type(other) is not type(value) or other != value:
+            yield other
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield {k: v for k, v in value.items() if k != key}
+            yield from ({**value, key: changed} for changed in mutations(part))
+    elif isinstance(value, list):
+        for n, part in enumerate(value):
+            yield from ([*value[:n], changed, *value[n + 1 :]] for changed in mutations(part))
+
+
+@pytest.mark.parametrize(
+    ("name", "every"),
+    [(name, 7) for name in ("ssduck.json", ABOUT)]
+    + [pytest.param(name, 1, marks=pytest.mark.slow) for name in ("ssduck.json", ABOUT)],
+)
+def test_each_value_of_a_description(folder: Path, name: str, every: int) -> None:
+    """A value of another type is an error that names the file, or does not matter."""
+    content = json.loads((folder / name).read_text())
+    outcomes = {"error": 0, "answer": 0}
+    for changed in list(mutations(content))[::every]:
+        (folder / name).write_text(json.dumps(changed))
+        try:
+            with ssduck.open(folder) as ss:
+                assert len(ss.past("lab").ticks) > 1
+            outcomes["answer"] += 1
+        except RecordError as error:
+            assert "folder" in str(error)
+            outcomes["error"] += 1
+    assert outcomes["error"] > 5 * outcomes["answer"] > 0 or name == "ssduck.json"
+
+
+# -- files that claim more than they have ---------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("table", ["ticks", "models/entities", "entities"])
+def test_a_file_that_claims_a_billion_rows(folder: Path, table: str) -> None:
+    file = part(folder, table)
+    columns = pq.read_schema(file)
+    label = columns.metadata[b"ssduck record"].decode()
+    listed = ", ".join(f'NULL::{_sql(c.type)} AS "{c.name}"' for c in columns)
+    duckdb.execute(
+        f"COPY (SELECT {listed} FROM range(50_000_000)) TO '{file}' "
+        f"(FORMAT parquet, KV_METADATA {{'ssduck record': '{label}'}})"
+    )
+    assert file.stat().st_size < 4_000_000
+    with pytest.raises(RecordError, match="claims 50,000,000 rows, more than a part has"):
+        use(folder)
+
+
+def _sql(type: pa.DataType) -> str:
+    return {"int64": "BIGINT", "double": "DOUBLE", "bool": "BOOLEAN"}.get(str(type), "VARCHAR")
+
+
+def test_a_mesh_that_claims_too_much(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    change = with_column("vertices", lambda v: [[[0.0, 0.0, 0.0]] * 500 for _ in v])
+    rewrite(part(folder, "models/geometries"), change)
+    monkeypatch.setattr(stored_columns, "MAX_VALUES", 1000)
+    with pytest.raises(RecordError, match=r"models/geometries/.* claims .* more than a part has"):
+        ssduck.open(folder)
+
+
+# -- the index and the log ------------------------------------------------------------------------
+
+
+def _streams(file: Path) -> dict[str, pa.Table]:
+    content, tables = pa.BufferReader(file.read_bytes()), {}
+    while content.tell() < content.size():
+        table = pa.ipc.open_stream(content).read_all()
+        tables[table.schema.metadata[_TABLE].decode()] = table
+    return tables
+
+
+def _rewrite_log(record: Path, change: Callable[[dict[str, pa.Table]], None]) -> None:
+    file = next(record.glob("log/*/*/part-000000-0000.arrow"))
+    tables = _streams(file)
+    label = tables["ticks"].schema.metadata[_LABEL]
+    change(tables)
+    with pa.OSFile(str(file), "wb") as sink:
+        for name, table in tables.items():
+            labelled = table.replace_schema_metadata({_LABEL: label, _TABLE: name})
+            with pa.ipc.new_stream(sink, labelled.schema) as writer:
+                writer.write_table(labelled)
+
+
+def _change(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Any], None]:
+    return lambda tables: tables.update({table: change(tables[table])})
+
+
+LOG_ATTACKS: list[tuple[str, Callable[[Any], Any], str]] = [
+    ("a table less", lambda t: t.pop("contacts"), "its tables are not those recorded|contacts"),
+    ("an unknown table", lambda t: t.update(x=t["ticks"]), "'x' is no table"),
+    ("another type", _change("entities", with_column("x", lambda v: pa.array(list(map(str, v))))),
+     "entities is damaged: its column 'x' has the type string"),
+    ("a column less", _change("entities", lambda t: t.drop_columns(["id"])), "lacks the column 'id'"),
+    ("NULL", _change("entities", with_column("id", lambda v: [None] * len(v))), "a number is missing"),
+    ("an unknown entity", _change("entities", with_column("id", lambda v: [77] * len(v))),
+     "a row of (entities|shapes|links|joints) is of an unknown entity"),
+    ("another tick", _change("ticks", with_column("tick", lambda v: [2**62] * len(v))), "out of bounds"),
+    ("a joint of another", _change("joints", with_column("link", lambda v: [9] * len(v))),
+     "a row of joints is of an unknown entity"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "words"), [a[1:] for a in LOG_ATTACKS], ids=[a[0] for a in LOG_ATTACKS]
+)
+def test_a_forged_log_is_an_error(
+    made: Path, tmp_path: Path, change: Callable[[Any], Any], words: str
+) -> None:
+    record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
+    _rewrite_log(record, change)
+    with pytest.raises(RecordError, match=words) as error:
+        use(record)
+    assert "unfinished" in str(error.value)
+
+
+def test_a_log_of_random_bytes(made: Path, tmp_path: Path) -> None:
+    """Each byte that differs is an error, or one that nobody reads."""
+    record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
+    file = next(record.glob("log/*/*/part-000000-0000.arrow"))
+    content = file.read_bytes()
+    failed = 0
+    for place in range(0, len(content), 397):
+        file.write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
+        try:
+            ssduck.open(record).close()
+        except RecordError:
+            failed += 1
+    assert failed > 5
