@@ -10,18 +10,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import ClassVar
 
-from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
-from sqlglot.tokens import Tokenizer
 
 from ssduck.errors import LimitError, ParseError, SourceSpan
-from ssduck.language.comments import divisions, last_opening, without_dashes
+from ssduck.language.comments import divisions
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
+from ssduck.language.tokenizer import LETTERS_PER_WORD, tokenize
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
@@ -44,31 +42,6 @@ from ssduck.language.tree import (
     Unary,
     UnboundedHorizon,
 )
-
-# Under a limit, a program may have this many letters for each word.
-LETTERS_PER_WORD = 10
-
-
-class SelectScriptTokenizer(Tokenizer):
-    """sqlglot's tokenizer with SelectScript's quotes, comments and operators.
-
-    Words stay plain words (`VAR`), so that no name is lost to an SQL keyword.
-    """
-
-    QUOTES: ClassVar[list[str | tuple[str, str]]] = ["'", '"']
-    IDENTIFIERS: ClassVar[list[str | tuple[str, str]]] = []
-    COMMENTS: ClassVar[list[str | tuple[str, str]]] = ["//", "#", ("/*", "*/")]
-    STRING_ESCAPES: ClassVar[list[str]] = ["\\", "'", '"']  # a quote is doubled, too
-    KEYWORDS: ClassVar[dict[str, TokenType]] = {
-        "==": TokenType.EQ,
-        "!=": TokenType.NEQ,
-        ">=": TokenType.GTE,
-        "<=": TokenType.LTE,
-        "<>": TokenType.NEQ,
-        "||": TokenType.DPIPE,
-        "&&": TokenType.DAMP,
-        "::": TokenType.DCOLON,
-    }
 
 
 def is_reserved(name: str) -> bool:
@@ -112,7 +85,7 @@ def parse(text: str, max_words: int | None = None) -> Program:
 
 
 def _program(text: str, max_words: int | None) -> Program:
-    tokens = _tokenize(text)
+    tokens = tokenize(text)
     if max_words is not None and len(tokens) > max_words:
         raise LimitError(
             f"the program has {len(tokens):,} words and signs; under a limit of time it may have "
@@ -124,16 +97,6 @@ def _program(text: str, max_words: int | None) -> Program:
 # The trees of long programs take much memory.
 _short_program, _long_program = lru_cache(maxsize=512)(_program), lru_cache(maxsize=8)(_program)
 _SHORT, _LONG = 2_000, 50_000
-
-
-def _tokenize(text: str) -> list[Token]:
-    try:
-        return SelectScriptTokenizer().tokenize(without_dashes(text))
-    except TokenError as error:
-        # The tokenizer's only error is a text or a comment without an end.
-        message = "a text or a comment is opened here and never closed"
-        span = SourceSpan(last_opening(text), len(text))
-        raise ParseError(message, text=text, span=span) from error
 
 
 class _Parser(SqlForms):
