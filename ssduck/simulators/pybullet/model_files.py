@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 from ssduck.errors import SceneError
 from ssduck.formatting import joined_names
 from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
+from ssduck.simulators.pybullet.model_numbers import check_numbers
 from ssduck.simulators.scene_bodies import BodySpec
 
 # Elements of SDF files whose text PyBullet reads without a check.
@@ -49,10 +50,10 @@ class ModelFile:
         return cls(spec.source, root)
 
     def check(self) -> None:
-        """Checks that the file does not crash PyBullet 3.2.7.
+        """Checks that the file does not crash PyBullet 3.2.7, and that its numbers are right.
 
         Raises:
-            SceneError: the file would crash it.
+            SceneError: the file would crash it, or a number is out of bounds.
         """
         if self.format == "mjcf":
             for world in self.root.iterfind("worldbody"):
@@ -65,6 +66,7 @@ class ModelFile:
             if self.format == "sdf":
                 _check_texts(model)
             _check_roots(model)
+        check_numbers(self.format, self.root)
 
     def _check_world(self, world: ET.Element) -> None:
         """Checks the `<worldbody>` of an MJCF file."""
@@ -129,12 +131,14 @@ def _check_names(parts: Iterable[ET.Element]) -> None:
 
 def _check_texts(part: ET.Element) -> None:
     """Checks the texts that PyBullet reads in a model of an SDF file."""
-    if part.tag in _UNREAD:
-        return
-    if part.tag in _TEXTS and not len(part) and not (part.text or "").strip():
-        raise SceneError(f"a <{part.tag}> is empty")
-    for child in part:
-        _check_texts(child)
+    waiting = [part]
+    while waiting:  # a file from a stranger may be nested deeply
+        part = waiting.pop()
+        if part.tag in _UNREAD:
+            continue
+        if part.tag in _TEXTS and not len(part) and not (part.text or "").strip():
+            raise SceneError(f"a <{part.tag}> is empty")
+        waiting += reversed(part)
 
 
 def _check_roots(model: ET.Element) -> None:
