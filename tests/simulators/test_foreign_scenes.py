@@ -204,6 +204,54 @@ def test_a_mesh_whose_faces_are_nowhere(tmp_path: Path, corners: str) -> None:
             ssduck.load(tmp_path / "s.urdf")
 
 
+ACCESSOR = (
+    '<technique_common><accessor source="#a" count="3" stride="3">'
+    '<param name="X" type="float"/></accessor></technique_common>'
+)
+COLLADA = (
+    '<COLLADA version="1.4.1"><asset><unit meter="1"/></asset><library_geometries><geometry id="g">'
+    '<mesh><source id="p"><float_array id="a" count="9">0 0 0 1 0 0 0 1 0</float_array>'
+    f'{ACCESSOR}</source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices>'
+    '<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>'
+    '</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s">'
+    '<node id="n"><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+    "</COLLADA>"
+)
+# (old, new, words of the error): each crashes PyBullet 3.2.7, or makes it take all memory
+DAMAGES = [
+    ('<asset><unit meter="1"/></asset>', "", "<COLLADA> has no <asset>"),
+    ("library_geometries", "library", "<COLLADA> has no <library_geometries>"),
+    ('<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>', "", "no <vertices>"),
+    ("<p>0 1 2</p>", "", "<triangles> has no <p>"),
+    ("0 1 2</p>", "0 1 99999999</p>", "refers to a missing vertex"),
+    ("0 1 2</p>", "0 1 -99999999</p>", "refers to a missing vertex"),
+    ("0 1 2</p>", "0 1 x</p>", "invalid literal"),
+    ('count="1"', 'count="99999999"', "has fewer corners than it counts"),
+    ('count="9"', 'count="99999999"', "has not the numbers that it counts"),
+    ("0 0 0 1 0 0 0 1 0", "", "has not the numbers that it counts"),
+    (ACCESSOR, "", "a <source> has no <accessor>"),
+    ('source="#p"', 'source="#x"', "there is no <source> 'x'"),
+    ('source="#v"', 'source="#x"', "there is no <source> 'x'"),
+    ('<source id="p">', "<source>", "a <source> has no id"),
+    ('semantic="VERTEX" ', "", "a <input> has no semantic"),
+    ('offset="0"', 'offset="99"', "an offset is 99"),
+    ("<COLLADA ", '<!DOCTYPE a [<!ENTITY b "c">]><COLLADA ', "<!DOCTYPE> is not supported"),
+    ("</COLLADA>", "", "it is no XML"),
+]
+
+
+@sampled(("old", "new", "words"), DAMAGES, every=3)
+def test_a_damaged_collada_file(tmp_path: Path, old: str, new: str, words: str) -> None:
+    (tmp_path / "s.urdf").write_text(mesh("m.dae"))
+    (tmp_path / "m.dae").write_text(COLLADA)
+    with ssduck.load(tmp_path / "s.urdf"):
+        pass
+    assert old in COLLADA
+    (tmp_path / "m.dae").write_text(COLLADA.replace(old, new))
+    with pytest.raises(SceneError, match=rf"m.dae: .*{words}"):
+        ssduck.load(tmp_path / "s.urdf")
+
+
 def test_entities_that_grow(tmp_path: Path) -> None:
     """Ten entities of ten of the one before; PyBullet takes none of them for another text."""
     grown = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 12))

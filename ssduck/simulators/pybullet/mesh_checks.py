@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ssduck.errors import SceneError
+from ssduck.simulators.pybullet.collada import collada_fault
 
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
@@ -22,18 +23,18 @@ _MAX_NUMBER = 2**31 - 1
 
 
 def check_meshes(model: Path, root: ET.Element) -> None:
-    """Checks the OBJ files that a model file names, as far as they are beside it.
+    """Checks the OBJ and COLLADA files that a model file names, as far as they are beside it.
 
     Args:
         model: the model file.
         root: its root element.
 
     Raises:
-        SceneError: a face of one has a vertex that is not there.
+        SceneError: a part of one is missing, or a face has a vertex that is not there.
     """
     for name in _names_in(root):
         file = model.parent / name
-        if file.suffix.lower() != ".obj" or "\0" in name:
+        if file.suffix.lower() not in _CHECKS or "\0" in name:
             continue
         try:
             status = file.stat()
@@ -54,9 +55,12 @@ def _names_in(root: ET.Element) -> Iterator[str]:
 
 @lru_cache(maxsize=64)
 def _fault_of(file: Path, _time: int, _size: int) -> str:
+    """Returns what is wrong with a mesh file, in words; nothing if it can be read."""
+    return _CHECKS[file.suffix.lower()](file) if file.is_file() else "it is no file"
+
+
+def _obj_fault(file: Path) -> str:
     """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
-    if not file.is_file():
-        return "is no file"
     content = file.read_bytes()
     count = len(_VERTEX.findall(content))
     corners = _CORNER.findall(b"\n".join(_FACE.findall(content)))
@@ -66,3 +70,6 @@ def _fault_of(file: Path, _time: int, _size: int) -> str:
     if numbers.max() > count or numbers.min() < -count:
         return f"a face refers to a missing vertex: there are {count}"
     return ""
+
+
+_CHECKS = {".obj": _obj_fault, ".dae": collada_fault}
