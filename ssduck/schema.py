@@ -7,7 +7,7 @@ Metres, seconds, kilograms, newtons, radians; world frame; quaternions w, x, y, 
 those of link frames, not of centres of mass.
 
 >>> TABLES["joints"].tick_columns.integers
-('tick', 'entity', 'link')
+('tick', 'entity', 'joint')
 >>> [column.name for column in TABLES["links"].model]
 ['entity', 'link', 'name', 'parent', 'mass']
 """
@@ -264,6 +264,7 @@ _ENTITIES = Table(
         Column("enabled", "boolean", "whether it takes part in collisions"),
         Column("visible", "boolean", "whether it is drawn"),
         _model_only("links", "integer", "number of links"),
+        _model_only("joints", "integer", "number of joints"),
         _model_only("movable", "boolean", "whether the simulation can move it; NULL for a sensor"),
         _model_only("host", "integer", "id of the entity that a sensor is mounted on"),
         _model_only("host_link", "integer", "number of the link that a sensor is mounted on"),
@@ -310,10 +311,11 @@ _JOINTS = Table(
     (
         *_TICK,
         _key("entity", "id of the entity"),
-        _key("link", "number of the link that the joint moves"),
+        _key("joint", "number of the joint in its entity"),
+        _fixed("link", "integer", "number of the link that the joint moves"),
         _fixed("name", "string", "as in the model"),
-        _fixed("type", "string", "revolute, prismatic, spherical, planar or fixed"),
-        Column("position", "double", "rad or m"),
+        _fixed("type", "string", "revolute, prismatic, spherical, planar, free or fixed"),
+        Column("position", "double", "rad or m; NULL for a joint whose position is no number"),
         Column("velocity", "double", "rad/s or m/s"),
         Column("effort", "double", "of the joint's motor in the last step, N m or N"),
         _fixed("lower", "double", "limit, rad or m"),
@@ -323,9 +325,13 @@ _JOINTS = Table(
         _model_only("axis_x", "double", "axis in the frame of the link"),
         _model_only("axis_y", "double", "axis in the frame of the link"),
         _model_only("axis_z", "double", "axis in the frame of the link"),
+        _model_only("anchor_x", "double", "point of the axis, in the frame of the link, m"),
+        _model_only("anchor_y", "double", "point of the axis, in the frame of the link, m"),
+        _model_only("anchor_z", "double", "point of the axis, in the frame of the link, m"),
+        _model_only("reference", "double", "position at which the joint moves nothing, rad or m"),
     ),
     ("world.snapshot.Snapshot._fill_joints", "world.snapshot.Snapshot.take"),
-    key=("entity", "link"),
+    key=("entity", "joint"),
     entity_columns=("entity",),
     is_on_demand=True,
 )
@@ -453,7 +459,9 @@ MODELS: Mapping[str, Table] = {table.name: table for table in _DECLARED if table
 # The recorded poses of links, where the table of links is not recorded.
 FRAMES = _FRAMES.name
 # The columns that records have since a later version; older ones lack them.
-LATER_COLUMNS = frozenset(("run", "margin", "exact"))
+LATER_COLUMNS = frozenset(
+    ("run", "margin", "exact", "joints", "joint", "anchor_x", "anchor_y", "anchor_z", "reference")
+)
 
 
 def link_id(entity: int, link: int) -> int:

@@ -104,7 +104,7 @@ class Connection:
         self._raised: list[BaseException] = []
         # For small data and many queries, a second thread costs more time than it saves.
         self.run("SET threads = 1")
-        self.forbid_merge_joins()
+        self.avoid_ie_joins()
         # DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
         # setting it is an error.
         if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
@@ -140,8 +140,8 @@ class Connection:
         self.run("SET enable_external_access = false")
         self.run("SET lock_configuration = true")
 
-    def forbid_merge_joins(self) -> None:
-        """Lets DuckDB plan other joins than IE joins, but for SEMI and ANTI joins.
+    def avoid_ie_joins(self) -> None:
+        """Has DuckDB plan other joins in place of IE joins, but for SEMI and ANTI joins.
 
         In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
         statement invalidates the database at its second run.

@@ -42,6 +42,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
 from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.sql.types import Signature, SqlType
+from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
 
 __all__ = ["Database", "Statement"]
@@ -74,6 +75,8 @@ class Database:
         self._references = ReferencedTables()
         self.plans = PreparedPlans(self.connection, self._references.persistent)
         self._schemas = Schemas(self.connection)
+        if self.connection.is_file:
+            self._schemas.drop_stale_views()
         self._recorders = Recorders(self.connection, running)
         self._worlds = WorldRegistry(
             self.connection, self.plans, self._schemas, self._recorders, recording
@@ -85,8 +88,6 @@ class Database:
         self._record_folders: list[Path] = []
         self._is_sealed = False
         self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
-        if self.connection.is_file:
-            self._schemas.drop_stale_views()
         offer_geometry_functions(self.connection, self._worlds.by_schema)
         self.connection.apply_limits()
 
@@ -288,6 +289,18 @@ class Database:
             if recording is not None:
                 check_names(recording, world.snapshot.entities)
             self._worlds.record(bound, recording)
+
+    def observe_episodes(self, observer: EpisodeObserver) -> None:
+        """Lets an observer know of new episodes of the worlds that are bound from now on."""
+        self._worlds.episode_observer = observer
+
+    def begin_episode(self, world: World) -> None:
+        """Records a world that was reset as before, in new records; ends the records before."""
+        with self._lock:
+            bound = self._worlds.entry(world)
+            if bound.history is not None and bound.history.recorder is not None:
+                self._worlds.record(bound, bound.history.store.recording)
+            self._recorders.begin_episodes(world)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
         """Writes the ticks of a world to a folder, too, from now on."""

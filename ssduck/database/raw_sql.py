@@ -10,12 +10,19 @@ import pyarrow as pa
 from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.own_catalog import OwnCatalog
-from ssduck.database.referenced_tables import ReadData, ReferencedTables, StatementWords
+from ssduck.database.referenced_tables import (
+    ReadData,
+    ReferencedTables,
+    StatementWords,
+    words_of,
+)
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans
 from ssduck.database.statement_names import WorldNames
+from ssduck.database.stored_queries import stored_queries
 from ssduck.database.user_statements import UserStatement, UserStatements
 from ssduck.database.worlds import WorldRegistry
+from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.schema import HISTORIES, MARGINS, MASSES, ON_DEMAND, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -33,7 +40,16 @@ _NAMES = frozenset(
 )
 # What a world reads for a statement; the other tables are always there.
 READ_ON_REQUEST = frozenset((*ON_DEMAND, MASSES, MARGINS))
+_ATTACHES = re.compile(r"\bATTACH\b", re.IGNORECASE)
 _MERGE_JOINS = re.compile(r"merge_join|\bRESET\b", re.IGNORECASE)
+# Statements that show tables, without those in which ssduck keeps ticks.
+_SHOW = re.compile(r"\s*SHOW\s+(ALL\s+)?TABLES\s*;?\s*", re.IGNORECASE)
+_IS_SHOWN = r"NOT regexp_matches(name, '^world \d+: ')"
+_SHOWN = f"FROM (SHOW TABLES) WHERE {_IS_SHOWN} ORDER BY name"
+_ALL_SHOWN = (
+    rf"FROM (SHOW ALL TABLES) WHERE NOT regexp_matches(schema, '{RUN_SCHEMA}\d+$') "
+    f"AND (database <> 'temp' OR {_IS_SHOWN}) ORDER BY database, schema, name"
+)
 # The names of what users have defined in the schema that comes before that of the first world.
 _OWN_NAMES = (
     "SELECT lower(table_name) FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
@@ -76,6 +92,8 @@ class RawSql:
         self._may_have_own_names = connection.is_file
         # Whether DuckDB may plan range joins.
         self._has_range_joins = connection.meter.limits.files
+        if connection.is_file:
+            self._note_stored_queries(of_attached=False)
 
     def ready(self, sql: str) -> UserStatement | None:
         """Returns a query that has run before and only has to be executed; None if there is none.
@@ -123,6 +141,8 @@ class RawSql:
             LimitError: it exceeds a limit.
             SqlError: DuckDB cannot run it.
         """
+        if (shown := _SHOW.fullmatch(sql)) is not None:
+            sql = _ALL_SHOWN if shown.group(1) else _SHOWN
         if not (words.has_semi_joins and self._has_range_joins):
             return self._rows(sql, parameters, reads, is_kept=True)
         # Of two range conditions, a SEMI or ANTI join is an IE join in DuckDB 2.0.0, which may drop
@@ -180,5 +200,16 @@ class RawSql:
         self._may_have_own_names = True
         defined = _DEFINED.findall(_COMMENT.sub(" ", sql))
         self._redefined |= {name.rpartition(".")[2].strip().strip('"').lower() for name in defined}
+        if _ATTACHES.search(sql) and self._connection.is_open:
+            self._note_stored_queries(of_attached=True)
         if _MERGE_JOINS.search(sql) and self._connection.is_open:
-            self._connection.forbid_merge_joins()
+            self._connection.avoid_ie_joins()
+
+    def _note_stored_queries(self, *, of_attached: bool) -> None:
+        """Takes note of what views and macros from before read: any statement may use them."""
+        for text in stored_queries(self._connection, of_attached=of_attached):
+            words = words_of(text)
+            self._references.persistent |= words.tables
+            if words.has_semi_joins and self._has_range_joins:
+                self._connection.run(NO_RANGE_JOINS)
+                self._has_range_joins = False

@@ -15,7 +15,7 @@ from ssduck.recording.spec import Recording, check_names, with_size_limit
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
-from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording, ParquetStore
+from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording
 from ssduck.world.world import World
 
 
@@ -30,6 +30,7 @@ class Recorders:
     def __init__(self, connection: Connection, running: list[Recorder]) -> None:
         self._connection = connection
         self.running = running
+        self._folders: list[ParquetRecording] = []
 
     def start(self, bound: BoundWorld, recording: Recording, name: str) -> None:
         """Starts to record the ticks of a world in a history that is named after `name`."""
@@ -111,19 +112,16 @@ class Recorders:
         self, world: World, recording: Recording, path: Path, name: str
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
-        folder = ParquetStore(path, name, recording)
-        recorder = Recorder(recording, folder, PART_TICKS, recording.flush_every)
-        self.running.append(recorder)
-        try:
-            world.add_recorder(recorder)
-        except BaseException:
-            recorder.stop_flushing()
-            recorder.wait()
-            world.remove_recorder(recorder)
-            self.running.remove(recorder)
-            folder.discard()
-            raise
-        return ParquetRecording(world, recorder, folder, self.running)
+        running = ParquetRecording(world, recording, path, name, PART_TICKS, self.running)
+        self._folders = [one for one in self._folders if one.is_running]
+        self._folders.append(running)
+        return running
+
+    def begin_episodes(self, world: World) -> None:
+        """Begins a new episode in each folder to which the ticks of a world are written."""
+        for recording in self._folders:
+            if recording.world is world and recording.is_running:
+                recording.begin_episode()
 
 
 def check_is_live(world: World) -> None:

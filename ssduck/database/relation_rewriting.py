@@ -22,7 +22,6 @@ from itertools import count
 
 import sqlglot
 from sqlglot import exp
-from sqlglot.errors import SqlglotError
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner
@@ -34,6 +33,7 @@ from ssduck.sql.relations.geometry_query import UNKNOWN_UDF, PairSearch
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import SqlValue
+from ssduck.sql.statement_trees import MAX_LENGTH, statement_trees
 from ssduck.sql.types import DOUBLE, SqlType
 
 _RELATIONS = {
@@ -42,8 +42,6 @@ _RELATIONS = {
     if relation.geometry is not None or relation.candidate_pairs is not None
 }
 _MENTIONED = re.compile(rf"\b({'|'.join(_RELATIONS)})\b", re.IGNORECASE | re.ASCII)
-# Longer statements are not rewritten: sqlglot's time grows with them.
-MAX_LENGTH = 20_000
 
 
 def mentions_relations(sql: str) -> bool:
@@ -53,12 +51,7 @@ def mentions_relations(sql: str) -> bool:
 
 def parsed(sql: str) -> exp.Expr | None:
     """Returns the tree of a query; None for other statements, and what sqlglot does not know."""
-    if len(sql) > MAX_LENGTH:
-        return None
-    try:
-        statements = sqlglot.parse(sql, dialect="duckdb")
-    except (SqlglotError, RecursionError):
-        return None
+    statements = statement_trees(sql)
     return statements[0] if len(statements) == 1 and isinstance(statements[0], exp.Query) else None
 
 

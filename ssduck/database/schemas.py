@@ -19,6 +19,7 @@ from ssduck.database.macros import (
     macros_among,
 )
 from ssduck.database.referenced_tables import qualified_formulas
+from ssduck.database.stored_queries import stored_queries
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
@@ -28,13 +29,6 @@ _HISTORY_VIEWS = {table.history_view: table for table in HISTORIES.values()}
 _MODEL_VIEWS = [table.model_view for table in MODELS.values()]
 # A reference to a world's buffers, as a regular expression in SQL.
 _STALE_BUFFER = exp.Literal.string(r'"world \d+: ').sql("duckdb")
-
-# The views and macros in a file, which may call relations.
-_STORED_TEXTS = (
-    "SELECT sql FROM duckdb_views() WHERE NOT internal AND NOT temporary UNION ALL "
-    "SELECT macro_definition FROM duckdb_functions() "
-    "WHERE NOT internal AND macro_definition IS NOT NULL AND database_name <> 'temp'"
-)
 
 
 class Schemas:
@@ -153,7 +147,7 @@ class Schemas:
         needed = set(called)
         if self._connection.is_file and not self._is_searched:
             self._is_searched = True
-            for (text,) in self._connection.internal_rows(_STORED_TEXTS):
+            for text in stored_queries(self._connection):
                 needed |= qualified_formulas(text)
         for name in names if needed else ():
             existing = self._formulas.setdefault(name, set())

@@ -18,7 +18,9 @@ from ssduck.errors import ArgumentError
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT
-from ssduck.world.world import UNNAMED, World
+from ssduck.world.construction import UNNAMED
+from ssduck.world.observers import EpisodeObserver
+from ssduck.world.world import World
 
 # Schemas that DuckDB has already.
 _RESERVED_NAMES = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
@@ -39,6 +41,7 @@ class WorldRegistry:
             here while anything else refers to it (`sweep`), a world that the user named always.
         by_schema: the worlds by all their names.
         version: is incremented whenever a name gets another meaning.
+        episode_observer: learns of new episodes of the worlds.
     """
 
     def __init__(
@@ -57,6 +60,7 @@ class WorldRegistry:
         self.bound: list[BoundWorld] = []
         self.by_schema: dict[str, BoundWorld] = {}
         self.version = 0
+        self.episode_observer: EpisodeObserver | None = None
         self._numbers = count(1)
         # The references to worlds that are gone; a list, as a callback must not keep this object.
         self._gone: list[weakref.ref[World]] = []
@@ -169,6 +173,8 @@ class WorldRegistry:
                 return bound
         bound = BoundWorld(weakref.ref(world, self._gone.append), f"world {next(self._numbers)}")
         self.bound.append(bound)
+        if self.episode_observer is not None:
+            world.follow_episodes(self.episode_observer)
         try:
             if isinstance(world, ReplayedWorld):
                 archive = world.archive

@@ -54,13 +54,18 @@ class NeighbourRelations:
         narrow: the narrow phase of the tick.
         pairs: yields the pairs of entities whose boxes, grown by the margins of their shapes, are
             at most a distance apart along every axis, m.
+        on_pairs: yields the pairs of which the second is directly on the first.
     """
 
     def __init__(
-        self, narrow: NarrowPhase, pairs: Callable[[float], Iterable[tuple[int, int]]]
+        self,
+        narrow: NarrowPhase,
+        pairs: Callable[[float], Iterable[tuple[int, int]]],
+        on_pairs: Callable[[], Iterable[tuple[int, int]]],
     ) -> None:
         self._narrow = narrow
         self._pairs = pairs
+        self._on_pairs = on_pairs
         self._resting: dict[int, frozenset[int]] = {}
 
     def encloses(self, a: int, b: int, orientation: Orientation) -> bool | None:
@@ -166,11 +171,8 @@ class NeighbourRelations:
     def _on(self) -> dict[int, frozenset[int]]:
         """The entities that are directly on each entity."""
         on: dict[int, set[int]] = {}
-        for b, others in self._neighbours.items():
-            self._narrow.count_compared(pair_number(a, b) for a in others)
-            for a in others:
-                if self._narrow.on(a, b):
-                    on.setdefault(a, set()).add(b)
+        for a, b in self._on_pairs():
+            on.setdefault(a, set()).add(b)
         return {a: frozenset(b) for a, b in on.items()}
 
     # -- of two -------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from threading import RLock
@@ -30,6 +30,8 @@ MIN_PAIRS_AT_ONCE = 64
 MAX_SINGLE_OWN_PAIRS = 8
 # The number of sets of links for which queries are cached.
 MAX_LINK_QUERIES = 64
+# The pairs that may be on each other.
+_TOUCHING = PairPredicate("touching", TOUCHING_DISTANCE)
 # The rounding error of distances between boxes, m.
 BOX_TOLERANCE = 1e-9
 
@@ -76,7 +78,7 @@ class ShapeQueries:
         links: Indices | None = None,
     ) -> None:
         self._narrow = narrow
-        self._neighbours = NeighbourRelations(narrow, self._near_pairs)
+        self._neighbours = NeighbourRelations(narrow, self._near_pairs, self._on_pairs)
         self._numbers = numbers
         self._table = table
         self._boxes = boxes
@@ -262,13 +264,22 @@ class ShapeQueries:
         """Returns the pairs of which the second is on the first."""
         with self._lock:
             if self._on is None:
-                first, second = self._all_pairs(PairPredicate("touching", TOUCHING_DISTANCE))
-                a, b = np.concatenate((first, second)), np.concatenate((second, first))
-                on = are_on(self._narrow.tick_shapes(self._table), self._narrow, a, b)
+                a, b = self._on_among(self._all_pairs(_TOUCHING))
                 ids = self._ids_by_number
-                self._on = np.sort(ids[a[on]] * ID_FACTOR + ids[b[on]]).tolist()
+                self._on = np.sort(ids[a] * ID_FACTOR + ids[b]).tolist()
             on_numbers: list[int] = self._on
         return on_numbers
+
+    def _on_among(self, touching: tuple[Indices, Indices]) -> tuple[Indices, Indices]:
+        """Returns the entities and what is on them, of pairs that touch, in either order."""
+        a, b = np.concatenate(touching), np.concatenate(touching[::-1])
+        on = are_on(self._narrow.tick_shapes(self._table), self._narrow, a, b)
+        return a[on], b[on]
+
+    def _on_pairs(self) -> Iterator[tuple[int, int]]:
+        """Yields the pairs of entity numbers of which the second is on the first."""
+        a, b = self._on_among(self._narrow.all_pairs(_TOUCHING, self._table).sides)
+        return zip(a.tolist(), b.tolist(), strict=True)
 
     def all_resting(self) -> list[int]:
         """Returns the pairs of which the second rests on the first, directly or through others."""

@@ -5,7 +5,7 @@ If a program fails, its variables are restored, and the error has the place.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -257,11 +257,11 @@ class Execution(Namespace):
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
-        def rows(query: Query, placeholders: dict[str, Any]) -> list[list[Any]]:
+        def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:
             selected = self.planner.run(
                 query, Frame(self, placeholders=placeholders), _accept_columns
             )
-            fetched: list[list[Any]] = formed(selected, lambda part: list(map(list, part.values)))
+            fetched: Sequence[Sequence[Any]] = formed(selected, lambda part: part.values)
             return fetched
 
         with self.worlds_pinned(node):

@@ -25,8 +25,7 @@ interpreters.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 from weakref import WeakKeyDictionary
@@ -54,6 +53,7 @@ from ssduck.interpreter.program import CompiledProgram, tree_of
 from ssduck.interpreter.recording import RecordingMethods
 from ssduck.interpreter.shown_rows import rows_to_show
 from ssduck.interpreter.signatures import type_hints_of
+from ssduck.interpreter.sql_hints import add_hint
 from ssduck.interpreter.triggers.registry import TriggerMethods, TriggerRegistry
 from ssduck.interpreter.triggers.tick_batch import TriggerBatches
 from ssduck.language.analysis import aliases_of, sees_outside
@@ -68,9 +68,6 @@ from ssduck.recording.spec import Recording
 from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
-
-# DuckDB's error of an unknown table.
-_MISSING_TABLE = re.compile(r"Catalog Error: Table with name (\w+) does not exist!")
 
 
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
@@ -118,6 +115,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         validation.instance(recording, Recording, "Interpreter: recording")
         limits = limits or Limits()
         self._database = Database(database, tracer, limits, recording)
+        self._database.observe_episodes(self)
         self._limits = limits
         self._execution = Execution(
             self._database, limits, self._value_of_query, row_by_row=row_by_row, strict=strict
@@ -532,7 +530,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             try:
                 return Result(self._database.user_rows(text, parameters))
             except SqlError as error:
-                _explain_missing_table(error, self._database.worlds)
+                add_hint(error, self._database.worlds)
                 raise
 
     def statistics(self) -> dict[str, Statistics]:
@@ -541,17 +539,6 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             name: Statistics(world.snapshot.calls.pairs, world.snapshot.calls.calls)
             for name, world in self._database.worlds.items()
         }
-
-
-def _explain_missing_table(error: SqlError, worlds: Collection[str]) -> None:
-    """Adds to the error of an unknown table that it is a world, if it is one."""
-    match = _MISSING_TABLE.match(error.message)
-    if match is not None and match.group(1) in worlds:
-        name = match.group(1)
-        error.message = (
-            f"there is no table {name!r}; of the world, there are {name}.entities, {name}.links, "
-            f"{name}.contacts and so on"
-        )
 
 
 def _plain(value: Any) -> Any:

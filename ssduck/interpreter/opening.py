@@ -23,6 +23,7 @@ def load(
     *,
     recording: Recording | Literal["default"] | None = "default",
     limits: Limits | None = None,
+    simulator: str | None = None,
 ) -> Interpreter:
     """Returns an interpreter with the world of a scene, bound to the name of the scene.
 
@@ -33,6 +34,8 @@ def load(
         recording: the recording of the world; see `Interpreter`.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
             `files=False`, models, meshes and textures must be in the folder of the scene.
+        simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
+            file, and PyBullet for everything else.
 
     Raises:
         UnknownNameError: no scene has that name; the error suggests the nearest names.
@@ -53,7 +56,7 @@ def load(
         check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
-        world = World.load(description)
+        world = World.load(description, simulator=simulator)
         interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:

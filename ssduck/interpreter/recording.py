@@ -14,6 +14,7 @@ from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import short_repr
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
+from ssduck.interpreter.triggers.registry import TriggerRegistry
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
@@ -29,6 +30,7 @@ class RecordingMethods(ABC):
     _database: Database
     _lock: threading.RLock
     _planner: Planner
+    _triggers: TriggerRegistry
 
     @abstractmethod
     def call_variable(self, name: str) -> Any:
@@ -64,6 +66,13 @@ class RecordingMethods(ABC):
         with self._lock:
             self._database.record(self._world(world), recording)
             self._planner.forget()
+
+    def episode_began(self, world: World) -> None:
+        """Records a world that the user has reset as a new episode; see `World.tick`."""
+        with self._lock:
+            self._database.begin_episode(world)
+            self._planner.forget()
+        self._triggers.episode_began(world)
 
     def past(self, world: str | World, age: float | None = None) -> Past:
         """Returns the past of a world, as `kitchen{age}` does: a source for queries.

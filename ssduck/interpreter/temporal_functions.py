@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -40,6 +40,8 @@ from ssduck.world.world import World
 
 # The number of ticks that `since` reads first; each further read is twice as long.
 FIRST_TICKS = 240
+# Returns rows [tick, time, value] of some ticks.
+RowsOf: TypeAlias = Callable[[Past], Sequence[Sequence[Any]]]
 _PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
 
 
@@ -75,7 +77,7 @@ class TickSeries:
         node: the expression.
     """
 
-    def __init__(self, record: Record, run: Callable[[Past], list[list[Any]]], node: Node) -> None:
+    def __init__(self, record: Record, run: RowsOf, node: Node) -> None:
         self.record = record
         self.node = node
         self._run = run
@@ -85,14 +87,22 @@ class TickSeries:
 
         Of several ticks of the same time, the last one replaces the others.
         """
-        values = {row[0]: row[2] for row in self._run(past)}
-        last_ticks = dict(zip(past.times, past.ticks, strict=True))
+        rows = self._run(past)
+        ticks, times = past.ticks, past.times
+        if [row[0] for row in rows] == ticks and len(set(times)) == len(times):
+            return times, [row[2] for row in rows]
+        values = {row[0]: row[2] for row in rows}
+        last_ticks = dict(zip(times, ticks, strict=True))
         return list(last_ticks), [values.get(tick) for tick in last_ticks.values()]
 
     def holding(self, past: Past) -> tuple[list[float], list[bool]]:
         """Returns the times, and whether the expression was true."""
         times, values = self.at(past)
-        return times, [value is not None and truth(value, self.node) for value in values]
+        node = self.node
+        return times, [
+            value is True or (value is not None and value is not False and truth(value, node))
+            for value in values
+        ]
 
     def backwards(self) -> Iterator[Past]:
         """Yields all ticks in pieces, the last ones first, each twice as long as the one before."""
@@ -111,10 +121,11 @@ def _since(series: TickSeries, age: Any) -> float | None:
     start: float | None = None
     for past in series.backwards():
         times, holding = series.holding(past)
-        for time, holds in zip(reversed(times), reversed(holding), strict=True):
-            if not holds:
-                return start
-            start = time
+        holding.reverse()
+        if False in holding:
+            count = holding.index(False)
+            return times[-count] if count else start
+        start = times[0]
     return start
 
 
@@ -220,7 +231,7 @@ class TemporalEvaluator:
         call: Call,
         frame: Frame,
         record_of: Callable[[World], Record],
-        run: Callable[[Query, dict[str, Any]], list[list[Any]]],
+        run: Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]],
     ) -> TickSeries:
         """Returns the values of the first argument of a call, tick by tick.
 
@@ -250,7 +261,7 @@ class TemporalEvaluator:
         record.world.warn_of_unrecorded_start()
         query = self._query(call, places, tuple(handles))
 
-        def rows(past: Past) -> list[list[Any]]:
+        def rows(past: Past) -> Sequence[Sequence[Any]]:
             placeholders = {
                 f"value_{number}": _of_entity(past, value) if is_entity else value
                 for number, (value, is_entity) in enumerate(zip(values, handles, strict=True))

@@ -15,6 +15,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError, SceneError
 from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import GeometryType
+from ssduck.recording.static_tables import with_joint_numbers
 from ssduck.recording.stores.descriptions import parse_description
 from ssduck.schema import LINK_FACTOR
 from ssduck.simulators.interface import JointType, Kind
@@ -32,7 +33,7 @@ _OPTIONAL = {
 }
 # The columns that are finite numbers.
 _FINITE = {
-    "joints": ("axis_x", "axis_y", "axis_z"),
+    "joints": ("axis_x", "axis_y", "axis_z", "anchor_x", "anchor_y", "anchor_z", "reference"),
     "shapes": ("x", "y", "z", "qw", "qx", "qy", "qz", "margin"),
     "geometries": ("size_x", "size_y", "size_z"),
 }
@@ -166,21 +167,19 @@ def _check_links(models: Mapping[str, pa.Table]) -> None:
 
 
 def _check_joints(models: Mapping[str, pa.Table]) -> None:
-    counts = {id: links - 1 for id, links in _link_counts(models["entities"]).items()}
-    _check_numbers("joints", models["joints"], "link", counts, first=1)
-    _check_known("type", models["joints"]["type"].to_pylist(), get_args(JointType))
+    rows = with_joint_numbers("joints", models["joints"])
+    _check_numbers("joints", rows, "joint", _joint_counts(models["entities"]), first=0)
+    _check_links_of("joints", rows, _link_counts(models["entities"]))
+    _check_known("type", rows["type"].to_pylist(), get_args(JointType))
 
 
 def _check_shapes(models: Mapping[str, pa.Table]) -> None:
-    rows, links = models["shapes"], _link_counts(models["entities"])
-    owners = rows["entity"].to_numpy()
-    ids, counts = np.unique(owners, return_counts=True)
+    rows = models["shapes"]
+    ids, counts = np.unique(rows["entity"].to_numpy(), return_counts=True)
     _check_numbers(
         "shapes", rows, "shape", dict(zip(ids.tolist(), counts.tolist(), strict=True)), 0
     )
-    for owner, link in zip(owners.tolist(), rows["link"].to_pylist(), strict=True):
-        if not 0 <= link < links.get(owner, 0):
-            _fail(f"a shape is on an unknown link of the entity {owner}")
+    _check_links_of("shapes", rows, _link_counts(models["entities"]))
     known = models["geometries"]["id"].to_numpy()
     if not np.isin(rows["geometry"].to_numpy(), known).all():
         _fail("a shape has an unknown geometry")
@@ -198,6 +197,22 @@ def _link_counts(entities: pa.Table) -> dict[int, int]:
     if any(count < 1 for count in counts.values()):
         _fail("a body has no links")
     return counts
+
+
+def _joint_counts(entities: pa.Table) -> dict[int, int]:
+    """Returns the number of joints of each body; in old records each link but the base has one."""
+    links = _link_counts(entities)
+    if "joints" not in entities.column_names:
+        return {id: count - 1 for id, count in links.items()}
+    counts = zip(entities["id"].to_pylist(), entities["joints"].to_pylist(), strict=True)
+    return {id: count for id, count in counts if id in links}
+
+
+def _check_links_of(what: str, rows: pa.Table, links: Mapping[int, int]) -> None:
+    """Checks that the parts of bodies are on links that the bodies have."""
+    for owner, link in zip(rows["entity"].to_pylist(), rows["link"].to_pylist(), strict=True):
+        if not 0 <= link < links.get(owner, 0):
+            _fail(f"a {what.removesuffix('s')} is on an unknown link of the entity {owner}")
 
 
 def _check_numbers(

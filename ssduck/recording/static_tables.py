@@ -20,6 +20,8 @@ from ssduck.world.live_tables import ARROW_TYPES
 
 # The margins of shapes in old records, which lack them, m: PyBullet's margin of hulls.
 UNRECORDED_MARGINS = {"hull": 1e-3}
+# The numbers of joints in old records, which lack them, in SQL: each link but the base had one.
+JOINT_OF_LINK = "link - 1"
 
 
 class IdProvider(Protocol):
@@ -52,10 +54,11 @@ def model_rows(
         for number, link in enumerate(member.body.links):
             parent = link.parent if link.parent >= 0 else None
             rows["links"].append((member.id, number, link.name, parent, link.mass))
-        for joint in member.body.joints:
+        for number, joint in enumerate(member.body.joints):
             limits = (joint.lower, joint.upper, joint.max_effort, joint.max_velocity)
+            place = (*joint.axis, *joint.anchor, joint.reference)
             rows["joints"].append(
-                (member.id, joint.link, joint.name, joint.type, *limits, *joint.axis)
+                (member.id, number, joint.link, joint.name, joint.type, *limits, *place)
             )
         for number, shape in enumerate(member.body.shapes):
             id = id_provider.geometry_id(shape.geometry)
@@ -75,9 +78,9 @@ def _member_row(member: EntityInfo) -> tuple[Any, ...]:
     body, sensor = member.body, member.sensor
     common = (member.id, member.name, member.kind, member.parent, member.mass)
     if body is not None:
-        return (*common, len(body.links), body.movable, None, None, None)
+        return (*common, len(body.links), len(body.joints), body.movable, None, None, None)
     spec = None if sensor is None else json.dumps(asdict(sensor), sort_keys=True)
-    return (*common, 0, None, *member.mount, spec)
+    return (*common, 0, 0, None, *member.mount, spec)
 
 
 def _table(table: str, rows: Sequence[tuple[Any, ...]]) -> pa.Table:
@@ -97,7 +100,7 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
     """Returns the entities of the rows of models, by id."""
     geometries = {row["id"]: _geometry(row) for row in models["geometries"].to_pylist()}
     links = _by_entity(models["links"], "link")
-    joints = _by_entity(models["joints"], "link")
+    joints = _by_entity(models["joints"], "link", "joint")
     shapes = _by_entity(models["shapes"], "shape")
     members = {}
     for row in models["entities"].to_pylist():
@@ -152,12 +155,24 @@ def default_values(run: int | None, geometries: str) -> dict[str, str]:
         f"SELECT CASE types.type {cases} ELSE 0 END "  # noqa: S608
         f"FROM {geometries} AS types WHERE types.id = geometry"
     )
-    return {"margin": margin} | ({} if run is None else {"run": f"{run:d}"})
+    anchors = dict.fromkeys(("anchor_x", "anchor_y", "anchor_z", "reference"), "0.0")
+    anchors["joints"] = "greatest(links - 1, 0)"
+    return {"margin": margin, "joint": JOINT_OF_LINK, **anchors} | (
+        {} if run is None else {"run": f"{run:d}"}
+    )
 
 
-def _by_entity(table: pa.Table, key: str) -> dict[int, list[dict[str, Any]]]:
+def with_joint_numbers(table: str, rows: pa.Table) -> pa.Table:
+    """Returns rows of a table; those of joints in old records with the numbers that they lack."""
+    if table != "joints" or "joint" in rows.column_names:
+        return rows
+    return rows.append_column("joint", pa.array(rows["link"].to_numpy() - 1))
+
+
+def _by_entity(table: pa.Table, *keys: str) -> dict[int, list[dict[str, Any]]]:
+    """Returns the rows of each entity, sorted by the keys, of which old records may lack some."""
     rows: dict[int, list[dict[str, Any]]] = {}
-    for row in sorted(table.to_pylist(), key=lambda row: (row["entity"], row[key])):
+    for row in sorted(table.to_pylist(), key=lambda row: [row.get(key, 0) for key in keys]):
         rows.setdefault(row["entity"], []).append(row)
     return rows
 
@@ -178,7 +193,9 @@ def _link(row: Mapping[str, Any]) -> Link:
 def _joint(row: Mapping[str, Any]) -> Joint:
     names = ("name", "type", "link", "lower", "upper", "max_effort", "max_velocity")
     values = {name: row[name] for name in names}
-    return Joint(**values, axis=(row["axis_x"], row["axis_y"], row["axis_z"]))
+    axis = (row["axis_x"], row["axis_y"], row["axis_z"])
+    anchor = tuple(row.get(f"anchor_{letter}", 0.0) for letter in "xyz")
+    return Joint(**values, axis=axis, anchor=anchor, reference=row.get("reference", 0.0))
 
 
 def _shape(row: Mapping[str, Any], geometries: Mapping[int, Geometry]) -> PlacedGeometry:

@@ -16,9 +16,13 @@ from typing import Any, Protocol, TypeAlias, cast
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, LinkPoses, Simulator
+from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
 
-BACKENDS = {DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend"}
+BACKENDS = {
+    DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
+    MUJOCO: "ssduck.simulators.mujoco.backend",
+}
 
 # A trimesh.Trimesh, (vertices, faces), or the path of a mesh file. Faces of None make the hull.
 Mesh: TypeAlias = Any
@@ -77,6 +81,7 @@ class Backend(Protocol):
         names: Mapping[int, str] | None,
         kinds: Mapping[int, Kind] | None,
         shapes: ShapesByBody | None,
+        forward: bool = False,
     ) -> Simulator:
         """Wraps a simulation that the user made and goes on using; see `World.attach`."""
 

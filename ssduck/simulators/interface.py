@@ -1,7 +1,7 @@
 """The interface between ssduck and a simulator.
 
 A simulator describes its bodies once, and returns the poses of their links tick after tick.
-Link 0 of a body is its base, link i + 1 is the link of joint i. Poses are those of the link frames
+Link 0 of a body is its base. Poses are those of the link frames
 (not of the centres of mass), in the world frame. Lengths are metres, angles radians, and
 quaternions w, x, y, z.
 """
@@ -9,20 +9,20 @@ quaternions w, x, y, z.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.scenes import Camera
 
 Kind: TypeAlias = Literal["robot", "kinbody", "sensor"]
-JointType: TypeAlias = Literal["revolute", "prismatic", "spherical", "planar", "fixed"]
+JointType: TypeAlias = Literal["revolute", "prismatic", "spherical", "planar", "free", "fixed"]
 # The types of joints whose position is one number.
 SCALAR_JOINTS = ("revolute", "prismatic")
 # The simulator of worlds that do not name one.
@@ -53,14 +53,19 @@ class Joint:
     Attributes:
         name: the name of the joint.
         type: the type of its motion.
-        link: the index of the link that it moves.
+        link: the index of the link that it moves, relative to its parent; the base moves relative
+            to the world.
         lower: the lower limit of its position.
         upper: the upper limit of its position.
         max_effort: the greatest effort of its motor.
         max_velocity: its greatest velocity.
-        axis: in the frame of `link`, through its origin. A revolute joint turns the link about a
-            unit axis. A prismatic joint shifts it by position times axis. For other types it
-            is 0.
+        axis: in the frame of `link`. A revolute joint turns the link about a unit axis. A prismatic
+            joint shifts it by position times axis. For other types it is 0.
+        anchor: a point of the axis, in the frame of `link`, m.
+        reference: the position at which the joint moves nothing, rad or m.
+
+    Several joints may move one link: each moves it together with the axes of the later ones, so
+    that `axis` and `anchor` are those in the frame before the later joints move it.
     """
 
     name: str
@@ -71,6 +76,8 @@ class Joint:
     max_effort: float | None
     max_velocity: float | None
     axis: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    anchor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    reference: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +91,7 @@ class Body:
         kind: robot or kinbody.
         movable: whether the simulation can move any of its links.
         links: link 0 is the base; parents come before their children.
-        joints: one for each link but the base, in the order of the links.
+        joints: any number for each link, in the order of the links.
         shapes: the collision shapes; `PlacedGeometry.frame` is the index of the link.
     """
 
@@ -171,6 +178,10 @@ class ContactPoints:
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
 
+    def select(self, flags: Flags) -> ContactPoints:
+        """Returns the points that are flagged, (n,)."""
+        return ContactPoints(*(getattr(self, part.name)[flags] for part in fields(self)))
+
     def __len__(self) -> int:
         return len(self.depths)
 
@@ -247,8 +258,19 @@ class Simulator(Protocol):
     def clock(self) -> Clock:
         """The clock that counts simulated time; a new object after each step."""
 
+    @property
+    def keeps_time(self) -> bool:
+        """Whether an external simulation counts its own time; else the ticks tell it.
+
+        Such a time may fall: the user has reset the simulation, and a new episode begins.
+        """
+
+    @property
+    def episode(self) -> int:
+        """A number that changes when the user is known to have reset the simulation."""
+
     def set_clock(self, clock: Clock) -> None:
-        """Replaces the clock: in an external simulation the ticks tell the time."""
+        """Replaces the clock of an external simulation that does not keep its time."""
 
     @property
     def is_external(self) -> bool:
@@ -280,7 +302,10 @@ class Simulator(Protocol):
         """
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
-        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3)."""
+        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3).
+
+        They are NaN for a joint whose position is not one number.
+        """
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the masses of bodies' links, kg; the last known ones if a body is gone."""
@@ -312,10 +337,10 @@ class Simulator(Protocol):
         """Puts the base link frame of a body at a pose, at rest."""
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Sets joints of a body, at rest: rad or m, by the index of the joint's link."""
+        """Sets joints of a body, at rest: rad or m, by the index of the joint."""
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Sets motors of a body for the next steps, by the index of the joint's link."""
+        """Sets motors of a body for the next steps, by the index of the joint."""
 
     def has_constraint(self, body: Body, other: Body) -> bool:
         """Checks whether a fixed constraint connects a link of a body to the base of another."""

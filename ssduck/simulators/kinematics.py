@@ -14,10 +14,23 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, StateError, UnknownNameError, nearest
+from ssduck.errors import (
+    ArgumentError,
+    StateError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+)
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import compose, cross, invert, multiply, rotate, rotation_matrices
+from ssduck.geometry.poses import (
+    IDENTITY,
+    compose,
+    cross,
+    invert,
+    rotate,
+    rotation_matrices,
+)
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, LinkPoses, MotorTarget
 
 Pose: TypeAlias = tuple[Array, Array]
@@ -57,7 +70,7 @@ def unit(orientation: Array, of: str) -> Array:
 
 
 def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, float]:
-    """Returns the positions of joints, rad or m, by the indices of the links that they move.
+    """Returns the positions of joints, rad or m, by the indices of the joints.
 
     Args:
         values: positions by joint name, or one for each revolute or prismatic joint, in order.
@@ -70,7 +83,7 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
             number.
         StateError: a value is not finite, or beyond the joint's limits.
     """
-    joints = {joint.name: joint for joint in body.joints}
+    joints = _joints_by_name(body)
     if not isinstance(values, Mapping):
         _check_sequence(values, name)
         settable = [joint.name for joint in body.joints if joint.type in SCALAR_JOINTS]
@@ -81,9 +94,9 @@ def joint_positions(values: JointValues, body: Body, name: str) -> dict[int, flo
             )
         values = dict(zip(settable, values, strict=True))
     return {
-        joint.link: _position(value, joint, name)
-        for joint, value in (
-            (_scalar_joint(key, joints, name), value) for key, value in values.items()
+        number: _position(value, body.joints[number], name)
+        for number, value in (
+            (_scalar_joint(key, joints, body, name), value) for key, value in values.items()
         )
     }
 
@@ -95,37 +108,45 @@ def motor_targets(
     body: Body,
     name: str,
 ) -> dict[int, MotorTarget]:
-    """Returns the targets of motors by the indices of their links; see `Entity.drive`."""
+    """Returns the targets of motors by the indices of their joints; see `Entity.drive`."""
     for values, quantity in ((velocities, "velocities"), (efforts, "efforts")):
         validation.mapping(values, f"{name}: {quantity} are given by the joints' names, in a dict")
-    joints = {joint.name: joint for joint in body.joints}
+    joints = _joints_by_name(body)
     position_values = joint_positions(positions, body, name) if positions is not None else {}
     velocity_values = {
-        _scalar_joint(key, joints, name).link: _bounded(value, joints[key], "velocity", name)
+        (n := _scalar_joint(key, joints, body, name)): _bounded(
+            value, body.joints[n], "velocity", name
+        )
         for key, value in (velocities or {}).items()
     }
     effort_values = {
-        _scalar_joint(key, joints, name).link: _bounded(value, joints[key], "effort", name)
+        (n := _scalar_joint(key, joints, body, name)): _bounded(
+            value, body.joints[n], "effort", name
+        )
         for key, value in (efforts or {}).items()
     }
-    by_link = {joint.link: joint for joint in body.joints}
-    for link in position_values.keys() & velocity_values.keys():
+    for number in position_values.keys() & velocity_values.keys():
         raise ArgumentError(
-            f"{name}: joint {by_link[link].name!r} has both a position and a velocity"
+            f"{name}: joint {body.joints[number].name!r} has both a position and a velocity"
         )
-    for link in effort_values.keys() - position_values.keys() - velocity_values.keys():
+    for number in effort_values.keys() - position_values.keys() - velocity_values.keys():
         raise ArgumentError(
-            f"{name}: joint {by_link[link].name!r} has an effort, but no position or velocity"
+            f"{name}: joint {body.joints[number].name!r} has an effort, but no position or velocity"
         )
     return {
-        link: MotorTarget(
-            position=position_values.get(link),
-            velocity=velocity_values.get(link, 0.0),
-            effort=effort_values.get(link, by_link[link].max_effort or 0.0),
-            speed=by_link[link].max_velocity or None,
+        number: MotorTarget(
+            position=position_values.get(number),
+            velocity=velocity_values.get(number, 0.0),
+            effort=effort_values.get(number, body.joints[number].max_effort or 0.0),
+            speed=body.joints[number].max_velocity or None,
         )
-        for link in sorted(position_values.keys() | velocity_values.keys())
+        for number in sorted(position_values.keys() | velocity_values.keys())
     }
+
+
+def _joints_by_name(body: Body) -> dict[str, int]:
+    """Returns the indices of a body's joints by their names."""
+    return {joint.name: number for number, joint in enumerate(body.joints)}
 
 
 def _check_sequence(values: Any, name: str) -> None:
@@ -170,12 +191,14 @@ def descendant_links(body: Body, link: int) -> set[int]:
     return descendants
 
 
-def _scalar_joint(key: str, joints: Mapping[str, Joint], name: str) -> Joint:
+def _scalar_joint(key: str, joints: Mapping[str, int], body: Body, name: str) -> int:
+    """Returns the index of the joint of a name, whose position is one number."""
     if key not in joints:
         raise UnknownNameError(f"{name} has no joint {key!r}", suggestions=nearest(key, joints))
-    if joints[key].type not in SCALAR_JOINTS:
+    type = body.joints[joints[key]].type
+    if type not in SCALAR_JOINTS:
         raise ArgumentError(
-            f"{name}: joint {key!r} is {joints[key].type}; only a joint that is "
+            f"{name}: joint {key!r} is {type}; only a joint that is "
             f"{' or '.join(SCALAR_JOINTS)} can be set"
         )
     return joints[key]
@@ -197,7 +220,11 @@ def _position(value: float, joint: Joint, name: str) -> float:
 
 
 def moved_link_poses(
-    body: Body, link_poses: LinkPoses, base: Pose | None, joints: Mapping[int, float]
+    body: Body,
+    link_poses: LinkPoses,
+    base: Pose | None,
+    joints: Mapping[int, float],
+    states: Array | None = None,
 ) -> LinkPoses:
     """Returns the poses of a body's links after its base and joints were moved, all at rest.
 
@@ -206,23 +233,37 @@ def moved_link_poses(
     Args:
         body: the body.
         link_poses: the present poses of its links.
-        base: the new pose of the base link frame; None leaves it as it is.
-        joints: the changes of joint positions, rad or m, by the index of the joint's link.
+        base: the new pose of the base link frame; None leaves it to the joints of the base.
+        joints: the changes of joint positions, rad or m, by the index of the joint.
+        states: the present positions and velocities of all joints, (joints, 2 or more); needed
+            where a link with several joints moves.
+
+    Raises:
+        UnsupportedError: a link with several joints moves, and the position of one is unknown.
     """
     old = link_poses.states_at(link_poses.positions, np.arange(len(body.links)))
-    new = np.zeros_like(old)
-    if base is None:
-        new[0] = old[0]
-    else:
-        new[0, :3], new[0, 3:7] = base
     parents = np.array([link.parent for link in body.links], dtype=np.intp)
-    if len(parents) > 1:
-        within = _relative_states(old[parents[1:]], old[1:])
-        for link, change in joints.items():
-            _move_joint(within[link - 1 : link], body.joints[link - 1], change)
-        for links in _generations(parents):
-            new[links] = _absolute_states(new[parents[links]], within[links - 1])
+    # The parent of the base is the world, the last row.
+    frames = np.concatenate((old, _WORLD))
+    within = _relative_states(frames[parents], old)
+    moving = sorted({body.joints[number].link for number in joints})
+    for link in moving:
+        numbers = [n for n, joint in enumerate(body.joints) if joint.link == link]
+        _move_link(within[link : link + 1], body.joints, numbers, joints, states)
+    new = np.zeros_like(old)
+    if base is not None:
+        new[0, :3], new[0, 3:7] = base
+    elif 0 in moving:
+        new[:1] = _absolute_states(_WORLD, within[:1])
+    else:
+        new[0] = old[0]
+    for links in _generations(parents):
+        new[links] = _absolute_states(new[parents[links]], within[links])
     return LinkPoses(new[:, :3].copy(), rotation_matrices(new[:, 3:7]), new)
+
+
+# The state of the world's frame.
+_WORLD = np.array([[0.0, 0.0, 0.0, 1.0, *(0.0,) * 9]])
 
 
 def _relative_states(parents: Array, links: Array) -> Array:
@@ -248,15 +289,98 @@ def _absolute_states(parents: Array, links: Array) -> Array:
     return np.hstack((positions, orientations, velocities, spins))
 
 
-def _move_joint(within: Array, joint: Joint, change: float) -> None:
-    """Moves a link (1, 13), relative to its parent, by its joint, in place; at rest afterwards."""
+def _move_link(
+    within: Array,
+    joints: Sequence[Joint],
+    numbers: Sequence[int],
+    changes: Mapping[int, float],
+    states: Array | None,
+) -> None:
+    """Moves a link (1, 13), relative to its parent, by its joints, in place.
+
+    Its joints that do not move keep their velocities; the others are at rest.
+
+    Args:
+        within: the state of the link.
+        joints: the joints of the body.
+        numbers: the indices of the link's joints, in order.
+        changes: the changes of positions, by the index of the joint.
+        states: the present positions and velocities of the body's joints.
+    """
     within[:, 7:] = 0.0
+    positions = {n: _position_of(n, joints, states) for n in numbers} if len(numbers) > 1 else {}
+    for place, number in enumerate(numbers):
+        if number in changes:
+            later = _product(joints, positions, numbers[place + 1 :])
+            moved = compose(*_pose(within), *invert(*later))
+            moved = compose(*moved, *_displacement(joints[number], changes[number]))
+            within[:, :3], within[:, 3:7] = compose(*moved, *later)
+            if number in positions:
+                positions[number] += changes[number]
+    if not positions:
+        return
+    assert states is not None
+    for place, number in enumerate(numbers):
+        if number not in changes:
+            later = _product(joints, positions, numbers[place + 1 :])
+            _add_velocity(within, joints[number], float(states[number, 1]), later)
+
+
+def _pose(states: Array) -> Pose:
+    return states[:, :3], states[:, 3:7]
+
+
+def _position_of(number: int, joints: Sequence[Joint], states: Array | None) -> float:
+    """Returns the present position of a joint of a link that has several."""
+    joint = joints[number]
+    position = math.nan if states is None else float(states[number, 0])
+    if joint.type not in SCALAR_JOINTS or math.isnan(position):
+        raise UnsupportedError(
+            f"joint {joint.name!r} moves a link with others, and its position is "
+            f"{'unknown' if joint.type in SCALAR_JOINTS else 'not one number'}: where the others "
+            "would move the link is unknown, too"
+        )
+    return position
+
+
+def _displacement(joint: Joint, change: float) -> Pose:
+    """Returns the pose, in the frame of a joint's link, that a change of its position gives it."""
     if joint.type == "prismatic":
-        shift = change * np.array([joint.axis])
-        within[:, :3] += rotate(rotation_matrices(within[:, 3:7]), shift)
-    else:
-        turn = np.array([[math.cos(change / 2), *(math.sin(change / 2) * np.array(joint.axis))]])
-        within[:, 3:7] = multiply(within[:, 3:7], turn)
+        return change * np.array([joint.axis]), IDENTITY[None]
+    turn = np.array([[math.cos(change / 2), *(math.sin(change / 2) * np.array(joint.axis))]])
+    anchor = np.array([joint.anchor])
+    return anchor - rotate(rotation_matrices(turn), anchor), turn
+
+
+def _product(
+    joints: Sequence[Joint], positions: Mapping[int, float], numbers: Sequence[int]
+) -> Pose:
+    """Returns the pose that joints of one link give it, one after the other."""
+    pose: Pose = np.zeros((1, 3)), IDENTITY[None]
+    for number in numbers:
+        moved = positions[number] - joints[number].reference
+        pose = compose(*pose, *_displacement(joints[number], moved))
+    return pose
+
+
+def _add_velocity(within: Array, joint: Joint, velocity: float, later: Pose) -> None:
+    """Adds the velocity that a joint gives its link, relative to the parent, in place.
+
+    Args:
+        within: the state of the link (1, 13), with its new pose.
+        joint: the joint.
+        velocity: its velocity, rad/s or m/s.
+        later: the pose that the later joints of the link give it.
+    """
+    back = invert(*later)
+    to_parent = rotation_matrices(within[:, 3:7])
+    axis = velocity * rotate(rotation_matrices(back[1]), np.array([joint.axis]))
+    if joint.type == "prismatic":
+        within[:, 7:10] += rotate(to_parent, axis)
+        return
+    anchor = back[0] + rotate(rotation_matrices(back[1]), np.array([joint.anchor]))
+    within[:, 7:10] += rotate(to_parent, cross(axis, -anchor))
+    within[:, 10:] += rotate(to_parent, axis)
 
 
 def _generations(parents: Indices) -> list[Indices]:

@@ -25,6 +25,9 @@ class PartialSimulator:
     ssduck.errors.UnsupportedError: PartialSimulator cannot remove bodies
     """
 
+    keeps_time = False
+    episode = 0
+
     set_clock = _unsupported("follow the clock of an external simulation")
     cast_rays = _unsupported("cast the rays of sensors")
     photograph = render = segment = _unsupported("draw images")

@@ -10,14 +10,14 @@ from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
+from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
 from ssduck.simulators.scenes import Scene
 
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
-# The elements of model files that name a file, by the attribute that has the name.
-_NAMED = {
-    "filename": frozenset(("mesh", "texture", "visual", "collision")),
-    "file": frozenset(("mesh", "texture", "hfield", "skin", "include", "model")),
-}
+# The elements of URDF files that name a file that is read.
+_NAMED = frozenset(("mesh", "texture", "visual", "collision"))
+# The attributes of any element of MJCF files that name one: of a mesh, a picture, another model.
+_MJCF_FILE = re.compile(r"file(?!name)(?:right|left|up|down|front|back)?")
 # The elements of SDF files whose text is the name of a file.
 _URI = (".//mesh/uri", ".//heightmap/uri")
 # The attributes of <compiler> in MJCF files that name a folder.
@@ -39,11 +39,20 @@ def check_files_inside(scene: Scene) -> None:
         if isinstance(body.model, Path):
             if not body.model.resolve().is_relative_to(folder):
                 _refuse(scene.path, str(body.model), folder)
-            _check_model(body.model, folder)
+            _check_model(body.model, folder, set())
 
 
-def _check_model(model: Path, folder: Path) -> None:
-    """Checks the files that a model file names."""
+def _check_model(model: Path, folder: Path, checked: set[Path]) -> None:
+    """Checks the files that a model file names, and those that included ones name.
+
+    Args:
+        model: the model file.
+        folder: the folder of the scene.
+        checked: the model files that were checked; receives this one.
+    """
+    if model in checked:
+        return
+    checked.add(model)
     try:
         content = model.read_bytes()
         if b"<!DOCTYPE" in content:  # readers differ in what they take entities for
@@ -63,14 +72,17 @@ def _check_model(model: Path, folder: Path) -> None:
         file = _file_inside(model, name, places, folder)
         if file.suffix.lower() == ".obj":
             _check_materials(file, folder)
+        elif file.suffix.lower() in MODEL_SUFFIXES:
+            _check_model(file.resolve(), folder, checked)
 
 
 def _names_in(root: ET.Element) -> Iterator[str]:
     """Yields the names of files in a model file, without schemes."""
     for part in root.iter():
-        for attribute, tags in _NAMED.items():
-            if part.tag in tags and part.get(attribute):
-                yield _SCHEME.sub("", part.get(attribute, ""), count=1)
+        for attribute, name in part.attrib.items():
+            is_urdf = attribute == "filename" and part.tag in _NAMED
+            if name and (is_urdf or _MJCF_FILE.fullmatch(attribute)):
+                yield _SCHEME.sub("", name, count=1)
     for path in _URI:
         for part in root.iterfind(path):
             yield _SCHEME.sub("", (part.text or "").strip(), count=1)

@@ -28,6 +28,9 @@ class StaticSimulator:
         hidden: the bodies that are not drawn.
         description: the noun for the world in errors.
         backend: the backend that makes running simulations of its bodies.
+        timestep: 0, since there are no steps.
+        keeps_time: False, since no time passes.
+        episode: 0, since nothing resets it.
     """
 
     time: float
@@ -39,6 +42,8 @@ class StaticSimulator:
     is_external: bool = False
     backend: str = DEFAULT_BACKEND
     timestep: float = 0.0
+    keeps_time: bool = False
+    episode: int = 0
 
     @property
     def clock(self) -> Clock:

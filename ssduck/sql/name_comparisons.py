@@ -7,17 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
-import sqlglot
 from sqlglot import exp
-from sqlglot.errors import SqlglotError
 
 from ssduck.errors import SourceSpan
+from ssduck.sql.statement_trees import MAX_LENGTH, statement_trees
 
 _ENTITIES = ("entities", "entities_history")
 # A statement without a name and a text in quotes compares none; it need not be parsed.
 _MAY_COMPARE = re.compile(r"\bname\b.*'|'.*\bname\b", re.IGNORECASE | re.DOTALL)
-# Longer statements are not searched: sqlglot's time grows with them.
-_MAX_LENGTH = 20_000
 
 
 @dataclass(frozen=True)
@@ -44,15 +41,11 @@ def name_comparisons(sql: str) -> tuple[NameComparison, ...]:
     >>> name_comparisons("SELECT name FROM joints WHERE name = 'hinge'")
     ()
     """
-    if len(sql) > _MAX_LENGTH or not _MAY_COMPARE.search(sql):
+    if len(sql) > MAX_LENGTH or not _MAY_COMPARE.search(sql):
         return ()
-    try:
-        statements = sqlglot.parse(sql, dialect="duckdb")
-    except (SqlglotError, RecursionError):
-        return ()  # DuckDB says what is wrong with it
     comparisons: list[NameComparison] = []
-    for statement in statements:
-        for select in () if statement is None else statement.find_all(exp.Select):
+    for statement in statement_trees(sql):
+        for select in statement.find_all(exp.Select):
             comparisons += _comparisons_in(select, sql)
     return tuple(comparisons)
 

@@ -31,6 +31,13 @@ class TickObserver(Protocol):
         """Handles a tick, which another observer may have requested; see `Observable.reached`."""
 
 
+class EpisodeObserver(Protocol):
+    """An observer of new episodes; see `Observable.follow_episodes`."""
+
+    def episode_began(self, world: Any, /) -> None:
+        """Handles the first tick of a new episode, before other observers get it."""
+
+
 class Observable(ABC):
     """A world as its observers see it."""
 
@@ -49,6 +56,7 @@ class Observable(ABC):
 
     def _init_observers(self) -> None:
         self._observers: tuple[weakref.ref[TickObserver], ...] = ()
+        self._episode_observers: tuple[weakref.ref[EpisodeObserver], ...] = ()
         self._notifying = threading.Lock()
 
     def follow(self, follower: TickObserver) -> None:
@@ -78,6 +86,24 @@ class Observable(ABC):
         """Removes an observer."""
         with self.lock:
             self._observers = tuple(ref for ref in self._observers if ref() is not follower)
+
+    def follow_episodes(self, follower: EpisodeObserver) -> None:
+        """Adds an observer that is notified when the user has reset the simulation.
+
+        The world has only a weak reference to it.
+        """
+        with self.lock:
+            alive = [ref for ref in self._episode_observers if ref() is not None]
+            if not any(ref() is follower for ref in alive):
+                alive.append(weakref.ref(follower))
+            self._episode_observers = tuple(alive)
+
+    def notify_restart(self) -> None:
+        """Notifies the observers of a new episode; the caller must not hold a lock."""
+        for ref in self._episode_observers:
+            observer = ref()
+            if observer is not None:
+                observer.episode_began(self)
 
     def reached(self, due: float) -> bool:
         """Checks whether the last tick is at a simulated time or later, up to rounding."""

@@ -181,6 +181,10 @@ class Snapshot:
         clone._set_run(new_run())  # noqa: SLF001
         return clone
 
+    def restart(self) -> None:
+        """Begins a new run: the following ticks are of another episode."""
+        self._set_run(new_run())
+
     def _set_run(self, run: int) -> None:
         """Sets the run that the ticks belong to."""
         self.run = run
@@ -246,11 +250,11 @@ class Snapshot:
         )
 
     def _fill_joints(self, bodies: Sequence[tuple[int, Body]]) -> None:
-        joints = [(id, joint) for id, body in bodies for joint in body.joints]
+        joints = [(id, n, joint) for id, body in bodies for n, joint in enumerate(body.joints)]
         columns = ("link", "name", "type", "lower", "upper", "max_effort", "max_velocity")
-        values = {name: [getattr(joint, name) for _, joint in joints] for name in columns}
-        values["entity"] = [entity for entity, _ in joints]
-        self.tables["joints"].fill(len(joints), values)
+        values = {name: [getattr(joint, name) for _, _, joint in joints] for name in columns}
+        keys = {"entity": [id for id, _, _ in joints], "joint": [n for _, n, _ in joints]}
+        self.tables["joints"].fill(len(joints), keys | values)
 
     def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
         shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]

@@ -48,12 +48,18 @@ class StaleTickCheck:
                 self._is_done = True
                 warn(
                     f"{world}: the client has moved on since the last tick, which queries see "
-                    f"(t={snapshot.time:g} s); call tick() after each stepSimulation, or "
-                    "tick(steps=n) after n of them",
+                    f"(t={snapshot.time:g} s); call tick() after each "
+                    + (
+                        "step"
+                        if simulator.keeps_time
+                        else "stepSimulation, or tick(steps=n) after n of them"
+                    ),
                     ProgramWarning,
                 )
 
     def _has_moved(self, simulator: Simulator, snapshot: Snapshot) -> bool:
+        if simulator.keeps_time:
+            return simulator.time != snapshot.time
         layout = snapshot.layout
         if self._sample[0] is not layout:
             self._sample = layout, _sample_of(layout.moving_bodies.bodies)

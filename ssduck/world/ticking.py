@@ -17,6 +17,7 @@ from ssduck.errors import (
     ProgramWarning,
     SelectScriptError,
     SimulatorError,
+    StateError,
     warn,
 )
 from ssduck.formatting import short_repr
@@ -93,6 +94,9 @@ class SteppedSimulation(Observable):
         self._stale_tick_check = StaleTickCheck()
         # The time of the first tick, and that of the first recorded one.
         self._start: float | None = None
+        # The episode of the simulator at the last tick, and whether observers are to learn of it.
+        self._episode: int | None = None
+        self._may_restart = self._is_restarted = False
         self._first_recorded: float | None = None
 
     def _set_state(self, simulator: Simulator, snapshot: Snapshot) -> None:
@@ -127,9 +131,12 @@ class SteppedSimulation(Observable):
     def tick(self, *unnamed: Never, steps: int | None = None, time: float | None = None) -> Self:
         """Takes a tick: replaces the tables by the current state of the simulator.
 
-        In an attached world, whose client you step, each such tick advances simulated time: by
-        the client's current time step, unless an argument sets it. In all other worlds only steps
-        advance time, and neither argument is accepted.
+        In an attached PyBullet world, whose client you step, each such tick advances simulated
+        time: by the client's current time step, unless an argument sets it. MuJoCo keeps the time
+        itself. In all other worlds only steps advance time. There neither argument is accepted.
+
+        If the time has fallen since the last tick, or the model is another one, you have reset the
+        simulation: a new episode begins with this tick, in records, too.
 
         Args:
             *unnamed: none; the two arguments need their names.
@@ -145,7 +152,7 @@ class SteppedSimulation(Observable):
             SimulatorError: the simulator does not answer; the last tick and its time remain.
             NumberError: an argument is no such number, or the time is before the last tick's.
             ArgumentError: both arguments are given, or one without its name, or the world is not
-                attached.
+                attached, or its simulator keeps the time.
         """
         if unnamed:
             value = short_repr(unnamed[0])
@@ -156,17 +163,22 @@ class SteppedSimulation(Observable):
         with self.lock:
             self._check_not_pinned()
             before, number = self._simulator.clock, self.snapshot.number
-            if self._simulator.is_external:
+            is_told_time = self._simulator.is_external and not self._simulator.keeps_time
+            if is_told_time:
                 self._simulator.set_clock(self._clock_of_tick(steps, time))
             elif steps is not None or time is not None:
+                reason = (
+                    f"the simulator of {self.name!r} keeps the time itself"
+                    if self._simulator.keeps_time
+                    else f"{self.name!r} is none: only step and run take its time"
+                )
                 raise ArgumentError(
-                    f"tick: steps and time are for an attached world, and {self.name!r} is none: "
-                    "only step and run take its time"
+                    f"tick: steps and time are for an attached world without a time, and {reason}"
                 )
             try:
-                self._take()
+                self._take_first_or_next()
             except BaseException:
-                if self._simulator.is_external and self.snapshot.number == number:
+                if is_told_time and self.snapshot.number == number:
                     self._simulator.set_clock(before)
                 raise
         self.notify_observers()
@@ -259,7 +271,8 @@ class SteppedSimulation(Observable):
                     self._simulator.step(steps)
                     if on_progress is not None:
                         on_progress(steps)
-                self._take_tick()
+                self._check_not_pinned()
+                self._take_first_or_next()
             except KeyboardInterrupt:
                 if self.snapshot.time != self._simulator.time:
                     self._take_tick()  # the tables must match the simulator
@@ -269,14 +282,51 @@ class SteppedSimulation(Observable):
         self._check_not_pinned()
         self._take()
 
+    def _take_first_or_next(self) -> None:
+        """Takes a tick, which may begin a new episode; the caller notifies observers of it."""
+        self._may_restart = True
+        try:
+            self._take()
+        finally:
+            self._may_restart = False
+
     def _take(self) -> None:
         with ctrl_c.deferred():
             self._registry.update(self._simulator)
+            self._check_episode()
             self.snapshot.take(self._simulator, self._registry.entities)
             self._stale_tick_check.note_tick()
             if self._start is None:
                 self._start = self.snapshot.time
             self._record_tick()
+
+    def _check_episode(self) -> None:
+        """Ends the present episode if the simulation was reset since the last tick.
+
+        Raises:
+            StateError: it was, and this tick is none that begins a new one.
+        """
+        episode = self._simulator.episode
+        if episode == self._episode:
+            return
+        if self._episode is not None:
+            if not self._may_restart:
+                raise StateError(
+                    f"{self.name}: the simulation was reset since the last tick: call tick() "
+                    "first, which begins a new episode"
+                )
+            self._recorders.clear()  # the ticks of a record are of one episode
+            self.snapshot.restart()
+            self._start = self._first_recorded = None
+            self._is_restarted = True
+        self._episode = episode
+
+    def notify_observers(self) -> None:
+        """Notifies the observers of the last tick; the caller must not hold a lock."""
+        if self._is_restarted:
+            self._is_restarted = False
+            self.notify_restart()
+        super().notify_observers()
 
     def _record_tick(self) -> None:
         """Passes the tick to the recorders."""

@@ -32,18 +32,18 @@ def what_if_tick(
         snapshot: the tick; if a body has several links, the tables of links and joints must have
             been requested.
         poses: the new poses of the bodies' base link frames in the world frame.
-        joints: the new positions of joints, rad or m, by body and number of the joint's link.
+        joints: the new positions of joints, rad or m, by body and index of the joint.
     """
     states = snapshot.joints()
     offsets = {
-        body: {link: position - states[body][link - 1, 0] for link, position in positions.items()}
+        body: {n: position - states[body][n, 0] for n, position in positions.items()}
         for body, positions in joints.items()
     }
     clone = snapshot.clone(UNAVAILABLE)
     link_poses = {}
     for group, current in snapshot.body_groups:
         moved = [body for body in group.runs if body in poses or body in offsets]
-        link_poses[group.bodies] = _moved(group, current, moved, poses, offsets)
+        link_poses[group.bodies] = _moved(group, current, moved, poses, offsets, states)
         if moved:
             clone.invalidate_static_poses()
     simulator = StaticSimulator(
@@ -62,6 +62,7 @@ def _moved(
     bodies: list[Body],
     poses: Mapping[Body, Pose],
     offsets: Mapping[Body, Mapping[int, float]],
+    joint_states: Mapping[Body, Array],
 ) -> LinkPoses:
     """Returns the link poses of a group after some of its bodies or their joints moved."""
     if not bodies:
@@ -71,7 +72,9 @@ def _moved(
     for body in bodies:
         run = group.runs[body]
         current = LinkPoses(positions[run], matrices[run], states[run])
-        new = moved_link_poses(body, current, poses.get(body), offsets.get(body, {}))
+        new = moved_link_poses(
+            body, current, poses.get(body), offsets.get(body, {}), joint_states.get(body)
+        )
         positions[run], matrices[run], states[run] = new.positions, new.matrices, new.states
     return LinkPoses(positions, matrices, states)
 
@@ -81,9 +84,9 @@ def _at_rest(states: Array, positions: Mapping[int, float]) -> Array:
 
     Args:
         states: position, velocity and effort of each joint, (joints, 3); changed in place.
-        positions: the new positions, rad or m, by the number of the joint's link.
+        positions: the new positions, rad or m, by the index of the joint.
     """
     states[:, 2] = np.nan
-    for link, position in positions.items():
-        states[link - 1, :2] = position, 0.0
+    for number, position in positions.items():
+        states[number, :2] = position, 0.0
     return states

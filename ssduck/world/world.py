@@ -6,7 +6,6 @@ an entity are those at the world's last tick, not those of the simulator at pres
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +17,6 @@ import numpy.typing as npt
 from ssduck import validation
 from ssduck.errors import (
     ArgumentError,
-    SceneError,
     SelectScriptError,
     UnknownNameError,
     UnsupportedError,
@@ -35,14 +33,14 @@ from ssduck.schema import (
     entity_of,
     link_of,
 )
-from ssduck.simulators.backends import ShapesByBody, backend
-from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, Simulator
+from ssduck.simulators.interface import Body, Simulator
 from ssduck.simulators.kinematics import (
     JointValues,
     joint_positions,
     parse_pose,
 )
-from ssduck.simulators.scenes import Camera, Scene, SensorSpec, variable_name
+from ssduck.simulators.scenes import Camera, SensorSpec, variable_name
+from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.excerpt import excerpt
 from ssduck.world.handles import Handle
@@ -58,11 +56,8 @@ from ssduck.world.what_if import what_if_tick
 
 T = TypeVar("T")
 
-# The name of a world that is not bound to a variable yet.
-UNNAMED = "world"
 
-
-class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
+class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicNames):
     """A simulation and its current tick.
 
     Use `World.load` or `World.attach` to make one. Every `step` and `tick` replaces the tables
@@ -101,83 +96,6 @@ class World(ManipulableSimulation, OpenRaveWorld, PublicNames):
         self.camera = camera
         self._init_ticking(name)
         self._origin: World | None = None
-
-    @classmethod
-    def load(cls, scene: Scene, *, simulator: str = DEFAULT_BACKEND) -> World:
-        """Loads a scene into a new simulation, and returns its world.
-
-        Args:
-            scene: the scene.
-            simulator: the name of the simulator; see `BACKENDS`.
-
-        Raises:
-            SceneError: the scene cannot be loaded; the message has file, key and reason.
-            ArgumentError: `scene` is no `Scene`.
-        """
-        if not isinstance(scene, Scene):
-            raise ArgumentError(
-                f"load: {short_repr(scene)} is no Scene; find_scene of ssduck.simulators reads one"
-            )
-        loaded = backend(simulator).load(scene)
-        try:
-            return cls.owning(loaded, scene.name, scene.sensors, scene.camera)
-        except SceneError as error:
-            message = f"{scene.path}: {error.message}"
-            raise SceneError(message, suggestions=error.suggestions) from error
-
-    @classmethod
-    def owning(
-        cls, simulator: Simulator, name: str, sensors: Sequence[SensorSpec], camera: Camera
-    ) -> World:
-        """Returns a world that owns its simulator, and closes it when the world is collected."""
-        try:
-            world = cls(simulator, name=name, sensors=sensors, camera=camera)
-        except BaseException:
-            simulator.close()
-            raise
-        # A simulation takes tens of megabytes.
-        weakref.finalize(world, simulator.close)
-        return world
-
-    @classmethod
-    def attach(
-        cls,
-        client: Any,
-        names: Mapping[int, str] | None = None,
-        kinds: Mapping[int, Kind] | None = None,
-        *,
-        name: str = UNNAMED,
-        shapes: ShapesByBody | None = None,
-        simulator: str = DEFAULT_BACKEND,
-    ) -> World:
-        """Returns a world around a PyBullet client that you created and continue to use.
-
-        The next `tick()` sees bodies that you add, remove or move. ssduck attaches PyBullet user
-        data to each body, to distinguish a removed body from a later one with the same number.
-        Simulated time begins at 0. Each `tick()`, which stands for one step of yours, advances it
-        by the client's time step, as does each step of `step` and `run`.
-
-        Args:
-            client: the number of the client, or an object with this number as `_client`.
-            names: the names of present bodies by PyBullet body number; other bodies are named
-                as in their models, as identifiers, made unique.
-            kinds: `"robot"` or `"kinbody"` by body number; by default a body with movable joints
-                is a robot.
-            name: the name until the world is bound to a variable.
-            shapes: collision shapes of present bodies, which replace those that PyBullet
-                reports: of a body's base by its number, of a link by (body, link), of one of its
-                shapes by (body, link, number), with PyBullet's link numbers (the base is -1).
-                Each is a mesh in the frame of the link, m, or a list of meshes: a
-                `trimesh.Trimesh`, (vertices (n, 3), faces (m, 3)), or the path of a mesh file;
-                faces of None make the convex hull. See `ssduck.height_field`.
-            simulator: the name of the client's simulator; see `BACKENDS`.
-
-        Raises:
-            SimulatorError: the client is not connected.
-            SelectScriptError: no body has a number, or a kind is invalid.
-            ArgumentError: no shape has a key of `shapes`, or a value is no mesh.
-        """
-        return cls(backend(simulator).attach(client, names, kinds, shapes), name=name)
 
     # -- time -----------------------------------------------------------------------------
 

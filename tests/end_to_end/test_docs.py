@@ -41,6 +41,8 @@ def blocks(language):
 @pytest.mark.slow
 @pytest.mark.parametrize(("page", "texts"), blocks("python").items())
 def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
+    if any("import mujoco" in text for text in texts):
+        pytest.importorskip("mujoco")
     monkeypatch.chdir(tmp_path)
     namespace = {}
     for text in texts:
@@ -54,7 +56,17 @@ def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
 
 
 # What README's first command does not install; `python` runs a text without it.
-EXTRAS = ("clingo", "coal", "hypothesis", "matplotlib", "networkx", "pandas", "polars", "pydot")
+EXTRAS = (
+    "clingo",
+    "coal",
+    "hypothesis",
+    "matplotlib",
+    "mujoco",
+    "networkx",
+    "pandas",
+    "polars",
+    "pydot",
+)
 BARE = f"""
 import sys
 class Missing:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import re
 from pathlib import Path
 from typing import get_type_hints
 
@@ -99,6 +100,49 @@ def test_a_world_is_no_table(ss):
         ss.sql("SELECT name FROM room WHERE z > 1")
     with pytest.raises(SqlError, match="Table with name rooms does not exist"):
         ss.sql("SELECT name FROM rooms")
+
+
+@pytest.mark.parametrize(
+    ("sql", "hint"),
+    [
+        (
+            "SELECT t.name FROM Room AS t, entities",
+            "no table 'Room'; of the world, there are room.",
+        ),
+        ("SELECT name FROM rom.entities", "no world or schema 'rom'; did you mean 'room'?"),
+        ("SELECT count(position) FROM entities", "in the columns x, y and z; positionOf(e) is"),
+        (
+            "SELECT e.orientation FROM entities e",
+            "the columns qw, qx, qy and qz; orientation(e) is",
+        ),
+        ("SELECT velocity FROM entities", "the columns vx, vy and vz"),
+        ("SELECT l.entity.id FROM links l", "id of an entity; a join has its columns: JOIN"),
+    ],
+)
+def test_errors_of_sql_name_what_there_is(ss, sql, hint):
+    with pytest.raises(SqlError, match=re.escape(hint)):
+        ss.sql(sql)
+    for right in (
+        "SELECT positionOf(e), orientation(e) FROM entities e",
+        "SELECT e.name FROM links l JOIN entities e ON e.id = entity",
+    ):
+        assert len(ss.sql(right).fetchall()) >= 6
+
+
+def test_tables_that_are_shown_are_those_of_worlds_and_users(ss):
+    ss.sql("CREATE OR REPLACE TABLE mine AS SELECT 1 AS one")
+    shown = [name for (name,) in ss.sql("SHOW TABLES").fetchall()]
+    assert {"entities", "entities_history", "contacts", "mine"} <= set(shown)
+    assert not [name for name in shown if " " in name]
+    assert ("room", "entities") in [row[1:3] for row in ss.sql("show all tables;").fetchall()]
+    assert {row[1] for row in ss.sql("SHOW ALL TABLES").fetchall()} <= {"room", "main", "maybe"}
+    ss.sql("DROP TABLE mine")
+
+
+def test_explain_of_sql_logs_nothing(ss, caplog):
+    plan = ss.sql('EXPLAIN SELECT "name" FROM entities WHERE "name" = \'can\'').fetchall()
+    assert "name = 'can'" in plan[0][1]
+    assert [record for record in caplog.records if record.levelname == "WARNING"] == []
 
 
 def test_what_is_no_item(ss):

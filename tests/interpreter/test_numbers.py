@@ -233,7 +233,7 @@ OTHERS = {
     "World.advance": "a part of step", "World.drive": "Entity.drive", "World.hold": "Entity.hold",
     "World.enable": "Entity.enabled", "World.show": "Entity.visible",
     "World.place": "Entity.move", "World.reading": "Sensor.reading",
-    "World.switch": "Sensor.power", "World.reached": "for followers",
+    "World.attach(forward)": "of MuJoCo, tests/simulators/mujoco", "World.switch": "Sensor.power", "World.reached": "for followers",
     "World.pin(is_read)": "a part of pinned", "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
     "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",

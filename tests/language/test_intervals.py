@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
+from ssduck.interpreter import temporal_functions
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
 from tests.support.cases import sampled
 
@@ -177,6 +178,24 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     blocks = [sql for sql in told if "entities_history" in sql]
     # Three ticks are of the time 0, and stay together.
     assert len(blocks) == (1 if ticks < 240 else 2 if ticks < 719 else 3)
+
+
+def test_since_is_what_a_loop_over_ticks_finds(lab: Any, monkeypatch: Any) -> None:
+    """The ticks are read in several pieces, and the first two have the same time."""
+    monkeypatch.setattr(temporal_functions, "FIRST_TICKS", 2)
+    _put(lab[2], HEIGHTS)
+    ticks = dict(
+        lab[0]
+        .sql("SELECT time, z FROM entities_history WHERE name = 'ball' ORDER BY tick")
+        .fetchall()
+    )
+    for height in (*HEIGHTS, 0.0, 2.0):
+        expected = None
+        for time, z in reversed(ticks.items()):
+            if z < height:
+                break
+            expected = time
+        assert _evaluated(lab, f"since(z(ball) >= {height});") == expected
 
 
 def test_the_closest_approach(lab: Any) -> None:

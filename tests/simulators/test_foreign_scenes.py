@@ -70,6 +70,8 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "scene" / "k.obj").write_text("mtllib ../outside/secret.mtl\n" + CUBE)
     (tmp_path / "scene" / "n.obj").write_text("mtllib n.mtl\n" + CUBE)
     (tmp_path / "scene" / "n.mtl").write_text("newmtl a\nmap_Kd ../outside/secret.png\n")
+    included = file_mjcf("../outside/cube.obj", '<include file="included.xml"/>')
+    (tmp_path / "scene" / "included.xml").write_text(included)
     monkeypatch.chdir(tmp_path)
     return tmp_path / "scene"
 
@@ -97,6 +99,9 @@ ELSEWHERE = [
     ("s.xml", file_mjcf("{outside}/cube.obj")),
     ("s.xml", file_mjcf("cube.obj", '<compiler meshdir="../outside"/>')),
     ("s.xml", file_mjcf("cube.obj", '<compiler meshdir="{outside}"/>')),
+    ("s.xml", mjcf('type="sphere" size="1"', '<include file="../outside/x.xml"/>')),
+    ("s.xml", mjcf('type="sphere" size="1"', '<asset><texture fileup="/etc/passwd"/></asset>')),
+    ("s.xml", mjcf('type="sphere" size="1"', '<include file="included.xml"/>')),
     ("s.toml", body("urdf", "../outside/o.urdf")),
     ("s.toml", body("urdf", "{outside}/o.urdf")),
     ("s.toml", body("urdf", "sub/o.urdf")),

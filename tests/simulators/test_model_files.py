@@ -97,7 +97,7 @@ def test_the_names_of_mjcf_bodies(load, tmp_path):
     names = ["floor", "my_lab", "cube", "my_lab_2", "walker"]
     assert [entity.name for entity in world] == names
     assert world["walker"].kind == "robot"
-    with ssduck.load(tmp_path / "a.xml") as ss:  # a model by itself
+    with ssduck.load(tmp_path / "a.xml", simulator="pybullet") as ss:  # a model by itself
         assert [entity.name for entity in ss.call_variable("a")] == names
 
 

@@ -592,7 +592,7 @@ def test_a_mjcf_of_several_bodies():
     with pytest.warns(
         UserWarning, match=re.escape(f"{file} (body_0, body_1): PyBullet ignores <light>")
     ):
-        ss = ssduck.load(file)
+        ss = ssduck.load(file, simulator="pybullet")
     with ss:
         world = ss.call_variable("hello_mjcf")
         assert len(world) == 2
@@ -604,7 +604,7 @@ def test_a_mjcf_of_several_bodies():
 def test_a_model_with_shapes_that_pybullet_does_not_tell():
     words = "<joint damping> of abdomen_z, abdomen_y, abdomen_x and 6 more; .*leaves torso free; "
     with pytest.warns(UserWarning, match=words):
-        ss = ssduck.load(LIBRARY / "mjcf" / "humanoid.xml")
+        ss = ssduck.load(LIBRARY / "mjcf" / "humanoid.xml", simulator="pybullet")
     with ss:
         assert ss.sql("SELECT DISTINCT exact FROM shapes").fetchall() == [(True,)]
         kinds = ss.eval("SELECT type FROM humanoid AS list;")

@@ -368,6 +368,12 @@ class TriggerRegistry:
         if state is not None and readers.are_always_due:
             self._idle[world] = _IdleTicks(state, evaluated, due)
 
+    def episode_began(self, world: World) -> None:
+        """Counts the intervals of all triggers anew in a world that was reset."""
+        self._end_idle(world)
+        for trigger in self._by_name.values():
+            trigger.restart(world)
+
     def _end_all_idle(self) -> None:
         """Counts the evaluations at the idle ticks of all worlds."""
         for world in list(self._idle):

@@ -159,6 +159,13 @@ class Trigger:
             for world in worlds:
                 self._schedule(world).reschedule(world)
 
+    def restart(self, world: World) -> None:
+        """Counts its interval in a world from now on, and forgets what was about to settle."""
+        self._debouncer.reset()
+        schedule = self._schedules.pop(world, None)
+        if schedule is not None:
+            self._schedule(world).due = world.time  # the first tick of an episode counts
+
     def resume(self, worlds: Sequence[World]) -> None:
         """Resumes the evaluations at the next multiple of the interval."""
         if self.paused:

@@ -104,8 +104,6 @@ class CheckedRows:
         owner, *numbered = RECORDED[table].key
         indices, counts = self._indices(table, rows[owner].to_numpy()), self._parts(table)
         numbers: Any = rows[numbered[0]].to_numpy() if numbered else 0
-        if table == "joints":  # that of the first joint is 1
-            numbers = numbers - 1
         self._check_range(table, numbers, counts.take(indices))
         starts = np.cumsum(counts) - counts
         ticks, size = rows["tick"].to_numpy(), int(counts.sum())

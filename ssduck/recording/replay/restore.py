@@ -189,13 +189,13 @@ class SnapshotRestorer:
         rows = self._rows.rows("joints", tick)
         owners = rows["entity"]
         states = np.array([rows[name] for name in ("position", "velocity", "effort")])
-        links = rows["link"]
+        numbers = rows["joint"]
         joints = {}
         for id, body in layout.bodies:
             indices = np.flatnonzero(owners == id)
             if len(indices) != len(body.joints):
                 raise self._damage(f"at tick {tick}, the joints are not those of the entities")
-            joints[body] = states[:, indices[np.argsort(links[indices])]].T.copy()
+            joints[body] = states[:, indices[np.argsort(numbers[indices])]].T.copy()
         return joints
 
 

@@ -20,7 +20,7 @@ import pyarrow as pa
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
-from ssduck.recording.static_tables import IdProvider
+from ssduck.recording.static_tables import JOINT_OF_LINK, IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
@@ -29,6 +29,7 @@ from ssduck.recording.stores.base import (
     TickStore,
 )
 from ssduck.recording.stores.history_sql import (
+    all_columns,
     buffered_rows,
     column_list,
     create_table,
@@ -260,14 +261,24 @@ class DuckDBStore(TickStore, TickArchive):
         )
 
     def _source_of_slot(self, table: str, slot: int) -> str:
-        """Returns the stored rows of a slot, in SQL, after a check of those of a file."""
-        if self._file is not None:
-            types = tick_types(table)
-            if self._has_changes_only(table):
-                types["until"] = "integer"
-            schema = self._models.schema
-            self._file.columns(self._connection, schema, f"{table} {slot}", types)
-        return self._slot(table, slot)
+        """Returns the stored rows of a slot, in SQL, after a check of those of a file.
+
+        Older records lack some columns, which are added.
+        """
+        place = self._slot(table, slot)
+        if self._file is None:
+            return place
+        types = tick_types(table)
+        if self._has_changes_only(table):
+            types["until"] = "integer"
+        name = f"{table} {slot}"
+        present = self._file.columns(self._connection, self._models.schema, name, types)
+        if present >= types.keys():
+            return place
+        columns = RECORDED[table].tick_columns.sql
+        if "until" in types:
+            columns |= {"until": "BIGINT"}
+        return f"({all_columns(place, columns, present, {'joint': JOINT_OF_LINK})})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:

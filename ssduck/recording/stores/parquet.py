@@ -199,20 +199,60 @@ class _NoIds:
 class ParquetRecording:
     """A recording of a world to a folder, until it is closed.
 
+    If the user resets the simulation, the recording goes on in a new episode.
+
     Args:
         world: the recorded world.
-        recorder: records its ticks.
-        folder: the store in the folder.
-        recorders: the running recorders of the database, this one included.
+        recording: what is recorded.
+        path: the folder.
+        name: the name of the world there.
+        part_ticks: the largest number of ticks of a part.
+        recorders: the running recorders of the database, to which it adds its own.
+
+    Attributes:
+        world: the recorded world.
     """
 
     def __init__(
-        self, world: World, recorder: Recorder, folder: ParquetStore, recorders: list[Recorder]
+        self,
+        world: World,
+        recording: Recording,
+        path: Path,
+        name: str,
+        part_ticks: int,
+        recorders: list[Recorder],
     ) -> None:
-        self._world = world
-        self._recorder = recorder
-        self._folder = folder
+        self.world = world
+        self._recording, self._path, self._name = recording, path, name
+        self._part_ticks = part_ticks
         self._recorders = recorders
+        self._start()
+
+    def _start(self) -> None:
+        """Starts a new episode."""
+        recording, world = self._recording, self.world
+        self._folder = ParquetStore(self._path, self._name, recording)
+        self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
+        self._recorders.append(self._recorder)
+        try:
+            world.add_recorder(self._recorder)
+        except BaseException:
+            self._recorder.stop_flushing()
+            self._recorder.wait()
+            world.remove_recorder(self._recorder)
+            self._recorders.remove(self._recorder)
+            self._folder.discard()
+            raise
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it is not closed."""
+        return self._recorder in self._recorders
+
+    def begin_episode(self) -> None:
+        """Completes the episode, and goes on in a new one."""
+        self.close()
+        self._start()
 
     @property
     def episode(self) -> Episode:
@@ -225,7 +265,7 @@ class ParquetRecording:
         Raises:
             RecordError: they cannot be written, as the disk is full, say; they stay buffered.
         """
-        with self._world.pinned():
+        with self.world.pinned():
             self._recorder.flush()
             return self._folder.last_tick
 
@@ -235,13 +275,13 @@ class ParquetRecording:
         Raises:
             RecordError: they cannot be written; the recording goes on, and can be closed again.
         """
-        if self._recorder not in self._recorders:
+        if not self.is_running:
             return
-        self._recorder.mass_changes.warn(self._world)
+        self._recorder.mass_changes.warn(self.world)
         self.flush()
         self._folder.finish()
         self._recorder.stop_flushing()
-        self._world.remove_recorder(self._recorder)
+        self.world.remove_recorder(self._recorder)
         self._recorders.remove(self._recorder)
 
     def __enter__(self) -> Self:

@@ -18,7 +18,7 @@ from sqlglot import exp
 from ssduck.errors import RecordError
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import default_values
+from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
@@ -207,11 +207,14 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     try:
         part = pq.ParquetFile(file)
         present = set(part.schema_arrow.names)
-        names = [name for name in types.names if name in present]
+        needed = {*types.names, "link"} if "joint" in types.names else set(types.names)
+        names = [name for name in part.schema_arrow.names if name in needed]
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
     rows = _between(rows, first, last)
+    if "joint" in types.names:
+        rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck import validation
-from ssduck.errors import SelectScriptError, SimulatorError
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Kind, Simulator
@@ -39,14 +39,17 @@ def attach(
     names: Mapping[int, str] | None,
     kinds: Mapping[int, Kind] | None,
     shapes: ShapesByBody | None = None,
+    forward: bool = False,
 ) -> PyBulletSimulator:
     """Wraps the user's own client: its number, or an object that holds it as `_client`.
 
     Raises:
         SimulatorError: the client is not connected.
         SelectScriptError: a number is not that of a body, or a kind is unknown.
-        ArgumentError: a shape is not valid.
+        ArgumentError: a shape is not valid, or a forward pass is requested.
     """
+    if forward:
+        raise ArgumentError("attach: forward is for MuJoCo; PyBullet has the poses of its time")
     number = getattr(client, "_client", client)
     if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")

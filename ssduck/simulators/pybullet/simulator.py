@@ -80,6 +80,8 @@ class PyBulletSimulator:
     """
 
     backend = "pybullet"
+    keeps_time = False
+    episode = 0
 
     def __init__(
         self,
@@ -342,27 +344,28 @@ class PyBulletSimulator:
         self._call(put)
 
     def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
-        """Sets joints by the indices of their links, at rest.
+        """Sets joints by their indices, at rest.
 
         The motors of a client that ssduck made hold the new positions.
         """
 
         def put() -> None:
-            for link, position in positions.items():
-                pybullet.resetJointState(body.handle, link - 1, position, 0.0, self.client)
+            for number, position in positions.items():
+                joint = body.joints[number]
+                pybullet.resetJointState(body.handle, number, position, 0.0, self.client)
                 if not self.is_external:
-                    hold_joint(body.handle, body.joints[link - 1], position, self.client)
-                    self.loaded.motor_positions.setdefault(body.handle, {})[link] = position
+                    hold_joint(body.handle, joint, position, self.client)
+                    self.loaded.motor_positions.setdefault(body.handle, {})[joint.link] = position
             pybullet.performCollisionDetection(self.client)
 
         self._call(put)
 
     def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
-        """Sets motors of joints by the indices of their links for the next steps."""
+        """Sets motors of joints by their indices for the next steps."""
 
         def put() -> None:
-            for link, motor in motors.items():
-                set_motor(body.handle, link, motor, self.client)
+            for number, motor in motors.items():
+                set_motor(body.handle, body.joints[number].link, motor, self.client)
 
         self._call(put)
 

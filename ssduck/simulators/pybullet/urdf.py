@@ -86,7 +86,7 @@ def zero_poses(
         link_poses: the present poses of its links.
         positions: the present positions of its joints, by link.
     """
-    back = {link: -position for link, position in positions.items()}
+    back = {link - 1: -position for link, position in positions.items()}
     zero = moved_link_poses(body, link_poses, None, back)
     parents = np.array([link.parent for link in body.links[1:]], dtype=np.intp)
     places, turns = zero.positions, zero.states[:, 3:7]

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from ssduck.geometry import shape_comparisons
 from ssduck.interpreter.triggers.batch import FormulaBatches
 from ssduck.interpreter.triggers.selection import FormulaSelection
 from ssduck.world.handles import Handle
@@ -283,6 +284,39 @@ def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
     assert len(told) == 20
     assert len(set(told)) == 1
     assert state(ss, "t99").evaluations == 23
+
+
+@pytest.mark.slow
+def test_each_pair_of_shapes_is_compared_once_a_tick(ss, boxes, told, monkeypatch):
+    """Whatever a hundred triggers ask about it with the four others."""
+    compared, distance = [], shape_comparisons.convex_distance
+
+    def noted(a, b, calls):
+        compared.append(frozenset((a.position, b.position)))
+        return distance(a, b, calls)
+
+    monkeypatch.setattr(shape_comparisons, "convex_distance", noted)
+    for number in range(25):
+        for condition in (
+            f"near(it, this, {number / 20})",
+            f"near(this, it, {number / 20})",
+            f"clearance(it, this) < {number / 20}",
+            f"on(this, it) AND z > {number / 20}",
+        ):
+            program = f"SELECT name FROM sim WHERE {condition} AS list;"
+            ss.add_trigger(condition, program, 0, lambda _: None)
+    boxes.step(2)
+    others, count = len(list(boxes)) - 1, 0
+    for _ in range(20):
+        told.clear()
+        compared.clear()
+        before = ss.statistics()["sim"].pairs
+        boxes.step()
+        count += len(compared)
+        assert told == []
+        assert len(compared) == len(set(compared)) <= others
+        assert ss.statistics()["sim"].pairs - before <= others
+    assert count
 
 
 @pytest.mark.slow

@@ -1,0 +1,132 @@
+"""The functions of `ssduck.simulators.backends.Backend` for MuJoCo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
+from ssduck.formatting import short_repr
+from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
+from ssduck.simulators.interface import Kind, Simulator
+from ssduck.simulators.mujoco.bodies import body_names, roots_of
+from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
+from ssduck.simulators.mujoco.sources import source_of
+from ssduck.simulators.scene_bodies import Primitive
+from ssduck.simulators.scenes import Scene
+
+__all__ = ["attach", "excerpt", "load", "scene_of"]
+
+T = TypeVar("T")
+
+
+def load(scene: Scene) -> MuJoCoSimulator:
+    """Starts a simulation of an MJCF or URDF file.
+
+    Raises:
+        SceneError: MuJoCo cannot load the file.
+        UnsupportedError: the scene is not one model file by itself.
+    """
+    model = scene.bodies[0].model if len(scene.bodies) == 1 else None
+    if model is None or isinstance(model, Primitive) or model != scene.path.resolve():
+        raise UnsupportedError(
+            f"{scene.path}: MuJoCo loads model files by themselves, not scene files: describe the "
+            "scene in MJCF, or load it with PyBullet"
+        )
+    try:
+        compiled = mujoco.MjModel.from_xml_path(str(model))
+    except ValueError as error:
+        raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
+    data = mujoco.MjData(compiled)
+    mujoco.mj_forward(compiled, data)
+    return MuJoCoSimulator(lambda: (compiled, data), owned=True)
+
+
+def attach(
+    client: Any,
+    names: Mapping[int, str] | None,
+    kinds: Mapping[int, Kind] | None,
+    shapes: ShapesByBody | None = None,
+    forward: bool = False,
+) -> MuJoCoSimulator:
+    """Wraps the user's own model and data.
+
+    Args:
+        client: (model, data), an object that has both, or a function that returns one of these.
+        names: names of entities by the number or the name of their root body.
+        kinds: kinds of entities, likewise.
+        shapes: None: MuJoCo gives all of its shapes.
+        forward: whether each tick has the poses of its time; see `MuJoCoSimulator`.
+
+    Raises:
+        SimulatorError: there is no model with data.
+        UnknownNameError: no entity has a name; with the nearest names.
+        ArgumentError: a number is not that of a root, a kind is unknown, or shapes are given.
+    """
+    if shapes:
+        raise ArgumentError("attach: shapes: MuJoCo gives all of its shapes; leave them out")
+    forward = validation.boolean(forward, "attach: forward")
+    source = source_of(client)
+    model, _ = source()
+    named = _by_root(model, validation.mapping(names, "attach: names are given in a dict"), "names")
+    kinds_by_root = _by_root(
+        model, validation.mapping(kinds, "attach: kinds are given in a dict"), "kinds"
+    )
+    for root, name in named.items():
+        validation.text(name, f"attach: names: the name of body {root} must be a text")
+    for root, kind in kinds_by_root.items():
+        if kind not in ("robot", "kinbody"):
+            raise ArgumentError(f"attach: kinds: body {root}: {kind!r} is no robot or kinbody")
+    return MuJoCoSimulator(source, owned=False, names=named, kinds=kinds_by_root, forward=forward)
+
+
+def _by_root(model: Any, values: Mapping[Any, T], argument: str) -> dict[int, T]:
+    """Returns values by the number of the root body, which the user gives by number or name."""
+    names, roots = body_names(model), roots_of(model)
+    by_root = {}
+    for key, value in values.items():
+        if isinstance(key, str):
+            known = [names[root] for root in roots]
+            if key not in names:
+                raise UnknownNameError(
+                    f"attach: {argument}: MuJoCo has no body {key!r}",
+                    suggestions=nearest(key, known),
+                )
+            number = names.index(key)
+        elif validation.is_integer(key) and 0 <= key < model.nbody:
+            number = int(key)
+        else:
+            raise ArgumentError(
+                f"attach: {argument}: MuJoCo has no body {short_repr(key)}; its bodies are 0 to "
+                f"{model.nbody - 1}, or given by name"
+            )
+        if number not in roots:
+            root = int(model.body_rootid[number])
+            raise ArgumentError(
+                f"attach: {argument}: the body {names[number]!r} is a link of the entity "
+                f"{names[root]!r}; name that"
+            )
+        by_root[number] = value
+    return by_root
+
+
+def excerpt(
+    source: Simulator | None, originals: Sequence[BodyToCopy], tick: TickToCopy
+) -> MuJoCoSimulator:
+    """Starts a simulation of some bodies as they are at a tick; see `Backend.excerpt`."""
+    from ssduck.simulators.mujoco import excerpt as copying  # few sessions need it
+
+    return copying.excerpt(source, originals, tick)
+
+
+def scene_of(
+    simulator: Simulator,  # noqa: ARG001
+    originals: Sequence[BodyToCopy],  # noqa: ARG001
+    tick: TickToCopy,  # noqa: ARG001
+    folder: Path,  # noqa: ARG001
+) -> Scene:
+    """Raises `UnsupportedError`: a scene has no place for a MuJoCo model."""
+    raise UnsupportedError("a MuJoCo world cannot be saved as a scene yet")

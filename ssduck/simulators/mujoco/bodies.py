@@ -1,0 +1,246 @@
+"""Describes the bodies of a MuJoCo model: the trees of bodies below the world body.
+
+A tree is an entity, its bodies are the links, its root the base. MuJoCo numbers bodies depth first,
+so that the bodies of a tree have consecutive numbers. The world body is an entity of its own if it
+has geoms that collide. Names are MuJoCo's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
+from ssduck.simulators.mujoco.library import mujoco
+
+_GEOM, _JOINT, _OBJECT = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtObj
+# The types of joints by MuJoCo's numbers.
+_JOINT_TYPES = {
+    int(_JOINT.mjJNT_FREE): "free",
+    int(_JOINT.mjJNT_BALL): "spherical",
+    int(_JOINT.mjJNT_SLIDE): "prismatic",
+    int(_JOINT.mjJNT_HINGE): "revolute",
+}
+# The arrays of a model that describe shapes and joints, and that users may change at any time.
+_MUTABLE = (
+    "geom_size",
+    "geom_pos",
+    "geom_quat",
+    "geom_contype",
+    "geom_conaffinity",
+    "jnt_range",
+    "jnt_limited",
+    "jnt_pos",
+    "jnt_axis",
+    "qpos0",
+    "hfield_data",
+)
+
+
+def fingerprint(model: Any) -> list[bytes]:
+    """Returns the content of a model's arrays that describe shapes and joints."""
+    return [getattr(model, name).tobytes() for name in _MUTABLE]
+
+
+def name_of(model: Any, type: Any, number: int, noun: str) -> str:
+    """Returns MuJoCo's name of a part of a model; its noun and number if it has none."""
+    return mujoco.mj_id2name(model, type, number) or f"{noun}_{number}"
+
+
+def body_names(model: Any) -> list[str]:
+    """Returns the names of all bodies of a model."""
+    return [name_of(model, _OBJECT.mjOBJ_BODY, n, "body") for n in range(model.nbody)]
+
+
+def roots_of(model: Any) -> list[int]:
+    """Returns the numbers of the roots of all trees, the world body first."""
+    numbers = np.arange(model.nbody)
+    return [int(number) for number in np.flatnonzero(model.body_rootid == numbers)]
+
+
+class ModelReader:
+    """Describes the bodies of a model.
+
+    Args:
+        model: the model.
+        names: names of entities by the number of the root, instead of MuJoCo's.
+        kinds: kinds of entities, likewise.
+        only: the numbers of the roots of the trees to describe; None for all.
+    """
+
+    def __init__(
+        self,
+        model: Any,
+        names: Mapping[int, str] | None,
+        kinds: Mapping[int, Kind] | None,
+        only: Collection[int] | None = None,
+    ) -> None:
+        self._only = only
+        self._model = model
+        self._names = names or {}
+        self._kinds = kinds or {}
+        self._link_names = body_names(model)
+        self._geoms = _by_owner(model.geom_bodyid, _colliding(model), model.nbody)
+        self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
+        self._geometries: dict[int, Geometry] = {}
+
+    def bodies(self) -> list[Body]:
+        """Returns all bodies, in the order of their numbers."""
+        roots = roots_of(self._model)
+        ends = [*roots[1:], self._model.nbody]
+        return [
+            self._body(root, range(root, end))
+            for root, end in zip(roots, ends, strict=True)
+            if (root or self._geoms[0]) and (self._only is None or root in self._only)
+        ]
+
+    def _body(self, root: int, links: range) -> Body:
+        model = self._model
+        joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
+        is_jointed = any(joint.type != "free" for joint in joints)
+        return Body(
+            handle=root,
+            name=self._names.get(root, self._link_names[root]),
+            kind=self._kinds.get(root, "robot" if is_jointed else "kinbody"),
+            movable=bool(joints) or bool((model.body_mocapid[links.start : links.stop] >= 0).any()),
+            links=tuple(self._link(number, root) for number in links),
+            joints=joints,
+            shapes=tuple(self._shape(n, link - root) for link in links for n in self._geoms[link]),
+        )
+
+    def _link(self, number: int, root: int) -> Link:
+        model = self._model
+        parent = -1 if number == root else int(model.body_parentid[number]) - root
+        return Link(self._link_names[number], parent, float(link_masses(model)[number]))
+
+    def _joint(self, number: int, link: int) -> Joint:
+        model = self._model
+        type: Any = _JOINT_TYPES[int(model.jnt_type[number])]
+        is_scalar = type in SCALAR_JOINTS
+        lower = upper = max_effort = None
+        if is_scalar and model.jnt_limited[number]:
+            lower, upper = model.jnt_range[number].tolist()
+        if model.jnt_actfrclimited[number]:
+            max_effort = float(np.abs(model.jnt_actfrcrange[number]).max())
+        return Joint(
+            name_of(model, _OBJECT.mjOBJ_JOINT, number, "joint"),
+            type,
+            link,
+            lower,
+            upper,
+            max_effort,
+            max_velocity=None,
+            axis=tuple(model.jnt_axis[number].tolist()) if is_scalar else (0.0, 0.0, 0.0),
+            anchor=tuple(model.jnt_pos[number].tolist()),
+            reference=float(model.qpos0[model.jnt_qposadr[number]]) if is_scalar else 0.0,
+        )
+
+    def _shape(self, number: int, link: int) -> PlacedGeometry:
+        model = self._model
+        geometry, centre, is_exact = _geometry(model, number)
+        geometry = self._geometries.setdefault(number, geometry)
+        position, orientation = model.geom_pos[number].copy(), model.geom_quat[number].copy()
+        if centre.any():
+            matrix = np.zeros(9)
+            mujoco.mju_quat2Mat(matrix, orientation)
+            position += matrix.reshape(3, 3) @ centre
+        return PlacedGeometry(
+            link, geometry, position, orientation, float(model.geom_margin[number]), is_exact
+        )
+
+
+def link_masses(model: Any) -> Array:
+    """Returns the masses of all bodies, kg; 0 for those that are fixed to the world."""
+    masses: Array = np.where(model.body_weldid == 0, 0.0, model.body_mass)
+    return masses
+
+
+def geoms_of(model: Any, body: Body) -> Indices:
+    """Returns the geoms that are the shapes of a body, in their order."""
+    links = np.arange(body.handle, body.handle + len(body.links))
+    numbers = _colliding(model)
+    owners = model.geom_bodyid[numbers]
+    chosen = numbers[np.isin(owners, links)]
+    order: Indices = chosen[np.argsort(model.geom_bodyid[chosen], kind="stable")]
+    return order
+
+
+def _colliding(model: Any) -> Indices:
+    """Returns the numbers of the geoms that can collide."""
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    for pairs in (model.pair_geom1, model.pair_geom2):
+        collides[pairs] = True
+    numbers: Indices = np.flatnonzero(collides)
+    return numbers
+
+
+def _by_owner(owners: Any, numbers: Indices, count: int) -> list[list[int]]:
+    """Returns the parts of each of a count of bodies, in their order."""
+    parts: list[list[int]] = [[] for _ in range(count)]
+    for number in numbers.tolist():
+        parts[owners[number]].append(number)
+    return parts
+
+
+def _geometry(model: Any, number: int) -> tuple[Geometry, Array, bool]:
+    """Returns the shape of a geom, its centre in the geom's frame, and whether it is exact."""
+    type = int(model.geom_type[number])
+    a, b, c = model.geom_size[number].tolist()
+    centre = np.zeros(3)
+    if type == _GEOM.mjGEOM_PLANE:
+        return Geometry.primitive("plane", (0, 0, 1)), centre, True
+    if type == _GEOM.mjGEOM_BOX:
+        return Geometry.primitive("box", (2 * a, 2 * b, 2 * c)), centre, True
+    if type == _GEOM.mjGEOM_SPHERE:
+        return Geometry.primitive("sphere", (a, 0, 0)), centre, True
+    if type == _GEOM.mjGEOM_CAPSULE:
+        return Geometry.primitive("capsule", (a, 2 * b, 0)), centre, True
+    if type == _GEOM.mjGEOM_CYLINDER:
+        return Geometry.primitive("cylinder", (a, 2 * b, 0)), centre, True
+    if type == _GEOM.mjGEOM_MESH:
+        return Geometry.hull(_hull_vertices(model, int(model.geom_dataid[number]))), centre, True
+    box = model.geom_aabb[number]
+    return Geometry.primitive("box", 2 * box[3:]), box[:3].copy(), False
+
+
+def _hull_vertices(model: Any, mesh: int) -> Array:
+    """Returns the corners of the hull by which MuJoCo collides a mesh, in the mesh's frame."""
+    first = int(model.mesh_vertadr[mesh])
+    vertices: Array = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+    graph = int(model.mesh_graphadr[mesh])
+    if graph < 0:
+        return vertices
+    # The graph: the number of corners, that of faces, an address for each corner, its number.
+    count = int(model.mesh_graph[graph])
+    start = graph + 2 + count
+    corners: Array = vertices[model.mesh_graph[start : start + count]]
+    return corners
+
+
+def is_same(one: Body, other: Body) -> bool:
+    """Checks whether two descriptions of a body are the same but for their identity."""
+    return (
+        (one.handle, one.name, one.kind, one.movable, one.joints)
+        == (other.handle, other.name, other.kind, other.movable, other.joints)
+        and [(link.name, link.parent) for link in one.links]
+        == [(link.name, link.parent) for link in other.links]
+        and len(one.shapes) == len(other.shapes)
+        and all(map(_is_same_shape, one.shapes, other.shapes))
+    )
+
+
+def _is_same_shape(one: PlacedGeometry, other: PlacedGeometry) -> bool:
+    return (
+        (one.frame, one.geometry.key, one.exact) == (other.frame, other.geometry.key, other.exact)
+        and np.array_equal(one.position, other.position)
+        and np.array_equal(one.orientation, other.orientation)
+    )
+
+
+def inexact(bodies: Sequence[Body]) -> Iterator[str]:
+    """Yields the names of bodies with a shape that a box stands in for."""
+    return (body.name for body in bodies if body.has_stand_ins)

@@ -1,0 +1,337 @@
+"""A MuJoCo model and its data as a `Simulator`.
+
+MuJoCo's state is in arrays, which a tick copies: no call for each body is needed. Velocities are
+stated at the subtree's centre of mass in MuJoCo (`cvel`); ssduck moves them to the body frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ssduck.errors import SimulatorError, UnsupportedError, warn
+from ssduck.formatting import joined_names
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.poses import cross
+from ssduck.simulators.clock import Clock
+from ssduck.simulators.interface import (
+    SCALAR_JOINTS,
+    Body,
+    ContactPoints,
+    Kind,
+    LinkPoses,
+    MotorTarget,
+)
+from ssduck.simulators.mujoco.actuators import drive, hold_positions
+from ssduck.simulators.mujoco.bodies import (
+    ModelReader,
+    fingerprint,
+    geoms_of,
+    inexact,
+    is_same,
+    link_masses,
+)
+from ssduck.simulators.mujoco.contacts import read_contacts
+from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.sources import Source
+from ssduck.simulators.partial import PartialSimulator
+
+# The number of lists of bodies whose rows stay prepared.
+_PREPARED = 4
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of some bodies in MuJoCo's arrays.
+
+    Attributes:
+        bodies: the bodies.
+        links: the number of each link.
+        roots: the number of the root of each link's tree.
+    """
+
+    bodies: tuple[Body, ...]
+    links: Indices | slice
+    roots: Indices
+
+
+class MuJoCoSimulator(PartialSimulator):
+    """A MuJoCo model and its data as a `Simulator`.
+
+    Args:
+        source: returns the model and the data as they are now.
+        owned: whether ssduck made them; else the user steps and changes them.
+        names: names of entities by the number of the root body, instead of MuJoCo's.
+        kinds: kinds of entities, likewise.
+        only: the numbers of the root bodies of the entities to describe; None for all.
+        forward: whether each tick has the poses, velocities and contacts that follow from the
+            joint positions of its time. MuJoCo's own are those at the beginning of the last step.
+
+    Attributes:
+        model: the model at the last tick.
+        data: the data at the last tick.
+        episode: is incremented when the time has fallen or the model is another one.
+    """
+
+    backend = "mujoco"
+    keeps_time = True
+    disabled: frozenset[Body] = frozenset()
+    hidden: frozenset[Body] = frozenset()
+
+    def __init__(
+        self,
+        source: Source,
+        *,
+        owned: bool,
+        names: Mapping[int, str] | None = None,
+        kinds: Mapping[int, Kind] | None = None,
+        only: Collection[int] | None = None,
+        forward: bool = False,
+    ) -> None:
+        self.is_external = not owned
+        self._source = source
+        self._names, self._kinds, self._only = names, kinds, only
+        self._forward = forward
+        self.model, self.data = source()
+        # A copy of the data in which the derived quantities are computed; None until needed.
+        self._copy: Any = None
+        self._state: Any = self.data
+        # What the bodies were described from, and the bodies.
+        self._described: tuple[Any, list[bytes]] | None = None
+        self._bodies: list[Body] = []
+        self._rows: list[_Rows] = []
+        self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
+        self._warned: set[str] = set()
+        self._is_closed = False
+        self.episode, self._last_time = 0, float(self.data.time)
+
+    # -- bodies ---------------------------------------------------------------------------
+
+    def describe(self) -> tuple[list[Body], list[Body]] | None:
+        """Returns the bodies that came and went since the last call.
+
+        A body of a new model stays the same if nothing about it changed.
+        """
+        self._refresh()
+        model, content = self.model, fingerprint(self.model)
+        known = self._described
+        if known is not None and known[0] is model and known[1] == content:
+            return None
+        reader = ModelReader(model, self._names, self._kinds, self._only)
+        before = {body.handle: body for body in self._bodies}
+        bodies = []
+        for body in reader.bodies():
+            old = before.get(body.handle)
+            bodies.append(old if old is not None and is_same(old, body) else body)
+        added = [body for body in bodies if before.get(body.handle) is not body]
+        kept = set(bodies).difference(added)
+        gone = [body for body in self._bodies if body not in kept]
+        self._described, self._bodies = (model, content), bodies
+        self._rows, self._joint_rows = [], None
+        self._warn_of_boxes(added)
+        return (added, gone) if added or gone else None
+
+    def has(self, body: Body) -> bool:
+        """Checks whether the present model has a body."""
+        return any(one is body for one in self._bodies)
+
+    def _refresh(self) -> None:
+        """Finds the present model and data, and the derived quantities of the tick."""
+        if self._is_closed:
+            raise SimulatorError("the world is closed; load or attach the world again")
+        before, (self.model, self.data) = self.model, self._source()
+        time = self.time
+        if self.model is not before or time < self._last_time:
+            self.episode += 1
+        self._last_time = time
+        # The first number is 0 in data whose poses MuJoCo never computed, or reset since.
+        if not self._forward and self.data.xquat[0, 0]:
+            self._state = self.data
+            return
+        if self._copy is None or self._copy.model is not self.model:
+            self._copy = mujoco.MjData(self.model)
+        # The user's data remains as it is, to the last bit.
+        mujoco.mj_copyData(self._copy, self.model, self.data)
+        mujoco.mj_forward(self.model, self._copy)
+        self._state = self._copy
+
+    def _warn_of_boxes(self, bodies: Sequence[Body]) -> None:
+        names = [name for name in inexact(bodies) if name not in self._warned]
+        if names:
+            self._warned.update(names)
+            warn(
+                f"{joined_names(names)}: bounding boxes are used instead of shapes that ssduck "
+                "does not know (ellipsoids, height fields and signed distance fields are such), "
+                "which have exact = false in the table of shapes"
+            )
+
+    # -- state ----------------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Simulated seconds, as MuJoCo counts them."""
+        return float(self.data.time)
+
+    @property
+    def timestep(self) -> float:
+        """The length of the next step, simulated seconds."""
+        return float(self.model.opt.timestep)
+
+    @property
+    def clock(self) -> Clock:
+        """A clock at the present time."""
+        return Clock(self.timestep, self.time)
+
+    def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
+        """Returns the poses and velocities of all links of some bodies, body after body."""
+        rows = self._rows_of(bodies)
+        state, links = self._state, rows.links
+        positions = state.xpos[links].copy() if isinstance(links, slice) else state.xpos[links]
+        count = len(positions)
+        matrices = state.xmat[links].reshape(count, 3, 3)
+        if isinstance(links, slice):
+            matrices = matrices.copy()
+        twists = state.cvel[links]
+        states = np.zeros((count, 13))
+        states[:, :3] = positions
+        states[:, 3:7] = state.xquat[links]
+        arms = positions - state.subtree_com[rows.roots]
+        states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
+        states[:, 10:] = twists[:, :3]
+        return LinkPoses(positions, matrices, states)
+
+    def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:
+        for rows in self._rows:
+            if rows.bodies is bodies:
+                return rows
+        counts = [len(body.links) for body in bodies]
+        roots = np.repeat([body.handle for body in bodies], counts).astype(np.intp)
+        ranges = [np.arange(body.handle, body.handle + len(body.links)) for body in bodies]
+        links: Indices | slice = np.concatenate([np.zeros(0, np.intp), *ranges]).astype(np.intp)
+        assert not isinstance(links, slice)
+        if len(links) and np.array_equal(links, np.arange(links[0], links[0] + len(links))):
+            links = slice(int(links[0]), int(links[-1]) + 1)
+        rows = _Rows(bodies, links, roots)
+        self._rows = [rows, *self._rows[: _PREPARED - 1]]
+        return rows
+
+    def read_joints(self, bodies: Sequence[Body]) -> Array:
+        """Returns the position, velocity and effort of the joints of some bodies, (joints, 3).
+
+        The effort is the force of the actuators on the joint in the last step.
+        """
+        known = self._joint_rows
+        if known is None or known[0] != tuple(bodies):
+            numbers = self.joint_numbers(bodies)
+            types = [joint.type for body in bodies for joint in body.joints]
+            is_scalar = np.array([type in SCALAR_JOINTS for type in types], dtype=bool)
+            positions = self.model.jnt_qposadr[numbers].astype(np.intp)
+            velocities = self.model.jnt_dofadr[numbers].astype(np.intp)
+            unknown = np.where(is_scalar, 0.0, np.nan)[:, None]
+            known = self._joint_rows = tuple(bodies), unknown, positions, velocities
+        _, unknown, positions, velocities = known
+        state = self._state
+        columns = state.qpos[positions], state.qvel[velocities], state.qfrc_actuator[velocities]
+        values: Array = np.stack(columns, axis=1) + unknown
+        return values
+
+    def joint_numbers(self, bodies: Sequence[Body]) -> Indices:
+        """Returns MuJoCo's numbers of the joints of some bodies, in order."""
+        model = self.model
+        links = [
+            range(int(model.body_jntadr[n]), int(model.body_jntadr[n] + model.body_jntnum[n]))
+            for body in bodies
+            for n in range(body.handle, body.handle + len(body.links))
+        ]
+        return np.array([number for joints in links for number in joints], dtype=np.intp)
+
+    def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """Returns the masses of bodies' links; the last known ones if a body is gone."""
+        masses = link_masses(self.model)
+        present = set(self._bodies)
+        return [
+            masses[body.handle : body.handle + len(body.links)].tolist()
+            if body in present
+            else body.masses
+            for body in bodies
+        ]
+
+    def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
+        """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
+        present = set(self._bodies)
+        return [
+            self.model.geom_margin[geoms_of(self.model, body)].tolist()
+            if body in present
+            else body.margins
+            for body in bodies
+        ]
+
+    def read_contacts(self) -> ContactPoints:
+        """Returns the contact points of the last step between geoms."""
+        contacts = read_contacts(self.model, self._state)
+        if self._only is None:
+            return contacts
+        # Those of the step before the other bodies were left out.
+        is_chosen = np.isin(contacts.bodies, list(self._only))
+        return contacts.select(is_chosen[:, 0] & is_chosen[:, 1])
+
+    def step(self, count: int) -> None:
+        """Advances by a number of steps."""
+        self._refresh()
+        mujoco.mj_step(self.model, self.data, count)
+
+    # -- changes --------------------------------------------------------------------------
+
+    def place(self, body: Body, position: Array, orientation: Array) -> None:
+        """Puts the base of a body at a pose, at rest.
+
+        A base without joints has its pose in the model.
+        """
+        model, data, root = self.model, self.data, body.handle
+        base_joints = [joint for joint in body.joints if joint.link == 0]
+        if root == 0:
+            raise UnsupportedError("the world body does not move")
+        if base_joints and base_joints[0].type != "free":
+            names = joined_names([joint.name for joint in base_joints])
+            raise UnsupportedError(f"the base of {body.name!r} moves by its joints: set {names}")
+        pose = np.concatenate((position, orientation))
+        mocap = int(model.body_mocapid[root])
+        if base_joints:
+            joint = int(model.body_jntadr[root])
+            first, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+            data.qpos[first : first + 7] = pose
+            data.qvel[velocity : velocity + 6] = 0.0
+        elif mocap >= 0:
+            data.mocap_pos[mocap], data.mocap_quat[mocap] = position, orientation
+        else:
+            model.body_pos[root], model.body_quat[root] = position, orientation
+        mujoco.mj_forward(model, data)
+
+    def set_joints(self, body: Body, positions: Mapping[int, float]) -> None:
+        """Sets joints by their indices, at rest.
+
+        Position actuators of a simulation that ssduck made hold the new positions.
+        """
+        numbers = self.joint_numbers([body])
+        model, data = self.model, self.data
+        for index, position in positions.items():
+            data.qpos[model.jnt_qposadr[numbers[index]]] = position
+            data.qvel[model.jnt_dofadr[numbers[index]]] = 0.0
+        if not self.is_external:
+            hold_positions(model, data, {int(numbers[n]): p for n, p in positions.items()})
+        mujoco.mj_forward(model, data)
+
+    def drive(self, body: Body, motors: Mapping[int, MotorTarget]) -> None:
+        """Sets the controls of the actuators of joints, by the indices of the joints."""
+        numbers = self.joint_numbers([body])
+        targets = {
+            int(numbers[index]): (body.joints[index], motor) for index, motor in motors.items()
+        }
+        drive(self.model, self.data, body.name, targets)
+
+    def close(self) -> None:
+        """Ends reading; the model and the data of the user remain."""
+        self._is_closed = True

@@ -1,0 +1,113 @@
+"""Recognises the simulator of an object or of a scene, without importing any simulator.
+
+Environments keep their simulation in different places. `parts_of` looks into those of gymnasium,
+dm_control and robosuite.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from ssduck import validation
+from ssduck.errors import SimulatorError
+from ssduck.formatting import short_repr
+from ssduck.simulators.interface import DEFAULT_BACKEND
+from ssduck.simulators.scenes import Scene
+
+MUJOCO = "mujoco"
+# The attributes under which an object keeps its model and data, or an object that has them:
+# wrappers of gymnasium, physics of dm_control, `sim` of robosuite, and the bindings of both.
+_INNER = ("unwrapped", "physics", "sim", "env", "_physics", "_sim")
+# The attributes under which a binding keeps MuJoCo's own object.
+_POINTERS = ("ptr", "_model", "_data")
+# The attributes under which an environment keeps a PyBullet client.
+_CLIENTS = ("_client", "physics_client", "_physics_client_id")
+_MAX_DEPTH = 4
+
+
+def simulator_of(simulation: Any) -> str:
+    """Returns the name of the simulator of a client, a model with its data, or an environment.
+
+    Raises:
+        SimulatorError: the object has none that is known.
+    """
+    candidate = simulation() if callable(simulation) and not _has_parts(simulation) else simulation
+    if validation.is_integer(candidate) or any(hasattr(candidate, name) for name in _CLIENTS):
+        return DEFAULT_BACKEND
+    if parts_of(candidate) is not None:
+        return MUJOCO
+    raise SimulatorError(
+        f"attach: {short_repr(simulation)} is no connected PyBullet client, and it has no MuJoCo "
+        "model and data, neither itself (model, data) nor as unwrapped, physics or sim; give "
+        "World.attach(client), World.attach(model, data), or a function that returns model and data"
+    )
+
+
+def parts_of(simulation: Any) -> tuple[Any, Any] | None:
+    """Returns MuJoCo's model and data of an object; None if it has none.
+
+    Args:
+        simulation: a pair of both, or an object that has both as `model` and `data`, itself or in
+            one of its parts.
+    """
+    if isinstance(simulation, tuple):
+        if len(simulation) != 2:
+            return None
+        model, data = (_own(part, name) for part, name in zip(simulation, _NAMES, strict=True))
+        return None if model is None or data is None else (model, data)
+    return next(_pairs(simulation, _MAX_DEPTH), None)
+
+
+def simulator_of_scene(scene: Scene) -> str:
+    """Returns the name of the simulator that loads a scene by default.
+
+    MuJoCo loads an MJCF file by itself, if it is installed, PyBullet everything else.
+    """
+    is_file = len(scene.bodies) == 1 and scene.bodies[0].model == scene.path.resolve()
+    if is_file and find_spec(MUJOCO) is not None and _is_mjcf(scene.path):
+        return MUJOCO
+    return DEFAULT_BACKEND
+
+
+def _is_mjcf(path: Path) -> bool:
+    """Checks whether a file has the root element of MJCF."""
+    try:
+        with path.open("rb") as file:
+            for _, element in ET.iterparse(file, events=("start",)):  # noqa: S314  # only the root
+                return bool(element.tag == "mujoco")
+    except (OSError, ET.ParseError):
+        return False
+    return False
+
+
+_NAMES = ("MjModel", "MjData")
+
+
+def _has_parts(simulation: Any) -> bool:
+    return not isinstance(simulation, type) and parts_of(simulation) is not None
+
+
+def _pairs(simulation: Any, depth: int) -> Iterator[tuple[Any, Any]]:
+    """Yields the models and data of an object, the outermost first."""
+    model = _own(getattr(simulation, "model", None), "MjModel")
+    data = _own(getattr(simulation, "data", None), "MjData")
+    if model is not None and data is not None:
+        yield model, data
+    if depth:
+        for name in _INNER:
+            inner = getattr(simulation, name, None)
+            if inner is not None and inner is not simulation:
+                yield from _pairs(inner, depth - 1)
+
+
+def _own(part: Any, name: str) -> Any:
+    """Returns MuJoCo's own object of a class, which a binding may wrap; None if it is none."""
+    for candidate in (part, *(getattr(part, pointer, None) for pointer in _POINTERS)):
+        kind = type(candidate)
+        if kind.__name__ == name and kind.__module__.partition(".")[0] == "mujoco":
+            return candidate
+    return None

@@ -1,0 +1,386 @@
+"""MuJoCo simulations of the user's as worlds, compared with MuJoCo's own functions."""
+
+import re
+import subprocess
+import sys
+import types
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.errors import (
+    ArgumentError,
+    ProgramWarning,
+    SimulatorError,
+    StateError,
+    UnknownNameError,
+    UnsupportedError,
+)
+from ssduck.geometry.poses import rotation_matrices
+from tests.support.mjcf import LAB, random_state
+
+mujoco = pytest.importorskip("mujoco")
+BODY = mujoco.mjtObj.mjOBJ_XBODY
+
+
+@pytest.fixture(scope="module")
+def model():
+    return mujoco.MjModel.from_xml_string(LAB)
+
+
+@pytest.fixture
+def data(model):
+    return mujoco.MjData(model)
+
+
+def rows(world, table, *columns):
+    world.request_tables([table])
+    arrow = world.snapshot.tables[table].arrow
+    return list(zip(*(arrow[column].to_pylist() for column in columns), strict=True))
+
+
+def test_entities_are_the_trees_below_the_world(model, data):
+    world = ssduck.World.attach(model, data, {"ball": "egg", 2: "cube"}, {"hand": "robot"})
+    found = [(entity.name, entity.kind, entity.mass) for entity in world]
+    fore_and_arm = sum(model.body_mass[model.body("arm").id : model.body("hand").id])
+    assert found == [
+        ("world", "kinbody", 0.0),
+        ("table", "kinbody", 0.0),  # fixed to the world
+        ("cube", "kinbody", 2.0),
+        ("egg", "kinbody", 0.5),
+        ("wedge", "kinbody", 1.0),
+        ("arm", "robot", pytest.approx(fore_and_arm)),
+        ("hand", "robot", pytest.approx(4000 / 3 * np.pi * 0.1**3)),
+    ]
+    assert [link.name for link in world["arm"].links] == ["arm", "fore", "body_7"]
+    kinds = rows(world, "joints", "name", "type", "link", "joint", "lower")
+    assert kinds == [
+        ("joint_0", "free", 0, 0, None),
+        ("joint_1", "free", 0, 0, None),
+        ("joint_2", "free", 0, 0, None),
+        ("turn", "revolute", 0, 0, None),
+        ("push", "prismatic", 1, 1, -0.5),
+        ("bend", "revolute", 1, 2, pytest.approx(-np.pi / 2)),
+        ("wrist", "spherical", 2, 3, None),
+    ]
+    # What is only drawn has no shape.
+    assert [e for (e,) in rows(world, "shapes", "entity")].count(world["world"].id) == 1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_links_are_where_mujoco_has_them_and_as_fast(model, data, seed):
+    random_state(model, data, seed)
+    world = ssduck.World.attach(model, data)
+    world.request_tables(["links", "joints"])
+    numbers = [0, *range(1, model.nbody)]
+    links = world.snapshot.tables["links"]
+    assert np.array_equal(links.doubles("x", "z").T, data.xpos[numbers])
+    matrices = rotation_matrices(links.doubles("qw", "qz").T)
+    assert matrices == pytest.approx(data.xmat[numbers].reshape(-1, 3, 3), abs=1e-12)
+    for number, found in zip(numbers, links.doubles("vx", "wz").T, strict=True):
+        expected = np.zeros(6)
+        mujoco.mj_objectVelocity(model, data, BODY, number, expected, 0)
+        assert found == pytest.approx([*expected[3:], *expected[:3]], abs=1e-12)
+    for name, position, velocity in rows(world, "joints", "name", "position", "velocity"):
+        if name in {"turn", "push", "bend"}:
+            joint = model.joint(name)
+            assert (position, velocity) == (data.qpos[joint.qposadr[0]], data.qvel[joint.dofadr[0]])
+        else:
+            assert position is None
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_contacts_have_the_forces_that_mujoco_tells(cone):
+    """Every number of friction axes, and a contact at a distance that a margin allows."""
+    bodies = "".join(
+        f'<body name="b{n}" pos="{n} 0 .099"><freejoint/>'
+        f'<geom type="{kind}" size=".1 .1 .1" condim="{dim}" margin="{margin}" friction=".7 .1 .2"/></body>'
+        for n, (kind, dim, margin) in enumerate(
+            [("box", 1, 0), ("sphere", 3, 0), ("box", 4, 0), ("sphere", 6, 0.02), ("box", 3, 0.02)]
+        )
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option cone="{cone}"/><worldbody><geom type="plane" size="0 0 1" condim="1" '
+        f'margin="0.01"/>{bodies}</worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    data.qvel[0::6] = 0.5  # they slide
+    mujoco.mj_step(model, data, 50)
+    world = ssduck.World.attach(model, data)
+    found = rows(world, "contacts", "b", "ax", "ay", "az", "bx", "by", "bz", "nx", "ny", "nz",
+                 "depth", "force", "fx", "fy", "fz")  # fmt: skip
+    expected = []
+    for number in range(data.ncon):
+        contact, force = data.contact[number], np.zeros(6)
+        mujoco.mj_contactForce(model, data, number, force)
+        if contact.dist > 0 and not force[0]:
+            continue
+        frame = contact.frame.reshape(3, 3)  # from the plane, entity 1, to the body
+        half = frame[0] * contact.dist / 2
+        entity = 1 + int(model.geom_bodyid[contact.geom[1]])
+        expected.append(
+            (
+                entity,
+                *(contact.pos - half),
+                *(contact.pos + half),
+                *-frame[0],
+                -contact.dist,
+                force[0],
+                *(-force[:3] @ frame),
+            )
+        )
+    assert len(found) == len(expected) > 10
+    # By entity and point; the points differ by far more than rounding.
+    key = lambda row: [row[0], *np.round(row[1:4], 9)]  # noqa: E731
+    for one, other in zip(sorted(found, key=key), sorted(expected, key=key), strict=True):
+        assert one == pytest.approx(other, abs=1e-9)
+
+
+def test_contact_forces_carry_the_weights(model, data):
+    with ssduck.Interpreter() as ss:
+        lab = ss.add_variable("lab", ssduck.World.attach(model, data))
+        mujoco.mj_step(model, data, 1500)
+        lab.tick()
+        ask = "SELECT id FROM lab WHERE inContact(this, lab.table) AS list;"
+        assert ss.eval(ask) == ["box", "ball", "wedge"]
+        on = "SELECT id FROM lab WHERE on(lab.table, this) AS list;"
+        assert ss.eval(on) == ["box", "ball", "wedge"]
+        forces = ss.eval(
+            "SELECT contactForce(this, lab.table) FROM lab WHERE inContact(this, lab.table) AS list;"
+        )
+        assert forces == pytest.approx([2 * 9.81, 0.5 * 9.81, 9.81], rel=1e-3)
+
+
+def test_the_simulation_of_the_user_is_not_touched(model):
+    """Not by a bit: ticks read, whether they compute the poses of their own time or not."""
+    bare, plain, forward = (mujoco.MjData(model) for _ in range(3))
+    worlds = [ssduck.World.attach(model, plain), ssduck.World.attach(model, forward, forward=True)]
+    for _ in range(20):
+        for data in (bare, plain, forward):
+            mujoco.mj_step(model, data)
+        for world in worlds:
+            world.tick().request_tables(["links", "joints", "shapes", "contacts"])
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+    states = np.zeros((3, size))
+    for state, data in zip(states, (bare, plain, forward), strict=True):
+        mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    assert np.array_equal(states[0], states[1])
+    assert np.array_equal(states[0], states[2])
+    # Without a forward pass the poses are those at the beginning of the last step.
+    box = model.body("box").id
+    assert np.array_equal(worlds[0]["box"].position, bare.xpos[box])
+    assert worlds[1]["box"].position[2] == pytest.approx(bare.qpos[2], abs=1e-12)
+    assert worlds[0]["box"].position[2] != worlds[1]["box"].position[2]
+
+
+def test_a_reset_begins_an_episode(model, data, tmp_path):
+    heard = []
+    with ssduck.Interpreter() as ss:
+        lab = ss.add_variable("lab", ssduck.World.attach(model, data))
+        ball = lab["ball"]
+        ss.record_to(tmp_path / "run")
+        ss.add_trigger(
+            "late", "SELECT time FROM lab WHERE id == 'ball' AS value;", 0.004, heard.append
+        )
+        for _ in range(3):
+            mujoco.mj_step(model, data)
+            lab.tick()
+        # The recording of all tables took another tick at the start.
+        assert ss.past("lab").times == pytest.approx([0.0, 0.0, 0.002, 0.004, 0.006])
+        run, other = lab.snapshot.run, ssduck.World.attach(model, data)
+        mujoco.mj_resetData(model, data)
+        with pytest.raises(StateError, match=r"was reset since the last tick: call tick\(\)"):
+            other.request_tables(["joints"])
+        lab.tick()
+        assert (lab.time, lab.snapshot.run == run) == (0.0, False)
+        mujoco.mj_step(model, data)
+        mujoco.mj_step(model, data)
+        lab.tick()
+        assert ss.past("lab").times == pytest.approx([0.0, 0.004])
+        assert heard == pytest.approx([0.0, 0.004, 0.0, 0.004])
+        assert ball in lab  # its model is the same
+    episodes = [episode.ticks for episode in ssduck.episodes(tmp_path / "run")]
+    assert episodes == [4, 2]
+
+
+def test_a_model_that_is_built_anew(model):
+    """Entities stay if nothing about them changed; one that changed is another one."""
+    text = {"now": LAB}
+    made = []
+
+    def reset():
+        built = mujoco.MjModel.from_xml_string(text["now"])
+        made.append((built, mujoco.MjData(built)))
+
+    reset()
+    world = ssduck.World.attach(lambda: made[-1])
+    before = {entity.name: entity.id for entity in world}
+    reset()
+    world.tick()
+    assert {entity.name: entity.id for entity in world} == before
+    text["now"] = LAB.replace('size=".05" mass=".5"', 'size=".07" mass=".5"')
+    reset()
+    world.tick()
+    after = {entity.name: entity.id for entity in world}
+    assert {name for name in before if before[name] != after[name]} == {"ball"}
+    assert world["ball"].aabb[1][2] == pytest.approx(0.451 + 0.07)
+    # The same where the user writes into the model.
+    made[-1][0].geom_size[made[-1][0].geom("floor").id + 2] = 0.6  # of the table
+    world.tick()
+    assert world["table"].aabb[1][2] == pytest.approx(0.2 + 0.6)
+
+
+def test_masses_and_margins_are_those_of_now(model):
+    model = mujoco.MjModel.from_xml_string(LAB)
+    world = ssduck.World.attach(model, mujoco.MjData(model))
+    model.body_mass[model.body("box").id] = 5.0
+    model.geom_margin[:] = 0.25
+    world.tick()
+    world.request_tables(["entities", "masses", "shapes", "margins"])
+    assert world["box"].mass == 5.0
+    assert set(rows(world, "shapes", "margin")) == {(0.25,)}
+
+
+class _Wrapped:
+    def __init__(self, **parts):
+        self.__dict__.update(parts)
+
+
+def _named(cls):
+    """A binding's class: not MuJoCo's own, with a pointer to that."""
+    return type(cls, (_Wrapped,), {})
+
+
+PLACES = {
+    "gymnasium": lambda m, d: _Wrapped(unwrapped=_Wrapped(model=m, data=d)),
+    "dm_control": lambda m, d: _Wrapped(
+        physics=_Wrapped(model=_named("MjModel")(ptr=m), data=_named("MjData")(ptr=d))
+    ),
+    "robosuite": lambda m, d: _Wrapped(
+        sim=_Wrapped(model=_named("MjModel")(_model=m), data=_named("MjData")(_data=d))
+    ),
+    "wrapped twice": lambda m, d: _Wrapped(
+        env=_Wrapped(env=_Wrapped(sim=_Wrapped(model=m, data=d)))
+    ),
+    "pair": lambda m, d: (m, d),
+    "function": lambda m, d: lambda: (m, d),
+    "function of an environment": lambda m, d: lambda: _Wrapped(model=m, data=d),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_environments_say_where_their_simulation_is(model, data, place):
+    world = ssduck.World.attach(PLACES[place](model, data))
+    assert world.simulator.data is data
+    assert world["ball"].position[2] == pytest.approx(0.451)
+
+
+WRONG = {
+    "no simulation": (lambda m, d: ((object(),), {}), SimulatorError, "no connected PyBullet client, and it has no MuJoCo"),
+    "no data": (lambda m, d: ((m, "data"), {}), SimulatorError, "it has no MuJoCo model and data"),
+    "function of nothing": (lambda m, d: ((lambda: None,), {}), SimulatorError, "no MuJoCo model"),
+    "name": (lambda m, d: ((m, d, {"bal": "x"}), {}), UnknownNameError, r"no body 'bal'.*ball"),
+    "number": (lambda m, d: ((m, d, {99: "x"}), {}), ArgumentError, "its bodies are 0 to"),
+    "link": (lambda m, d: ((m, d, {"fore": "x"}), {}), ArgumentError, "link of the entity 'arm'"),
+    "kind": (lambda m, d: ((m, d), {"kinds": {"arm": "sensor"}}), ArgumentError, "'sensor' is no"),
+    "shapes": (lambda m, d: ((m, d), {"shapes": {0: None}}), ArgumentError, "MuJoCo gives all"),
+    "twice": (lambda m, d: ((m, d, {}), {"names": {1: "x"}}), ArgumentError, "given twice"),
+    "too many": (lambda m, d: ((m, d, {}, {}, 5), {}), ArgumentError, "too many values: {}, {}, 5"),
+    "simulator": (lambda m, d: ((m, d), {"simulator": "mujco"}), UnknownNameError, "mujoco"),
+    "forward": (lambda m, d: ((m, d), {"forward": 2}), ArgumentError, "forward"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_arguments_are_told_at_once(model, data, case):
+    arguments, error, text = WRONG[case]
+    values, named = arguments(model, data)
+    with pytest.raises(error) as caught:
+        ssduck.World.attach(*values, **named)
+    assert re.search(text, str(caught.value))
+
+
+def test_data_of_another_model_is_told(model):
+    other = mujoco.MjModel.from_xml_string("<mujoco/>")
+    with pytest.raises(SimulatorError, match="of another model: it has 1 bodies, the model 9"):
+        ssduck.World.attach(model, mujoco.MjData(other))
+
+
+def test_ticks_take_no_time_from_the_user(model, data):
+    world = ssduck.World.attach(model, data)
+    with pytest.raises(ArgumentError, match="keeps the time itself"):
+        world.tick(steps=1)
+    mujoco.mj_step(model, data, 7)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        with pytest.warns(ProgramWarning, match=r"has moved on.*call tick\(\) after each step$"):
+            ss.eval("SELECT id FROM lab;")
+    assert world.tick().time == pytest.approx(0.014)
+    assert world.step(3).time == pytest.approx(0.02)
+
+
+UNSUPPORTED = {
+    "rays": lambda world: world.reading(world.add_sensor("range_finder", "ball", max_range=1.0)),
+    "picture": lambda world: world.render(10, 10),
+    "save": lambda world: world.save("nowhere/at/all"),
+    "hold": lambda world: world["arm"].hold(world["ball"]),
+    "hide": lambda world: setattr(world["ball"], "visible", False),
+}
+
+
+@pytest.mark.parametrize("action", UNSUPPORTED)
+def test_what_is_not_supported_says_so(model, data, action):
+    world = ssduck.World.attach(model, data)
+    with pytest.raises(UnsupportedError, match="MuJoCo"):
+        UNSUPPORTED[action](world)
+
+
+def test_a_closed_world_says_so(model, data):
+    world = ssduck.World.attach(model, data)
+    world.close()
+    with pytest.raises(SimulatorError, match="the world is closed"):
+        world.tick()
+    mujoco.mj_step(model, data)  # the simulation goes on
+
+
+def test_ssduck_works_without_mujoco():
+    """It is imported when a world needs it, and its absence is told then."""
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "import ssduck, types\n"
+        "ss = ssduck.Interpreter()\n"
+        "from ssduck.simulators.backends import backend\n"
+        "try: backend('mujoco')\n"
+        "except ssduck.errors.UnsupportedError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "pip install 'ssduck[mujoco]'" in done.stdout
+
+
+def test_a_file_is_loaded_and_run(tmp_path):
+    path = tmp_path / "lab.xml"
+    path.write_text(LAB)
+    with ssduck.load(path) as ss:
+        lab = ss.call_variable("lab")
+        assert lab.simulator.backend == "mujoco"
+        lab.run(0.1)
+        bare = mujoco.MjModel.from_xml_string(LAB)
+        data = mujoco.MjData(bare)
+        mujoco.mj_forward(bare, data)
+        mujoco.mj_step(bare, data, 50)
+        assert np.array_equal(lab["ball"].position, data.xpos[bare.body("ball").id])
+        heights = ss.eval("SELECT z FROM lab{} WHERE id == 'ball' AS list;")
+        assert all(a >= b for a, b in pairwise(heights[:5]))
+        assert len(heights) == 51
+    path.write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
+    with pytest.raises(ssduck.errors.SceneError, match=r"lab\.xml cannot be loaded: .*size"):
+        ssduck.load(path)
+    with pytest.raises(UnsupportedError, match="MuJoCo loads model files by themselves"):
+        ssduck.load("kitchen", simulator="mujoco")
+
+
+def test_a_module_is_no_environment():
+    with pytest.raises(SimulatorError, match="unwrapped, physics or sim"):
+        ssduck.World.attach(types)
