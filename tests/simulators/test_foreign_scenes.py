@@ -153,6 +153,20 @@ def deep(tag: str, count: int = 100_000) -> str:
     return f"<{tag}>" * count + f"</{tag}>" * count
 
 
+def joints(first: str, second: str, *children: str) -> str:
+    """Returns a model of three links and two joints; some crash PyBullet 3.2.7."""
+    link = f'<link name="{{}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'
+    names = zip((first, second), children, strict=True)
+    return (
+        f"<robot name='r'>{''.join(map(link.format, 'abc'))}"
+        + "".join(
+            f'<joint name="{name}" type="fixed"><parent link="a"/><child link="{child}"/></joint>'
+            for name, child in names
+        )
+        + "</robot>"
+    )
+
+
 # (file, text, words of the error)
 WRONG = [
     *(("s.urdf", urdf(mass=value), f"<mass value> {words}") for value, words in
@@ -174,6 +188,10 @@ WRONG = [
     ("s.urdf", urdf(more=deep("a")), "nesting is too deep"),
     ("s.sdf", sdf(deep("a")), "nesting is too deep"),
     ("s.xml", f"<mujoco><worldbody>{deep('body')}</worldbody></mujoco>", "nesting is too deep"),
+    ("s.urdf", joints("j", "j2", "b", "b"), "2 joints have the child 'b'"),
+    ("s.urdf", joints("j", "j", "b", "c"), "2 joints have the name 'j'"),
+    ("s.urdf", urdf().replace('"base"', f'"{"b" * 9000}"'), "a name of 9000 bytes; at most 1023"),
+    ("s.urdf", urdf().replace('"r"', f'"{"b" * 9000}"'), "a name of 9000 bytes; at most 1023"),
     ("s.urdf", mesh("/etc/passwd"), "invalid mesh filename extension"),
     ("s.urdf", mesh("x" * 5000 + ".obj"), "cannot find"),
     ("s.toml", "a = " + "[" * 100_000 + "]" * 100_000, "nested too deeply"),
@@ -193,7 +211,7 @@ def test_what_is_wrong_is_an_error(tmp_path: Path, name: str, text: str, words: 
     (tmp_path / "m.obj").write_text(CUBE)
     (tmp_path / name).write_text(text)
     with pytest.raises(SceneError, match=words) as error:
-        ssduck.load(tmp_path / name)
+        ssduck.load(tmp_path / name, simulator="pybullet")
     assert name in str(error.value)
 
 

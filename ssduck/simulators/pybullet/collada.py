@@ -1,4 +1,4 @@
-"""Checks COLLADA files (.dae), whose parts PyBullet reads without looking whether they are there."""
+"""Checks COLLADA files (.dae), which PyBullet reads without looking whether parts are there."""
 
 from __future__ import annotations
 
