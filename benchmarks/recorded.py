@@ -130,7 +130,7 @@ def steps(count: int, rounds: int) -> Iterator[tuple[str, ...]]:
         worlds = {}
         for name, recording in recordings.items():
             ss = stack.enter_context(ssduck.load("kitchen", recording=recording))
-            worlds[name] = ss.call_variable("kitchen").step(240)
+            worlds[name] = ss.call_variable("kitchen").step(6 * count)
         bare, _ = stack.enter_context(kitchen())
         ways: dict[str, Callable[[int], object]] = {
             "by itself": bare.simulator.step,
@@ -213,7 +213,8 @@ def _bytes(scene: Scene, recording: Recording, ticks: int, path: str) -> float:
         ss = stack.enter_context(ssduck.Interpreter(database, recording=recording))
         ss.add_variable("world", world)
         rows = len(world) * ticks
-        ss.sql("CHECKPOINT")
+        connection = ss._database.connection
+        connection.run("CHECKPOINT")
         before = _used(ss, place)
         for _ in range(ticks):
             world.step()
@@ -221,7 +222,7 @@ def _bytes(scene: Scene, recording: Recording, ticks: int, path: str) -> float:
         if path == "run":
             ss.export(place)
         else:
-            ss.sql("CHECKPOINT")
+            connection.run("CHECKPOINT")
         return (_used(ss, place) - before) / rows
 
 
@@ -232,7 +233,8 @@ def _used(ss: ssduck.Interpreter, place: Path) -> int:
     if place.name == "run":
         return sum(f.stat().st_size for f in place.rglob("*") if f.is_file())
     store = _recorder(ss)._store
-    ((table_bytes,),) = ss.sql("SELECT sum(memory_usage_bytes) FROM duckdb_memory()").fetchall()
+    sql = "SELECT sum(memory_usage_bytes) FROM duckdb_memory()"
+    ((table_bytes,),) = ss._database.connection.internal_rows(sql)
     return int(table_bytes + (store.nbytes if isinstance(store, MemoryStore) else 0))
 
 
@@ -526,7 +528,7 @@ def main(arguments: Sequence[str]) -> int:
     if "cost" in options.only:
         print_table(COST, costs(options.sizes, max(options.ticks // 2, 1), options.rounds))
     if "step" in options.only:
-        print_table(STEP, steps(40, 5 * options.rounds))
+        print_table(STEP, steps(min(40, options.ticks), 5 * options.rounds))
     if "bytes" in options.only:
         print_table(BYTES, bytes_per_row(ENTITIES, 4 * options.ticks))
     if "over" in options.only:

@@ -12,10 +12,12 @@ if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.interpreter.opening import load
     from ssduck.interpreter.opening import open_record as open  # noqa: A004
+    from ssduck.interpreter.record_check import check
     from ssduck.interpreter.triggers.diff import Changed
     from ssduck.interpreter.triggers.trigger import TriggerWarning
     from ssduck.limits import Limits
     from ssduck.recording.episode import Episode
+    from ssduck.recording.folder_check import Damage
     from ssduck.recording.replay.past import Past
     from ssduck.recording.spec import Recording
     from ssduck.world.entities import Entity, KinBody, Robot, Sensor
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Changed",
+    "Damage",
     "Entity",
     "Episode",
     "Interpreter",
@@ -41,6 +44,7 @@ __all__ = [
     "TriggerWarning",
     "World",
     "adapter",
+    "check",
     "episodes",
     "height_field",
     "load",
@@ -49,6 +53,7 @@ __all__ = [
 
 _HOMES = {
     "Changed": "interpreter.triggers.diff",
+    "Damage": "recording.folder_check",
     "Entity": "world.entities",
     "Episode": "recording.episode",
     "Interpreter": "interpreter.interpreter",
@@ -66,6 +71,7 @@ _HOMES = {
     "TriggerWarning": "interpreter.triggers.trigger",
     "World": "world.world",
     "adapter": "adapters.registry",
+    "check": "interpreter.record_check",
     "episodes": "interpreter.archives",
     "height_field": "geometry.height_fields",
     "load": "interpreter.opening",

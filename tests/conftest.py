@@ -10,6 +10,7 @@ marked `slow`: those that take long or draw many random cases. Of a test that is
 
 from __future__ import annotations
 
+import gc
 import signal
 import tomllib
 from pathlib import Path
@@ -31,6 +32,17 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_collection_finish():
+    """Keep the garbage collector from going through what was collected: it stays to the end."""
+    gc.collect()
+    gc.freeze()
+
+
+def pytest_unconfigure():
+    """Let Python collect it at exit: extension modules tell of what is left then."""
+    gc.unfreeze()
 
 
 @pytest.fixture

@@ -73,7 +73,7 @@ def record(kind: Kind, path: str, seed: int) -> None:
         few = rng.randrange(1, 9)
         vars(recorders).update(BUFFERED_TICKS=few, PART_TICKS=few)
         writer.LONG_LOG = 1
-    world, move = _world(rng)
+    world, move = new_world(rng)
     recording = Recording(tables=TABLES, flush_every=FLUSH_EVERY)
     stands_still_at = rng.randrange(30, 150) if timed and rng.random() < 0.3 else None
     _report(begun=True)
@@ -103,7 +103,7 @@ def is_timed(seed: int) -> bool:
     return seed // 2 % 2 == 1
 
 
-def _world(rng: random.Random) -> tuple[ssduck.World, Any]:
+def new_world(rng: random.Random) -> tuple[ssduck.World, Any]:
     """Returns a world and a function that places its bodies for a tick."""
     import pybullet
 

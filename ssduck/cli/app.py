@@ -1,4 +1,4 @@
-"""Defines the command `ssduck`: demo, query, record, export, episodes, scenes, functions.
+"""Defines the command `ssduck`: demo, query, record, export, episodes, check, scenes, functions.
 
 Standard output carries results only; warnings, errors and the output of programs go to standard
 error. Modules that are slow to import (the simulator, the database) are imported by the
@@ -25,7 +25,7 @@ import typer
 from typer.core import TyperGroup
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
-from ssduck.cli.records import episodes, export, is_record, open_or_load, record, whole_steps
+from ssduck.cli.records import check, episodes, export, is_record, open_or_load, record, whole_steps
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 
 
@@ -406,7 +406,7 @@ def _writer_of_result(
     return partial(print_value, format=format, max_rows=rows)
 
 
-for command in (record, export, episodes):
+for command in (record, export, episodes, check):
     app.command()(command)
 
 

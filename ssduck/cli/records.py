@@ -1,4 +1,4 @@
-"""Defines the commands about records: `ssduck record`, `export` and `episodes`."""
+"""Defines the commands about records: `ssduck record`, `export`, `episodes` and `check`."""
 
 from __future__ import annotations
 
@@ -227,6 +227,29 @@ def episodes(
         for e in _episodes(path)
     ]
     print_table(DisplayTable(columns, rows))
+
+
+def check(
+    path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="Take damaged files out of the record; their names then end in .damaged.",
+        ),
+    ] = False,
+) -> None:
+    """List the damaged and missing files of a record, and what is lost with each."""
+    from ssduck.interpreter.record_check import check as damages_of
+
+    damages = damages_of(path, repair=repair)
+    if not damages:
+        print_line(f"{path} is intact")
+        return
+    rows = [(str(d.file), d.problem, d.loss, d.is_repaired) for d in damages]
+    print_table(DisplayTable(["file", "problem", "lost", "repaired"], rows))
+    if not all(damage.is_repaired for damage in damages):
+        raise typer.Exit(1)
 
 
 def _episodes(path: Path) -> list[Episode]:

@@ -19,7 +19,7 @@ from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
-from ssduck.database.file_paths import absolute_path, open_error_text
+from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import MEMORY, POOL, create_file
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
@@ -42,6 +42,8 @@ T = TypeVar("T")
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
+# Errors of functions that SQL calls, which stay as they are.
+_OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
 # The time between two interrupts of a statement whose time is up, s.
 INTERRUPT_INTERVAL = 0.02
 # The largest number of rows that are fetched as tuples.
@@ -95,9 +97,10 @@ class Connection:
         self.meter = UsageMeter(limits)
         self.on_demand: OnDemand[Connection] = OnDemand()
         self.has_records = self.is_file
-        # Whether something may be in the database that `_empty` does not remove.
+        # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
-        self._attached = False
+        # The attached file with a record.
+        self._attached: Path | None = None
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
         # The exception of a function that SQL called: DuckDB keeps its text only.
@@ -181,7 +184,7 @@ class Connection:
         """Empties the database, and gives it to the next interpreter."""
         for name in self._functions:
             self._connection.remove_function(name)
-        if self._attached:
+        if self._attached is not None:
             self._connection.execute(f"DETACH {_ATTACHED_NAME}")
         schemas = self._connection.execute(
             "SELECT schema_name FROM duckdb_schemas() "
@@ -195,8 +198,11 @@ class Connection:
         POOL.give_back(self._instance)
 
     def writer(self) -> WriterConnection:
-        """Returns a second connection to the same database, to store recorded ticks."""
-        self._is_altered = self.has_records = True
+        """Returns a second connection to the same database, to store recorded ticks.
+
+        Their schema is all that it may change there: `_give_back` drops it.
+        """
+        self.has_records = True
         return self.reader()
 
     def reader(self, record: Path | None = None) -> WriterConnection:
@@ -222,14 +228,17 @@ class Connection:
             # DuckDB would download an extension to read a file of another type.
             self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY, TYPE duckdb)")
         except SqlError as error:
-            raise RecordError(open_error_text(str(path), error)) from error
-        self._attached = self.has_records = True
+            text = open_error_text(str(path), error)
+            if error.__cause__ is not None and is_damage(error.__cause__):
+                text = damage_text(path, error.__cause__)
+            raise RecordError(text) from error
+        self._attached, self.has_records = path, True
         return _ATTACHED
 
     @property
     def may_have_views(self) -> bool:
         """Whether a file is open or attached: its views and macros may call relations."""
-        return self.is_file or self._attached
+        return self.is_file or self._attached is not None
 
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table readable under a name."""
@@ -480,13 +489,15 @@ class Connection:
             raise cause from None
         if interrupted:
             raise KeyboardInterrupt from error
-        if isinstance(cause, LimitError | UnknownNameError | UnsupportedError | EvaluationError):
+        if isinstance(cause, _OWN_ERRORS):
             raise cause from None
         if not self.is_open:
             raise SqlError("the interpreter is closed", is_final=True) from error
         self.meter.check_time()
         if isinstance(error, RuntimeError | duckdb.InterruptException):
             raise KeyboardInterrupt from error
+        if self._attached is not None and is_damage(error):
+            raise RecordError(damage_text(self._attached, error)) from error
         if isinstance(error, duckdb.OutOfMemoryException):
             raise LimitError(f"the query needs more memory than available: {error}") from error
         refused = isinstance(error, _REFUSAL_ERRORS)
@@ -555,7 +566,7 @@ def _finish(
     try:
         for recorder in recorders:
             try:
-                recorder.flush()
+                recorder.finish()
             except SelectScriptError as error:
                 failed = failed or error
     finally:  # its functions may refer to it, and would keep it open until Python ends

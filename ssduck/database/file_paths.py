@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import duckdb
+
 from ssduck.errors import SqlError
 from ssduck.formatting import short_repr
 from ssduck.recording.paths import expand_path
@@ -46,3 +48,24 @@ def open_error_text(path: str, error: Exception) -> str:
             f"there, or export it there as Parquet, which any number can read: {str(error).strip()}"
         )
     return f"{path} cannot be opened: {str(error).strip()}"
+
+
+_DAMAGES = (duckdb.SerializationException, duckdb.InternalException, duckdb.FatalException)
+
+
+def is_damage(error: BaseException) -> bool:
+    """Checks whether an error of DuckDB says that a file is damaged."""
+    text = str(error).lower()
+    return isinstance(error, _DAMAGES) or "checksum" in text or "corrupt" in text
+
+
+def damage_text(path: Path, error: BaseException) -> str:
+    """Returns the message about a damaged DuckDB file."""
+    log = path.with_name(f"{path.name}.wal")
+    hint = "`ssduck check` lists what can be read"
+    if log.exists():
+        hint = (
+            f"if its log {log} is, `ssduck check --repair` renames the log, and what was moved to "
+            "the file before can be read"
+        )
+    return f"{path} is damaged: {str(error).strip()}; {hint}"

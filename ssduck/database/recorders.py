@@ -90,7 +90,7 @@ class Recorders:
             history.store.close(forget=False)
             return
         if is_file:
-            history.recorder.flush()
+            history.recorder.finish()
         history.recorder.wait()
         waiting = [name for table in history.recorder.buffers for name in bound.buffer_views(table)]
         self._forget(bound, history.recorder)

@@ -12,6 +12,7 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
+from ssduck.database.file_paths import damage_text, is_damage
 from ssduck.errors import RecordError, SqlError
 
 # The size of DuckDB's log, in bytes, from which on it is moved to the file. That takes tenths of a
@@ -114,6 +115,8 @@ class WriterConnection:
     def _reading_error(self, error: duckdb.Error) -> SqlError | RecordError:
         if self._record is None:
             return SqlError(f"recorded ticks cannot be read: {error}")
+        if is_damage(error):
+            return RecordError(damage_text(self._record, error))
         return RecordError(f"{self._record} cannot be read: {error}")
 
     def close(self) -> None:

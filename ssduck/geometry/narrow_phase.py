@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import pairwise, product
 from threading import RLock
 
 import numpy as np
@@ -47,6 +47,8 @@ MIN_DEPTH = 1e-6
 MIN_FRACTION_INSIDE = 0.95
 # The error of upper bounds of that fraction.
 FRACTION_ERROR = 0.01
+# The largest number of pairs of shapes whose boxes are compared in a loop, which is faster then.
+MAX_LOOPED_PAIRS = 16
 
 
 class NarrowPhase:
@@ -377,19 +379,28 @@ class NarrowPhase:
                 best = result
         return best
 
-    def _pairs(self, i: int, j: int) -> list[tuple[float, int, int]]:
-        """Returns the pairs of two entities' shapes with lower bounds of distances, sorted."""
+    def _pairs(
+        self, i: int, j: int, max_distance: float = math.inf
+    ) -> list[tuple[float, int, int]]:
+        """Returns the pairs of two entities' shapes with lower bounds of distances, sorted.
+
+        Pairs of boxes that are farther apart along an axis than `max_distance`, m, are left out.
+        """
         first, second = self._shapes[i], self._shapes[j]
         bound = self.shapes.min_distance
         if len(first) == len(second) == 1:
             s, t = first[0], second[0]
             return [(bound(s, t), s, t)]
-        return sorted((bound(s, t), s, t) for s in first for t in second)
+        if max_distance < math.inf and len(first) * len(second) > MAX_LOOPED_PAIRS:
+            pairs = self._tick.pairs_within(first, second, max_distance)
+        else:
+            pairs = product(first, second)
+        return sorted((bound(s, t), s, t) for s, t in pairs)
 
     def _near_shapes(self, i: int, j: int, max_distance: float) -> list[tuple[int, int]]:
         """Returns the pairs of shapes that may be at most a distance apart, m."""
         limit = max(0.0, max_distance) + ROUNDING
-        return [(s, t) for bound, s, t in self._pairs(i, j) if bound <= limit]
+        return [(s, t) for bound, s, t in self._pairs(i, j, limit) if bound <= limit]
 
     # -- of one entity --------------------------------------------------------------------
 

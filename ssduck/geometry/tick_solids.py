@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -62,12 +62,39 @@ class TickSolids:
             self._ranks[shape] = (self.solids[shape].key, *pose)
         return self._ranks[shape]
 
+    def pairs_within(
+        self, first: Sequence[int], second: Sequence[int], max_distance: float
+    ) -> Iterator[tuple[int, int]]:
+        """Yields the pairs whose boxes are at most a distance apart along each axis, m.
+
+        A half-space is a pair with every shape: its box does not bound it.
+
+        Args:
+            first: the shapes of one side.
+            second: those of the other side.
+            max_distance: the distance, m.
+        """
+        a, b = self.boxes[first][:, None], self.boxes[second]
+        with np.errstate(invalid="ignore"):  # no comparison with an unknown box leaves a pair out
+            is_apart = (a[..., :3] - b[:, 3:] > max_distance) | (
+                b[:, :3] - a[..., 3:] > max_distance
+            )
+        is_near = ~is_apart.any(axis=2)
+        is_near |= self._are_unbounded[first][:, None] | self._are_unbounded[second]
+        for row, column in zip(*(side.tolist() for side in is_near.nonzero()), strict=True):
+            yield first[row], second[column]
+
     # Computed for all shapes at once, when first needed.
 
     @cached_property
     def bounding_radii(self) -> list[float]:
         """The radius of the sphere around each solid, m; infinite for half-spaces."""
         return [solid.bounding_radius for solid in self.solids]
+
+    @cached_property
+    def _are_unbounded(self) -> Flags:
+        """Whether each shape is a half-space."""
+        return np.isinf(np.array(self.bounding_radii, dtype=np.float64))
 
     @cached_property
     def _unit_orientations(self) -> Array:

@@ -240,6 +240,7 @@ class StoredRun:
             every=history.recording.every,
             entities=history.recording.entities,
             ticks=history.ticks(),
+            complete=self.description.get("complete"),
         )
 
 

@@ -10,8 +10,10 @@ from ssduck import validation
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
+from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
+from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.simulators.scene_files import check_files_inside
 from ssduck.simulators.scenes import find_scene, shipped_scenes
 from ssduck.world.world import World
@@ -71,6 +73,7 @@ def open_record(
     episode: int | None = None,
     *,
     limits: Limits | None = None,
+    partial: bool = False,
 ) -> Interpreter:
     """Returns an interpreter on a record, without a simulation; it runs the same programs.
 
@@ -87,25 +90,30 @@ def open_record(
         episode: the number of the episode; None for the last episode with ticks of each world.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
             `files=False`, SQL is one SELECT, since the record's own files can be reached.
+        partial: whether parts of a folder that are damaged or missing are left out, with a warning
+            for each of their files, in place of an error. All files are read first.
 
     Raises:
         RecordError: there is no such record, or it is damaged, of a newer version, or in use by
             another process.
         NumberError: the episode is not a whole number ≥ 0.
     """
+    validation.boolean(partial, "open: partial")
     if episode is not None:
         episode = validation.integer(episode, "open: episode", minimum=0)
     validation.instance(limits, Limits, "open: limits")
     if limits is not None and not limits.files:
         limits = replace(limits, select_only=True)
-    path = expand_path(path)
+    path = expand_path(path).absolute()  # the working directory may change
     interpreter = Interpreter(recording=None, limits=limits)
     database = interpreter._database  # noqa: SLF001  # it reads the record
     try:
         if path.is_dir():
             database.allow_record(path)
         worlds = [
-            replayed_world(run, database)
+            replayed_world(
+                partial_run(run) if partial and isinstance(run, FolderRun) else run, database
+            )
             for run in select_runs(recorded_runs(path, database), world, episode)
         ]
         for replayed in worlds:

@@ -26,6 +26,8 @@ class Episode:
         last_tick: the number of the last stored tick; None if there is none.
         start: the simulated time of the first stored tick, s; None if there is none.
         end: the simulated time of the last stored tick, s; None if there is none.
+        complete: whether the recording was closed, and not killed; None for a record of an older
+            ssduck, which does not say so.
     """
 
     path: Path
@@ -40,6 +42,7 @@ class Episode:
     last_tick: int | None
     start: float | None
     end: float | None
+    complete: bool | None = None
 
     @classmethod
     def of(
@@ -53,11 +56,12 @@ class Episode:
         every: int,
         entities: tuple[str, ...] | None,
         ticks: TickBuffer,
+        complete: bool | None,
     ) -> Episode:
         """Makes the description of an episode with these ticks; sorts the tables."""
         common = started, tuple(sorted(tables)), every, entities, len(ticks)
         if not len(ticks):
-            return cls(path, world, number, *common, None, None, None, None)
+            return cls(path, world, number, *common, None, None, None, None, complete)
         first, last = ticks.numbers[[0, -1]].tolist()
         start, end = ticks.times[[0, -1]].tolist()
-        return cls(path, world, number, *common, first, last, start, end)
+        return cls(path, world, number, *common, first, last, start, end, complete)

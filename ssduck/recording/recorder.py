@@ -256,6 +256,17 @@ class Recorder:
             if error is not None:
                 raise error
 
+    def finish(self) -> None:
+        """Stores the buffered rows, and marks the record as complete.
+
+        Raises:
+            RecordError: a folder cannot be written; the rows that are not stored stay buffered.
+            SqlError: the same of a database.
+        """
+        self.flush()
+        with self._lock:
+            self._store.finish()
+
     def _drop_old_ticks(self) -> None:
         """Drops ticks that are too old, once after rows were stored; the writer must be idle."""
         if self._has_dropped_old:

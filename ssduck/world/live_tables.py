@@ -7,7 +7,7 @@ DuckDB, see the next tick without further calls.
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from itertools import count
 from typing import Any
 
@@ -78,6 +78,7 @@ class LiveTable:
         doubles = [name for name, kind in buffered if kind == "double"]
         self.block = np.zeros((len(doubles), count))
         self._row = {name: row for row, name in enumerate(doubles)}
+        self._block_rows: dict[tuple[str, ...], slice | Indices] = {}
         for name, kind in buffered:
             if kind == "double":
                 self._numbers[name] = self.block[self._row[name]]
@@ -213,12 +214,14 @@ class LiveTable:
         """The columns of numbers that have a buffer."""
         return self._numbers.keys()
 
-    def block_rows(self, names: Sequence[str]) -> slice | Indices:
+    def block_rows(self, names: tuple[str, ...]) -> slice | Indices:
         """Returns the rows of `block` that hold columns; a slice if they are adjacent."""
-        rows = [self._row[name] for name in names]
-        if rows == list(range(rows[0], rows[0] + len(rows))):
-            return slice(rows[0], rows[0] + len(rows))
-        return np.array(rows, dtype=np.intp)
+        if names not in self._block_rows:
+            rows = [self._row[name] for name in names]
+            is_run = rows == list(range(rows[0], rows[0] + len(rows)))
+            run = slice(rows[0], rows[0] + len(rows))
+            self._block_rows[names] = run if is_run else np.array(rows, dtype=np.intp)
+        return self._block_rows[names]
 
     def publish_unknown(self) -> None:
         """Turns unknown numbers (NaN) into NULL, after numbers were written."""

@@ -581,9 +581,9 @@ class Snapshot:
         if not len(contacts):
             return
         sides, numbers = contact_rows(contacts, self._layout.ids_of_handles[contacts.bodies])
-        for column, name in enumerate(("a", "link_a", "b", "link_b")):
-            table[name][:] = sides[:, column]
-        table.doubles("ax", "fz")[:] = numbers.T
+        for name, column in zip(("a", "link_a", "b", "link_b"), sides, strict=True):
+            table[name][:] = column
+        table.doubles("ax", "fz")[:] = numbers
 
     def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
         table = self.tables["sensings"]

@@ -323,18 +323,18 @@ def test_a_table_a_group(kitchen, form):
 
 
 @pytest.mark.slow
-@sampled("form", [*TABLES, "numpy", "json", "records"], every=4)
-def test_a_trigger_is_told_of_other_rows_only(form):
+def test_a_trigger_is_told_of_other_rows_only():
     with ssduck.load("kitchen") as ss:
-        seen = []
-        program = f"SELECT obj, isEnabled FROM kitchen WHERE isRobot(this) AS {form};"
-        ss.add_trigger("seen", program, 0.1, seen.append)
+        seen = {form: [] for form in (*TABLES, "numpy", "json", "records")}
+        for form, results in seen.items():
+            program = f"SELECT obj, isEnabled FROM kitchen WHERE isRobot(this) AS {form};"
+            ss.add_trigger(form, program, 0.1, results.append)
         world = ss.call_variable("kitchen")
         world.step(96)
-        assert len(seen) == 1
+        assert {form: len(results) for form, results in seen.items()} == dict.fromkeys(seen, 1)
         world["fridge"].enabled = False
         world.step(48)
-        assert len(seen) == 2
+        assert {form: len(results) for form, results in seen.items()} == dict.fromkeys(seen, 2)
 
 
 def test_a_table_a_path(kitchen):

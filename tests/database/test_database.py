@@ -595,7 +595,7 @@ class Failing:
 
     is_writer_thread = False
 
-    def flush(self):
+    def finish(self):
         raise RuntimeError("nobody thought of it")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import pybullet
@@ -13,6 +14,7 @@ from ssduck.database import connection as connections
 from ssduck.database.connection import Connection
 from ssduck.database.instances import MAX_WAITING, InstancePool
 from ssduck.errors import SqlError
+from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
 
 BODIES = 5
@@ -257,12 +259,24 @@ def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> Non
     assert not pool._waiting
 
 
-def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool) -> None:
-    for _ in range(2):
-        with ssduck.Interpreter(recording=Recording()) as ss:
-            ss.add_variable("lab", ssduck.World.attach(client))
-            assert len(ss.past("lab").ticks) == 1
-    assert not pool._waiting
+@pytest.mark.parametrize("changed", [False, True])
+def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: bool) -> None:
+    pybullet.createMultiBody(1, physicsClientId=client)
+    for _ in range(3):
+        with ssduck.Interpreter(recording=Recording(changed=changed)) as ss:
+            world = ss.add_variable("lab", ssduck.World.attach(client))
+            assert ss.past("lab").ticks == [world.snapshot.number]
+            world.step(BUFFERED_TICKS + 3)
+            ss.flush()
+            assert len(ss.eval("SELECT z FROM lab{} AS list;")) == BUFFERED_TICKS + 4
+        (database,) = pool._waiting
+        with closing(database.cursor()) as cursor:
+            left = "SELECT count(*) FROM duckdb_{}() WHERE NOT internal"
+            for kind in ("tables", "views", "functions", "types"):
+                assert cursor.execute(left.format(kind)).fetchall() == [(0,)], kind
+            schemas = cursor.execute(left.format("schemas") + " AND schema_name <> 'main'")
+            assert schemas.fetchall() == [(0,)]
+    pool.close()
 
 
 def test_few_databases_wait(run: Path, pool: InstancePool) -> None:

@@ -226,6 +226,7 @@ CALLS = {
 # ssduck and not by users, and what is another entry's.
 OTHERS = {
     "Entity(id)": "made by worlds", "Link(id)": "made by worlds",
+    "Damage": "a result",
     "Episode": "a result",
     "Past": "a result; `Interpreter.past` makes it",
     "OccupancyGrid": "a result", "Grid": "a result", "SensorGrid": "a result",

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.language.parser import parse
+from tests.support.cases import generated
 
 
 @pytest.fixture(scope="module")
@@ -464,7 +465,9 @@ def conditions(children):
 
 @pytest.mark.slow
 @settings(
-    max_examples=75, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=generated(30),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(condition=st.recursive(COMPARED, conditions, max_leaves=6))
 def test_sql_and_python_agree(ss, condition):

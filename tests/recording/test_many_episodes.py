@@ -10,6 +10,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.errors import RecordError
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import FolderRun
 
 EPISODES = 100
@@ -49,7 +50,7 @@ def run(tmp_path: Path, client: int) -> Path:
     """A folder with an episode, and the descriptions of many more."""
     place = tmp_path / "run"
     _record(place, client)
-    about = json.loads((place / "episodes" / "lab-0.json").read_text())
+    about = read_description(place / "episodes" / "lab-0.json")
     for number in range(1, EPISODES):
         text = json.dumps(about | {"episode": number})
         (place / "episodes" / f"lab-{number}.json").write_text(text)

@@ -14,6 +14,8 @@ from ssduck import Recording
 from ssduck.database import recorders
 from ssduck.errors import RecordError, SqlError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
+from ssduck.recording.stores.checksums import write_json, write_parquet
+from ssduck.recording.stores.descriptions import read_description
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
@@ -49,10 +51,10 @@ class Reads:
         self.rows: list[str] = []
         read, rows_of = parquet_layout._read, parquet_archive._rows_of_ticks
 
-        def counted(file: Path, *arguments: object) -> object:
+        def counted(file: Path, *arguments: object, has_checksums: bool) -> object:
             if file.parts[-4] == "ticks":
                 self.ticks.append(file.name)
-            return read(file, *arguments)  # type: ignore[arg-type]
+            return read(file, *arguments, has_checksums=has_checksums)  # type: ignore[arg-type]
 
         def rows(file: Path, *arguments: object) -> object:
             self.rows.append(file.name)
@@ -96,7 +98,7 @@ def test_few_ticks_are_read_from_few_parts(run: Path, monkeypatch: pytest.Monkey
 def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A recorder that is killed leaves an index of some of its parts."""
     rows = pq.read_table(_index(run))
-    pq.write_table(rows.slice(0, 16), _index(run))  # with its metadata
+    write_parquet(rows.slice(0, 16), _index(run))  # with its metadata
     reads = Reads(monkeypatch)
     assert _ticks(run) == ALL
     assert reads.ticks == ["part-000008.parquet", "part-000009.parquet"]
@@ -105,8 +107,13 @@ def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.Monke
 def test_parts_that_are_removed_do_not_count(run: Path) -> None:
     for part in (8, 9):
         (run / "ticks" / PLACE.format(1) / f"part-{part:06d}.parquet").unlink()
-    with pytest.warns(UserWarning, match="ends after 8"):
-        assert _ticks(run) == ALL[:16]
+    with pytest.raises(RecordError, match="was closed with 10 parts"):
+        _ticks(run)
+    about = run / "episodes" / "lab-1.json"  # as at a kill
+    description = read_description(about)
+    del description["parts"]
+    write_json(description, about)
+    assert _ticks(run) == ALL[:16]
 
 
 def _remove(run: Path) -> None:
@@ -153,14 +160,14 @@ def checks(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The files whose footers are read; a record has many parts if it has two."""
     monkeypatch.setattr(parquet_archive, "MANY_PARTS", 2)
     read: list[str] = []
-    footer = parquet_layout._footer
+    footer = parquet_layout.footer_of
 
     def counted(file: Path) -> bytes | None:
         if "models" not in file.parts:
             read.append(f"{file.parts[-4]} {int(file.stem[-6:])}")
         return footer(file)
 
-    monkeypatch.setattr(parquet_layout, "_footer", counted)
+    monkeypatch.setattr(parquet_layout, "footer_of", counted)
     return read
 
 

@@ -45,21 +45,21 @@ def test_points_equal_those_of_pybullet(pile):
     assert read.frictions.tolist() == friction
 
 
-def test_all_points_are_read_as_records(pile):
+def test_all_points_are_read_at_once(pile):
     """The fast way is taken, and the values are those of the slow one."""
     points = pybullet.getContactPoints(physicsClientId=pile)
-    records = contacts._records(points)
-    assert records is not None
-    by_field = contacts._values_by_field(points)
-    for name, values in contacts._values(records).items():
-        np.testing.assert_array_equal(values, by_field[name])
+    at_once = contacts._columns(points)
+    assert at_once is not None
+    for values, expected in zip(at_once, contacts._columns_by_field(points), strict=True):
+        assert (values.shape, values.dtype) == (expected.shape, expected.dtype)
+        np.testing.assert_array_equal(values, expected)
 
 
 @pytest.mark.parametrize("odd", [2**40, 0.5, None])
-def test_points_of_another_layout_are_no_records(pile, odd):
+def test_points_of_another_layout_are_not_read_at_once(pile, odd):
     first, *others = pybullet.getContactPoints(physicsClientId=pile)
     changed = [(odd, *first[1:]), *others]
-    assert contacts._records(changed) is None
+    assert contacts._columns(changed) is None
 
 
 @pytest.mark.parametrize("distances", [(-0.5, 0.5), (0.5, 0.5)])
@@ -92,7 +92,8 @@ def test_rows_are_those_of_a_loop_in_python(count):
             *(draws.choice(numbers, shape) for shape in ((count, 3), count, count, (count, 3))),
         )
         sides, values = contact_rows(points, points.bodies + 1)
-        rows = [(*side, *row) for side, row in zip(sides.tolist(), values.tolist(), strict=True)]
+        columns = [column.tolist() for column in (*sides, *values)]
+        rows = list(zip(*columns, strict=True))
         expected = sorted(map(_row, *vars(points).values()), key=lambda row: (*row[:10], row[14]))
         assert list(map(repr, rows)) == list(map(repr, expected))
 

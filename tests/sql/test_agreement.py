@@ -8,13 +8,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.support.cases import generated
 from tests.support.choices import Choices, seeded
 from tests.support.evaluators import evaluators, shrunk
 from tests.support.grammar import program
 
 pytestmark = pytest.mark.slow
 
-SEEDS = range(625)
+SEEDS = range(generated(250))
 BUNCH = 25
 # So many of a hundred queries run as SQL alone.
 LEAST_SQL = 40
@@ -46,7 +47,10 @@ def test_they_agree(both, first):
 
 
 @settings(
-    max_examples=125, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
+    max_examples=generated(50),
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=list(HealthCheck),
 )
 @given(text=programs())
 def test_they_agree_on_what_hypothesis_finds(both, text):

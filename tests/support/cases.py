@@ -1,8 +1,18 @@
-"""Parametrization of which the fast tests run a sample."""
+"""Parametrization of which the fast tests run a sample, and the numbers of generated cases."""
 
 from __future__ import annotations
 
+import os
+
 import pytest
+
+# `python -m tools.long` sets it: so many times the generated cases.
+FACTOR = "SSDUCK_TEST_FACTOR"
+
+
+def generated(count):
+    """Returns how many cases a test generates: `count`, or more in `python -m tools.long`."""
+    return count * int(os.environ.get(FACTOR, "1"))
 
 
 def sampled(names, cases, *, every, **options):

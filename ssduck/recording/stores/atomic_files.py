@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -23,10 +25,43 @@ def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
-    _sync_folder(place.parent)
+    sync_folder(place.parent)
 
 
-def _sync_folder(folder: Path) -> None:
+def is_temporary(file: Path) -> bool:
+    """Checks whether a file is one that is not complete yet."""
+    return file.name.startswith(".") and file.name.endswith(".unfinished")
+
+
+def create_file(place: Path, text: str) -> bool:
+    """Creates a file with a text unless there is one; returns whether there was none.
+
+    Of several processes that create it at the same time, one does, and the others see all of it.
+    """
+    temporary = place.with_name(f".{secrets.token_hex(8)}.unfinished")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            os.link(temporary, place)
+        except FileExistsError:
+            return False
+        except OSError:  # the file system has no links
+            try:
+                with place.open("x", encoding="utf-8") as file:
+                    file.write(text)
+            except FileExistsError:
+                return False
+    finally:
+        with suppress(FileNotFoundError):
+            temporary.unlink()
+    sync_folder(place.parent)
+    return True
+
+
+def sync_folder(folder: Path) -> None:
     """Writes the names in a folder to the disk, where the system supports it."""
     if os.name != "posix":
         return

@@ -127,6 +127,14 @@ class TickStore(ABC):
             RecordError: a folder cannot be written; the rows remain as they were appended.
         """
 
+    def finish(self) -> None:  # noqa: B027  # a record in memory ends with the process
+        """Marks the record as complete: its recorder was not killed.
+
+        Raises:
+            RecordError: a folder cannot be written.
+            SqlError: a database cannot be written.
+        """
+
     @abstractmethod
     def drop_before(self, tick: int) -> int:
         """Drops rows of ticks before a number, as far as whole parts are older.

@@ -13,6 +13,7 @@ from typing import Any
 
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
+from ssduck.recording.stores.checksums import CHECKSUM_KEY, WRONG_CHECKSUM, pop_checksum
 from ssduck.schema import RECORDED
 
 # A description that names a million entities is shorter, bytes.
@@ -46,6 +47,10 @@ def _is_names(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(name, str) for name in value)
 
 
+def _is_parts(value: Any) -> bool:
+    return isinstance(value, list) and all(_is_whole(number, 0) for number in value)
+
+
 def _is_tables(value: Any) -> bool:
     """Checks a list of recorded tables, whose names are those of folders."""
     has_right_names = _is_names(value) and RECORDED.keys() >= set(value)
@@ -64,6 +69,8 @@ EPISODE: Description = {
     "started": _TEXT,
     "recording": _OBJECT,
     "parts": Value("an object", lambda value: isinstance(value, dict), is_required=False),
+    "checksums": Value("a text", lambda value: isinstance(value, str), is_required=False),
+    "removed": Value("a list of parts", _is_parts, is_required=False),
 }
 # What it says of the recording, and of the number of complete parts.
 RECORDING: Description = {
@@ -98,7 +105,12 @@ def read_description(file: Path) -> dict[str, Any]:
         content = file.read_bytes()
     except OSError as error:
         raise RecordError(f"{file} cannot be read: {error.strerror}") from error
-    return parse_description(content, str(file))
+    description = parse_description(content, str(file))
+    if not pop_checksum(description):
+        raise RecordError(
+            f"{file} {WRONG_CHECKSUM}; remove its key {CHECKSUM_KEY!r} if you edited it"
+        )
+    return description
 
 
 def parse_description(text: str | bytes, source: str) -> dict[str, Any]:

@@ -168,17 +168,21 @@ class DuckDBStore(TickStore, TickArchive):
                 self._create_slot(table, slot, replace=True)
         return self._used_slots[0][1]
 
+    def finish(self) -> None:
+        """Marks the record as complete: its recorder was not killed."""
+        self._models.mark_as_complete()
+
     # -- reading ------------------------------------------------------------------------------
 
     @property
     def has_ticks(self) -> bool:
         """Whether ticks are stored."""
-        rows = self._stored_rows("ticks")
+        rows = self.stored_rows("ticks")
         return bool(self._connection.fetchall(f"SELECT tick FROM ({rows}) AS ticks LIMIT 1"))  # noqa: S608
 
     def ticks(self) -> TickBuffer:
         """Returns the numbers and times of the stored ticks."""
-        stored = self._stored_rows("ticks")
+        stored = self.stored_rows("ticks")
         sql = f"SELECT tick, time FROM ({stored}) AS ticks ORDER BY tick"  # noqa: S608
         if self._file is None:
             rows = self._connection.rows(sql)
@@ -194,7 +198,7 @@ class DuckDBStore(TickStore, TickArchive):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the stored rows of a table at the ticks from first to last."""
-        rows = self._stored_rows(table)
+        rows = self.stored_rows(table)
         return self._connection.rows(
             f"SELECT * FROM ({rows}) AS stored WHERE tick BETWEEN ? AND ?",  # noqa: S608
             (first, last),
@@ -202,7 +206,7 @@ class DuckDBStore(TickStore, TickArchive):
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
-        return near_pair_rows(self._connection, self._stored_rows("entities"), request, buffered)
+        return near_pair_rows(self._connection, self.stored_rows("entities"), request, buffered)
 
     def select(self, table: str, buffer_views: BufferViews | None) -> str | None:
         """Returns the SELECT of the view of a table's history; None if it is not recorded."""
@@ -212,12 +216,12 @@ class DuckDBStore(TickStore, TickArchive):
             self._all_rows(table, buffer_views),
             self._all_rows("entities", buffer_views),
         )
-        return history(TABLES[table], rows, entities, self._model_source)
+        return history(TABLES[table], rows, entities, self.model_source)
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
         return {
-            table.model_view: f"SELECT * FROM {self._model_source(table.name)}"  # noqa: S608
+            table.model_view: f"SELECT * FROM {self.model_source(table.name)}"  # noqa: S608
             for table in MODELS.values()
         }
 
@@ -233,16 +237,17 @@ class DuckDBStore(TickStore, TickArchive):
         for name, rows in self.views.items():
             self._connection.run(f"CREATE VIEW {self.place(name)} AS {rows}")
 
-    def _model_source(self, table: str) -> str:
+    def model_source(self, table: str) -> str:
+        """Returns the rows of a model, in SQL."""
         return self._models.source(table, self.unrecorded_run)
 
     def _all_rows(self, table: str, buffer_views: BufferViews | None) -> str:
         """Returns a SELECT of all rows of a table, buffered ones included."""
         views = () if buffer_views is None else buffer_views(table)
-        parts = [self._stored_rows(table), *(buffered_rows(table, view) for view in views)]
+        parts = [self.stored_rows(table), *(buffered_rows(table, view) for view in views)]
         return " UNION ALL ".join(parts)
 
-    def _stored_rows(self, table: str) -> str:
+    def stored_rows(self, table: str) -> str:
         """Returns a SELECT of the stored rows of a table."""
         return " UNION ALL ".join(self._rows_of_slot(table, slot) for slot in range(self._slots))
 

@@ -6,6 +6,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from typing import Any
 
 import pyarrow as pa
 
@@ -43,6 +44,7 @@ class ModelTables:
         self._file = file
         self.connection = connection
         self._geometries: set[int] = set()
+        self._about: dict[str, Any] = {}
         # A SELECT of all columns of each model of an older record.
         self._completed: dict[str, str] = {}
 
@@ -53,12 +55,21 @@ class ModelTables:
             "world": world,
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "recording": description_of(recording),
+            "complete": False,
         }
+        self._about = about
         self.connection.run(f"CREATE SCHEMA {quoted(self.schema)}")
         self.connection.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
         for table in MODELS.values():
             columns = {column.name: column.sql for column in table.model}
             self.connection.run(create_table(self._model_place(table.name), columns))
+
+    def mark_as_complete(self) -> None:
+        """Stores in the description of a new record that it is complete."""
+        about, place = self._about | {"complete": True}, self.place(ABOUT)
+        with self.transaction():
+            self.connection.run(f"DELETE FROM {place}")  # noqa: S608
+            self.connection.insert(place, pa.table({"about": [json.dumps(about)]}))
 
     def place(self, name: str) -> str:
         """Returns a table or view of the schema, in SQL."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
@@ -27,15 +25,22 @@ from ssduck.recording.episode import Episode
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, model_rows
-from ssduck.recording.stores.atomic_files import temporary_path, write_atomically
+from ssduck.recording.stores.atomic_files import (
+    create_file,
+    is_temporary,
+    sync_folder,
+    temporary_path,
+    write_atomically,
+)
 from ssduck.recording.stores.base import TickStore
+from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
+from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
+    DESCRIPTION,
     FORMAT,
     LOG,
-    UNITS,
-    VERSION,
     FolderRun,
     check_about,
     part_name,
@@ -63,24 +68,31 @@ class ParquetStore(TickStore):
         path: the folder; it is created if it does not exist.
         world: the name of the world.
         recording: what is recorded of each tick.
+        is_export: whether the episode exists only when it is finished.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
             cannot be written.
     """
 
-    def __init__(self, path: str | Path, world: str, recording: Recording) -> None:
+    def __init__(
+        self, path: str | Path, world: str, recording: Recording, *, is_export: bool = False
+    ) -> None:
         self.path = Path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
-        self.run = _begin_episode(self.path, world, self.tables, recording)
+        self.run = _begin_episode(self.path, world, self.tables, recording, is_export=is_export)
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
         self._part_count = self._model_count = 0
         assert self.run.key is not None
-        self._log = PartLog(self.run.place(LOG), self.run.key)
-        self._index = TickIndex(self.run.place(INDEX), self.run.key)
+        # Where the files are: those of an export get their places when all of them are there.
+        self._staged = self.run
+        if is_export:
+            self._staged = replace(self.run, path=self.path / f".export-{self.run.key}")
+        self._log = PartLog(self._staged.place(LOG), self.run.key)
+        self._index = TickIndex(self._staged.place(INDEX), self.run.key)
         self.last_tick: int | None = None
 
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
@@ -133,7 +145,7 @@ class ParquetStore(TickStore):
         self.last_tick = int(np.max(rows["ticks"]["tick"].to_numpy()))
 
     def finish(self) -> None:
-        """Records the number of parts, so that missing ones are noticed.
+        """Marks the episode as complete, with the number of its parts.
 
         Raises:
             RecordError: the file cannot be written.
@@ -141,25 +153,47 @@ class ParquetStore(TickStore):
         parts = {"ticks": self._part_count, "models": self._model_count}
         try:
             self._index.write()
-            about = json.loads(self.run.about_file.read_text("utf-8")) | {"parts": parts}
-            write_atomically(self.run.about_file, lambda file: _write_json(about, file))
+            self._move_staged()
+            about = read_description(self.run.about_file) | {"parts": parts}
+            about.pop("exporting", None)
+            write_atomically(self.run.about_file, lambda file: write_json(about, file))
         except OSError as error:
             raise RecordError(f"{self.run.about_file} cannot be written: {error}") from error
 
     def discard(self) -> None:
         """Removes the files of the episode."""
+        for place in self._places:
+            shutil.rmtree(self.run.place(place), ignore_errors=True)
+        if self._staged is not self.run:
+            shutil.rmtree(self._staged.path, ignore_errors=True)
         self.run.about_file.unlink(missing_ok=True)
-        for table in (*self.tables, LOG, INDEX, *(f"models/{table}" for table in MODELS)):
-            shutil.rmtree(self.run.place(table), ignore_errors=True)
+
+    @property
+    def _places(self) -> tuple[str, ...]:
+        """The names of the folders of an episode."""
+        return (*self.tables, LOG, INDEX, *(f"models/{table}" for table in MODELS))
+
+    def _move_staged(self) -> None:
+        """Moves the files of an export to their places."""
+        if self._staged is self.run:
+            return
+        for name in self._places:
+            staged, place = self._staged.place(name), self.run.place(name)
+            if staged.is_dir():
+                place.parent.mkdir(parents=True, exist_ok=True)
+                staged.rename(place)
+                sync_folder(place.parent)
+        shutil.rmtree(self._staged.path)
+        self._staged = self.run
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:
-        place = self.run.place(table)
+        place = self._staged.place(table)
         label = self.run.label(table, number)
         assert label is not None
         labelled = rows.replace_schema_metadata({FORMAT: label})
         with _writing(place):
             place.mkdir(parents=True, exist_ok=True)
-            write_atomically(place / part_name(number), lambda file: _write_parquet(labelled, file))
+            write_parquet(labelled, place / part_name(number), **_options(labelled))
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002
         """Returns 0: a folder keeps all ticks."""
@@ -278,8 +312,8 @@ class ParquetRecording:
         if not self.is_running:
             return
         self._recorder.mass_changes.warn(self.world)
-        self.flush()
-        self._folder.finish()
+        with self.world.pinned():
+            self._recorder.finish()
         self._recorder.stop_flushing()
         self.world.remove_recorder(self._recorder)
         self._recorders.remove(self._recorder)
@@ -292,7 +326,7 @@ class ParquetRecording:
 
 
 def _begin_episode(
-    path: Path, world: str, tables: Collection[str], recording: Recording
+    path: Path, world: str, tables: Collection[str], recording: Recording, *, is_export: bool
 ) -> FolderRun:
     """Begins a new episode in a folder; creates the folder if necessary."""
     if not world.isidentifier():
@@ -308,17 +342,19 @@ def _begin_episode(
             )
         path.mkdir(parents=True, exist_ok=True)
         _check_name_length(path, world)
-        if not (path / ABOUT).exists():
-            if any(file.name != temporary_path(path / ABOUT).name for file in path.iterdir()):
+        about_file = path / ABOUT
+        if not about_file.exists():
+            others = [file for file in path.iterdir() if not is_temporary(file)]
+            # Another recorder may have begun in the meantime.
+            if others and not about_file.exists():
                 raise RecordError(
                     f"{path} has something else in it, and is no record of ssduck: give a new "
                     "folder, or an empty one"
                 )
-            about = {"format": FORMAT, "version": VERSION, "units": UNITS}
-            write_atomically(path / ABOUT, lambda file: _write_json(about, file))
+            create_file(about_file, json_text(DESCRIPTION))
         check_about(path)
         (path / "episodes").mkdir(exist_ok=True)
-        return _claim_episode(path, world, tables, recording)
+        return _claim_episode(path, world, tables, recording, is_export=is_export)
     except RecordError:
         raise
     except (OSError, ValueError) as error:  # a null character is a ValueError
@@ -348,26 +384,25 @@ def _check_name_length(path: Path, world: str) -> None:
 
 
 def _claim_episode(
-    path: Path, world: str, tables: Collection[str], recording: Recording
+    path: Path, world: str, tables: Collection[str], recording: Recording, *, is_export: bool
 ) -> FolderRun:
     """Creates the file of an episode under a number that is free, after those that are not."""
-    for number in count(_free_number(path, world)):
-        run = FolderRun(path, world, number)
-        try:
-            with run.about_file.open("x", encoding="utf-8"):
-                break
-        except FileExistsError:
-            continue
-    about = {
-        "world": world,
-        "episode": number,
-        "key": secrets.token_hex(8),
-        "tables": list(tables),
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "recording": {"every": recording.every, "entities": recording.entities},
-    }
-    write_atomically(run.about_file, lambda file: _write_json(about, file))
-    return run
+    numbers = count(_free_number(path, world))
+    while True:
+        run = FolderRun(path, world, next(numbers))
+        about = {
+            "world": world,
+            "episode": run.number,
+            "key": secrets.token_hex(8),
+            "checksums": "crc32",
+            "tables": list(tables),
+            "started": datetime.now(UTC).isoformat(timespec="seconds"),
+            "recording": {"every": recording.every, "entities": recording.entities},
+        }
+        if is_export:
+            about["exporting"] = True
+        if create_file(run.about_file, json_text(about)):
+            return run
 
 
 def _free_number(path: Path, world: str) -> int:
@@ -389,23 +424,16 @@ def _free_number(path: Path, world: str) -> int:
     return free
 
 
-def _write_json(content: Mapping[str, Any], file: Path) -> None:
-    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-
-
-def _write_parquet(rows: pa.Table, file: Path) -> None:
-    """Writes rows in little time: the recorder of a busy world writes a part every second or two.
+def _options(rows: pa.Table) -> dict[str, Any]:
+    """Returns options that take little time: a busy world has a new part every second or two.
 
     LZ4 takes less time than Zstandard. To split the bytes of doubles makes up for most of the size.
     """
     doubles = [f.name for f in rows.schema if pa.types.is_floating(f.type)]
     texts = [f.name for f in rows.schema if pa.types.is_string(f.type)]
     keys = [f.name for f in rows.schema if pa.types.is_integer(f.type)]
-    # An absolute path: the library takes md:x for a URI, and expands ~.
-    pq.write_table(
-        rows,
-        file.absolute(),
-        compression="lz4",
-        use_dictionary=[*texts, *keys],
-        use_byte_stream_split=doubles,
-    )
+    return {
+        "compression": "lz4",
+        "use_dictionary": [*texts, *keys],
+        "use_byte_stream_split": doubles,
+    }

@@ -22,7 +22,7 @@ from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.schema import MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
@@ -57,10 +57,11 @@ class ParquetArchive(TickArchive):
         # The working directory may change.
         self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
         self._columns: dict[str, list[str]] = {}
-        # The parts of each table that were checked: all of them here, unless they are many.
-        self._checked: dict[str, set[int]] = {table: set() for table in run.tables}
+        # The files whose bytes were checked. The footers of all files are checked here, unless they
+        # are many.
+        self._checked: set[Path] = set()
         for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
-            self._check(table, range(len(files)))
+            self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         check_models(self._models, lambda table: str(run.place(f"models/{table}")))
         entities = self._models["entities"]
@@ -130,9 +131,10 @@ class ParquetArchive(TickArchive):
         Raises:
             RecordError: a file is missing or damaged.
         """
-        unchecked = [part for part in parts if part not in self._checked[table]]
-        self._run.check(table, unchecked)
-        self._checked[table].update(unchecked)
+        files = self._files[table][parts.start : parts.stop]
+        unchecked = [file for file in files if file not in self._checked]
+        self._run.check_data(table, map(part_number, unchecked))
+        self._checked.update(unchecked)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""

@@ -18,7 +18,8 @@ The `ticks` of a part are written last, and the `entities` of a part of models. 
 these is complete, whatever happened; a part without them does not count.
 
 The footer of each file identifies its episode, table and part, so that a missing file, a swapped
-one, or one of another record is noticed.
+one, or one of another record is noticed. Checksums (`checksums`) find damaged bytes: those of the
+footers when a record is opened, those of the data when a file is first read.
 """
 
 from __future__ import annotations
@@ -26,19 +27,25 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, count, islice
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ssduck.errors import RecordError, warn
+from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
+from ssduck.recording.stores.checksums import (
+    footer_of,
+    footer_problem,
+    parquet_problem,
+    verified_parquet,
+)
 from ssduck.recording.stores.descriptions import (
     EPISODE,
     PARTS,
@@ -64,15 +71,19 @@ UNITS = {
     "quaternion": "w, x, y, z",
 }
 ABOUT = "ssduck.json"
+# The contents of that file.
+DESCRIPTION = {"format": FORMAT, "version": VERSION, "units": UNITS}
 LOG = "log"
+# The largest number of missing parts that a check lists.
+_MOST_MISSING = 1000
 # The largest number of digits of a part and of an episode keeps them below 10**9.
 _PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
+_FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
 _EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
-# The bytes that begin and end a Parquet file.
-_MAGIC = b"PAR1"
-_MISSING = "is missing: the record was damaged, or only copied in part"
-# The size that most footers do not exceed, bytes.
-_MOST_FOOTERS = 1 << 15
+MISSING = "is missing: the record was damaged, or only copied in part"
+RESCUE = (
+    "`ssduck check --repair` drops what is damaged, and ssduck.open(…, partial=True) leaves it out"
+)
 
 
 @dataclass(frozen=True)
@@ -83,11 +94,15 @@ class FolderRun:
         path: the folder.
         world: the name of the world.
         number: of the episode, from 0.
+        left_out: the numbers of parts that are taken for removed.
+        log_end: the number of files of the log that are read; None for all.
     """
 
     path: Path
     world: str
     number: int
+    left_out: frozenset[int] = frozenset()
+    log_end: int | None = None
 
     @property
     def about_file(self) -> Path:
@@ -133,6 +148,21 @@ class FolderRun:
         return recording
 
     @property
+    def has_checksums(self) -> bool:
+        """Whether the files have checksums, which those of older records lack."""
+        return "checksums" in self._about
+
+    @property
+    def is_complete(self) -> bool | None:
+        """Whether the recording was closed; None for an older record, which does not say so."""
+        return None if self.key is None else "parts" in self._about
+
+    @property
+    def removed_parts(self) -> frozenset[int]:
+        """The numbers of parts that were removed as they were damaged, or are left out."""
+        return self.left_out | set(self._about.get("removed", ()))
+
+    @property
     def parts(self) -> list[int]:
         """The numbers of the complete parts."""
         return self._parts_and_log[0]
@@ -151,13 +181,15 @@ class FolderRun:
     @cached_property
     def _parts_and_log(self) -> tuple[list[int], dict[str, pa.Table]]:
         check_inside(self.path, self.place(LOG))
-        files = read_log(self.place(LOG), self.key or "")
+        files = read_log(
+            self.place(LOG), self.key or "", has_checksums=self.has_checksums, end=self.log_end
+        )
         # In this order: the files of a log are removed when their part is complete.
-        parts = _part_numbers(self.place("ticks"))
-        log = following_rows(files, max(parts, default=-1) + 1)
+        parts = part_numbers(self.place("ticks"))
+        log = following_rows(files, max({*parts, *self.removed_parts}, default=-1) + 1)
         if log and set(log) != set(self.tables):
             raise RecordError(f"{self.place(LOG)} is damaged: its tables are not those recorded")
-        return parts, log
+        return [part for part in parts if part not in self.removed_parts], log
 
     @property
     def key(self) -> str | None:
@@ -166,42 +198,71 @@ class FolderRun:
         return key
 
     def _parts_of(self, table: str) -> list[int]:
-        """Returns the numbers of the parts of a table, without gaps from 0 on.
+        """Returns the numbers of the parts of a table, ascending.
 
         Raises:
-            RecordError: a part before the last one is missing.
+            RecordError: a part is missing.
         """
         is_model = table.startswith("models/")
         place = self.place("models/entities" if is_model else "ticks")
-        numbers = _part_numbers(place) if is_model else self.parts
-        missing = next((n for n, number in enumerate(numbers) if n != number), None)
+        numbers = part_numbers(place) if is_model else self.parts
+        missing = self._missing(numbers, is_model=is_model)
         if missing is not None:
-            hint = "" if is_model else ", or remove those: the parts before it can be opened then"
-            raise RecordError(
-                f"{place / part_name(missing)} is missing, and parts after it are there: put it "
-                f"back{hint}"
-            )
-        expected = self._about.get("parts", {}).get("models" if is_model else "ticks", 0)
-        if len(numbers) < expected:
-            if is_model:
-                raise RecordError(f"{place / part_name(len(numbers))} is missing")
-            if table == "ticks":
-                warn(
-                    f"{place / part_name(len(numbers))} is missing: the record of {self.world!r} "
-                    f"was closed with {expected} parts, and ends after {len(numbers)} of them",
+            file, hint = place / part_name(missing), "" if is_model else f"; {RESCUE}"
+            if missing < max(numbers, default=-1):
+                raise RecordError(
+                    f"{file} is missing, and parts after it are there: put it back{hint}"
                 )
+            raise RecordError(
+                f"{file} is missing: the record of {self.world!r} was closed with "
+                f"{self._expected(is_model=is_model)} parts: put it back{hint}"
+            )
         return numbers
+
+    def _missing(self, numbers: Iterable[int], *, is_model: bool) -> int | None:
+        """Returns the number of the first missing part; None if all are present or removed."""
+        present = {*numbers} if is_model else {*numbers, *self.removed_parts}
+        first = next(number for number in count() if number not in present)
+        last = max(max(present, default=-1), self._expected(is_model=is_model) - 1)
+        return first if first <= last else None
+
+    def _expected(self, *, is_model: bool) -> int:
+        """Returns the number of parts that there were when the recording was closed, or 0."""
+        expected: int = self._about.get("parts", {}).get("models" if is_model else "ticks", 0)
+        return expected
+
+    def numbers_to_check(self, *, is_model: bool) -> list[int]:
+        """Returns the numbers of parts that are there or missing; of missing ones, the first."""
+        present = set(part_numbers(self.place("models/entities" if is_model else "ticks")))
+        end = max(max(present, default=-1) + 1, self._expected(is_model=is_model))
+        missing = (number for number in range(end) if number not in present)
+        return sorted({*present, *islice(missing, _MOST_MISSING)})
 
     @property
     def has_begun(self) -> bool:
-        """Whether it is said what is recorded: the file is empty at the very beginning."""
+        """Whether there is an episode: its file may be empty at the very beginning."""
         check_inside(self.path, self.about_file)
-        return self.about_file.stat().st_size > 0
+        if self.about_file.stat().st_size == 0 and not self._has_rows:
+            return False
+        return not self.is_unfinished_export
+
+    @property
+    def is_unfinished_export(self) -> bool:
+        """Whether an export wrote it that did not end."""
+        return "exporting" in self._about
 
     @property
     def has_ticks(self) -> bool:
-        """Whether anything was stored."""
-        return bool(_part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
+        """Whether anything was stored, and all of it if an export wrote it.
+
+        Raises:
+            RecordError: the file that describes the episode is damaged.
+        """
+        return self._has_rows and not self.is_unfinished_export
+
+    @property
+    def _has_rows(self) -> bool:
+        return bool(part_numbers(self.place("ticks"))) or is_log(self.place(LOG))
 
     def files(self, table: str) -> list[Path]:
         """Returns the files of a table, of complete parts only.
@@ -210,7 +271,7 @@ class FolderRun:
             RecordError: a file is missing or damaged.
         """
         files = self.listed_files(table)
-        self.check(table, range(len(files)))
+        self.check(table, map(part_number, files))
         return files
 
     def listed_files(self, table: str) -> list[Path]:
@@ -229,7 +290,7 @@ class FolderRun:
         present = {entry.name for entry in entries if entry.is_file()}
         for number in numbers:
             if part_name(number) not in present:
-                raise self._error_of(table, number, _MISSING)
+                raise self._error_of(table, number, MISSING)
         return [place / part_name(number) for number in numbers]
 
     def label(self, table: str, number: int) -> bytes | None:
@@ -238,7 +299,7 @@ class FolderRun:
         return None if key is None else label_of(key, table, number)
 
     def check(self, table: str, numbers: Iterable[int]) -> list[pq.FileMetaData]:
-        """Checks that the files of parts are there and complete, with their labels and columns.
+        """Checks that the files of parts are there and complete, with right footers.
 
         Returns:
             The footers.
@@ -248,34 +309,61 @@ class FolderRun:
         """
         checked = []
         for number in numbers:
-            label = self.label(table, number)
+            footer, problem = self._footer_of(table, number)
+            if footer is None or problem is not None:
+                raise self._error_of(table, number, problem or MISSING)
             file = self.place(table) / part_name(number)
-            try:
-                footer = _footer(file)
-            except FileNotFoundError:
-                problem = _MISSING
-            except OSError as error:
-                problem = f"cannot be read: {error.strerror}"
-            else:
-                if footer is not None and (label is None or label in footer):
-                    checked.append(check_parquet(str(file), footer, table))
-                    continue
-                problem = "is damaged: it is no complete Parquet file"
-                if footer is not None:
-                    problem = (
-                        "is another part, or of another record: it was renamed, or copied there"
-                    )
-            raise self._error_of(table, number, problem)
+            checked.append(check_parquet(str(file), footer, table))
         return checked
+
+    def check_data(self, table: str, numbers: Iterable[int]) -> None:
+        """Checks all bytes of the files of parts.
+
+        Raises:
+            RecordError: a file is missing or damaged.
+        """
+        for number in numbers:
+            problem = self.problem(table, number)
+            if problem is not None:
+                raise self._error_of(table, number, problem)
+
+    def problem(self, table: str, number: int) -> str | None:
+        """Returns what is wrong with the file of a part, all of which is read; None for nothing.
+
+        Args:
+            table: the table, or the model such as `models/entities`.
+            number: the number of the part.
+        """
+        footer, problem = self._footer_of(table, number)
+        if footer is None or problem is not None:
+            return problem
+        file = self.place(table) / part_name(number)
+        try:
+            check_parquet(str(file), footer, table)
+            return parquet_problem(file, has_checksums=self.has_checksums)
+        except RecordError as error:
+            return error.message.removeprefix(f"{file} ")
+        except OSError as error:
+            return f"cannot be read: {error.strerror}"
+
+    def _footer_of(self, table: str, number: int) -> tuple[bytes | None, str | None]:
+        """Returns the footer of the file of a part, and what is wrong with it."""
+        try:
+            footer = footer_of(self.place(table) / part_name(number))
+        except FileNotFoundError:
+            return None, MISSING
+        except OSError as error:
+            return None, f"cannot be read: {error.strerror}"
+        problem = footer_problem(footer, has_checksums=self.has_checksums)
+        label = self.label(table, number)
+        if problem is None and label is not None and label not in (footer or b""):
+            problem = "is another part, or of another record: it was renamed, or copied there"
+        return footer, problem
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:
         """Returns the error that there is a problem with a part."""
-        name = part_name(number)
-        ticks = self.place("ticks") / name
-        hint = (
-            "" if table.startswith("models/") else f"; remove {ticks} to open the parts before it"
-        )
-        return RecordError(f"{self.place(table) / name} {problem}{hint}")
+        hint = "" if table.startswith("models/") else f"; {RESCUE}"
+        return RecordError(f"{self.place(table) / part_name(number)} {problem}{hint}")
 
     def read(self, table: str) -> pa.Table:
         """Returns all rows of a table.
@@ -286,15 +374,13 @@ class FolderRun:
         files = self.listed_files(table)
         if not files:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
-        rows = self._rows(table, files, range(len(files)))
+        rows = self._rows(table, files)
         return pa.concat_tables(rows, promote_options="default")  # older parts may lack columns
 
-    def _rows(self, table: str, files: Sequence[Path], parts: Sequence[int]) -> list[pa.Table]:
-        """Returns the rows of parts of a table, with the columns that it is to have."""
-        footers = self.check(table, parts)
-        return [
-            _read(files[part], table, footer) for part, footer in zip(parts, footers, strict=True)
-        ]
+    def _rows(self, table: str, files: Sequence[Path]) -> list[pa.Table]:
+        """Returns the rows of files of a table, with the columns that it is to have."""
+        self.check(table, map(part_number, files))
+        return [_read(file, table, has_checksums=self.has_checksums) for file in files]
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
         """Returns the first tick of each part, then of the log if it has rows, and all ticks.
@@ -304,8 +390,12 @@ class FolderRun:
         """
         files = self.listed_files("ticks")
         check_inside(self.path, self.place(INDEX))
-        parts = indexed_ticks(self.place(INDEX), self.key or "", len(files))
-        rest = self._rows("ticks", files, range(len(parts), len(files)))
+        parts = []
+        if not self.removed_parts:
+            parts = indexed_ticks(
+                self.place(INDEX), self.key or "", len(files), has_checksums=self.has_checksums
+            )
+        rest = self._rows("ticks", files[len(parts) :])
         parts += [rows.select(["tick", "time"]) for rows in rest]
         if self.log:
             parts.append(self.log["ticks"].select(["tick", "time"]))
@@ -335,10 +425,12 @@ class FolderRun:
             every=self.recording.get("every", 1),
             entities=None if entities is None else tuple(entities),
             ticks=ticks,
+            complete=self.is_complete,
         )
 
 
-def _part_numbers(place: Path) -> list[int]:
+def part_numbers(place: Path) -> list[int]:
+    """Returns the numbers of the files of parts in a folder, ascending."""
     if not place.is_dir():
         return []
     matches = [_PART.fullmatch(file.name) for file in place.iterdir()]
@@ -350,40 +442,31 @@ def part_name(number: int) -> str:
     return f"part-{number:06d}.parquet"
 
 
+def part_number(file: Path) -> int:
+    """Returns the number of a part from its file."""
+    match = _PART.fullmatch(file.name)
+    assert match is not None
+    return int(match.group(1))
+
+
 def label_of(key: str, table: str, number: int | str) -> bytes:
     """Returns the label of a part of a table, of the episode with a key."""
     return json.dumps({"episode": key, "table": table, "part": number}).encode()
 
 
-def _footer(file: Path) -> bytes | None:
-    """Returns the footer of a Parquet file; None if the file does not end in one."""
-    tail = 4 + len(_MAGIC)  # the length of the footer, and the magic
-    with file.open("rb", buffering=0) as stream:
-        size = stream.seek(0, 2)
-        if size < tail + len(_MAGIC):
-            return None
-        stream.seek(-min(size, _MOST_FOOTERS), 2)
-        end = stream.read()
-        length = int.from_bytes(end[-tail:-4], "little") + tail
-        if end[-4:] != _MAGIC or length > size:
-            return None
-        if length <= len(end):
-            return end[-length:]
-        stream.seek(-length, 2)
-        return stream.read()
-
-
-def _read(file: Path, table: str, footer: pq.FileMetaData) -> pa.Table:
+def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
     """Returns the rows of a part, with the columns that it is to have."""
     types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
     try:
+        part = verified_parquet(file, has_checksums=has_checksums)
         # The threads of the library take longer to wake up than most of these files to read.
-        part = pq.ParquetFile(file.absolute(), metadata=footer)
         present = set(part.schema_arrow.names)
         names = [name for name in types if name in present]
         rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
         rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
         rows.validate(full=True)
+    except RecordError:
+        raise
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
     return rows
@@ -412,15 +495,53 @@ def runs_in(path: Path) -> list[FolderRun]:
     """Returns the runs in a folder, sorted by world and number; looks at none of their files.
 
     Raises:
-        RecordError: the folder is no record, a damaged one, or one of a newer version.
+        RecordError: the folder is no record, a damaged one, or one of a newer version; or it has
+            ticks of an episode, and not the file that describes it.
     """
     check_about(path)
+    runs = runs_named(path)
+    for lost in lost_runs(path, [(run.world, run.number) for run in runs]):
+        raise RecordError(
+            f"{lost.about_file} is missing, and ticks of its episode are there: put it back, or "
+            f"move {lost.place('ticks')} elsewhere"
+        )
+    return runs
+
+
+def runs_named(path: Path) -> list[FolderRun]:
+    """Returns the episodes of a folder that have a file, sorted by world and number."""
     place = path / "episodes"
     check_inside(path, place)
     names = [file.name for file in place.iterdir()] if place.is_dir() else []
     matches = map(_EPISODE.fullmatch, names)
     keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
     return [FolderRun(path, world, number) for world, number in keys]
+
+
+def _names(place: Path) -> list[str]:
+    """Returns the names in a folder, or nothing if there is none."""
+    return [entry.name for entry in place.iterdir()] if place.is_dir() else []
+
+
+def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun]:
+    """Yields episodes that have ticks, and no file that describes them.
+
+    Args:
+        path: the folder.
+        keys: the worlds and numbers of the files that are there.
+    """
+    numbers: dict[str, set[int]] = {}
+    for world, number in keys:
+        numbers.setdefault(world, set()).add(number)
+    places = [path / table for table in ("ticks", LOG)]
+    folders = {folder for place in places for folder in _names(place)}
+    for folder in sorted(folders):
+        world = folder.removeprefix("world=")
+        episodes = [episode for place in places for episode in _names(place / folder)]
+        matches = filter(None, map(_FOLDER.fullmatch, episodes))
+        found = {int(match.group(1)) for match in matches}
+        for number in sorted(found - numbers.get(world, set())):
+            yield FolderRun(path, world, number)
 
 
 def check_about(folder: Path) -> None:

@@ -23,6 +23,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.checksums import UNSEALED, log_problem, sealed
 from ssduck.recording.stores.stored_columns import check_stream
 from ssduck.schema import RECORDED
 
@@ -100,19 +101,26 @@ class LogFile:
     rows: dict[str, pa.Table]
 
 
-def read_log(place: Path, key: str) -> list[LogFile]:
+def read_log(
+    place: Path, key: str, *, has_checksums: bool, end: int | None = None
+) -> list[LogFile]:
     """Returns the files of a log, in order.
 
     Args:
         place: the folder of the files.
         key: the text that identifies the episode.
+        has_checksums: whether the files must have checksums.
+        end: the number of files that are read; None for all.
 
     Raises:
         RecordError: a file is damaged, of another episode, or missing before others.
     """
     for _ in range(_ATTEMPTS):
         try:
-            files = [LogFile(file, _numbers(file)[0], _read(file, key)) for file in _files(place)]
+            files = [
+                LogFile(file, _numbers(file)[0], _read(file, key, has_checksums=has_checksums))
+                for file in log_files(place)[:end]
+            ]
         except FileNotFoundError:  # its part was completed meanwhile
             continue
         return files
@@ -121,7 +129,7 @@ def read_log(place: Path, key: str) -> list[LogFile]:
 
 def is_log(place: Path) -> bool:
     """Checks whether a folder has files of a log."""
-    return bool(_files(place))
+    return bool(log_files(place))
 
 
 def following_rows(files: Sequence[LogFile], part: int) -> dict[str, pa.Table]:
@@ -152,7 +160,8 @@ def _numbers(file: Path) -> tuple[int, int]:
     return int(match.group(1)), int(match.group(2))
 
 
-def _files(place: Path) -> list[Path]:
+def log_files(place: Path) -> list[Path]:
+    """Returns the files of a log, in order."""
     if not place.is_dir():
         return []
     return sorted((file for file in place.iterdir() if _FILE.fullmatch(file.name)), key=_numbers)
@@ -163,19 +172,33 @@ def _label(key: str, name: str) -> bytes:
 
 
 def _write(path: Path, rows: Mapping[str, pa.Table], label: bytes) -> None:
-    with pa.OSFile(str(path), "wb") as sink:
-        for table, added in rows.items():
-            labelled = added.replace_schema_metadata({_LABEL: label, _TABLE: table})
-            with pa.ipc.new_stream(sink, labelled.schema) as writer:
-                writer.write_table(labelled)
+    sink = pa.BufferOutputStream()
+    for number, (table, added) in enumerate(rows.items()):
+        metadata = {_LABEL: label, _TABLE: table} | ({} if number else UNSEALED)
+        labelled = added.replace_schema_metadata(metadata)
+        with pa.ipc.new_stream(sink, labelled.schema) as writer:
+            writer.write_table(labelled)
+    path.write_bytes(sealed(bytearray(sink.getvalue())))
 
 
-def _read(file: Path, key: str) -> dict[str, pa.Table]:
+def log_file_problem(file: Path, key: str, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with a file of a log; None for nothing."""
+    try:
+        _read(file, key, has_checksums=has_checksums)
+    except RecordError as error:
+        return error.message.removeprefix(f"{file} ").partition(";")[0]
+    return None
+
+
+def _read(file: Path, key: str, *, has_checksums: bool) -> dict[str, pa.Table]:
     if not stat.S_ISREG(file.lstat().st_mode):
         raise RecordError(f"{file} is no file: put a copy in its place")
-    content = pa.BufferReader(file.read_bytes())
+    stored = file.read_bytes()
+    content = pa.BufferReader(stored)
     tables: dict[str, pa.Table] = {}
     try:
+        if log_problem(stored, has_checksums=has_checksums) is not None:
+            raise pa.ArrowInvalid("its checksum is wrong")
         while content.tell() < content.size():
             stream = pa.ipc.open_stream(content)
             metadata = stream.schema.metadata or {}
@@ -193,8 +216,8 @@ def _read(file: Path, key: str) -> dict[str, pa.Table]:
         if isinstance(error, RecordError):
             raise
         raise RecordError(
-            f"{file} cannot be read: it is damaged: {error}; remove it and those after it to open "
-            "the ticks before them"
+            f"{file} cannot be read: it is damaged: {error}; `ssduck check --repair` drops it and "
+            "those after it, and ssduck.open(…, partial=True) leaves them out"
         ) from error
     return tables
 

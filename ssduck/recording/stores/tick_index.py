@@ -15,11 +15,10 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 from ssduck.recording.stores.stored_columns import MAX_VALUES, arrow_columns, check_columns
 from ssduck.schema import ColumnType
 
@@ -43,7 +42,7 @@ class TickIndex:
     """
 
     def __init__(self, place: Path, key: str) -> None:
-        self._file = _file_in(place)
+        self._file = index_file(place)
         self._key = key
         self._parts: list[pa.Table] = []
 
@@ -69,24 +68,23 @@ class TickIndex:
             return
         self._file.parent.mkdir(parents=True, exist_ok=True)
         rows = pa.concat_tables(self._parts).replace_schema_metadata({_LABEL: _label(self._key)})
-        write_atomically(
-            self._file, lambda file: pq.write_table(rows, file.absolute(), compression="zstd")
-        )
+        write_parquet(rows, self._file, compression="zstd")
 
 
-def indexed_ticks(place: Path, key: str, parts: int) -> list[pa.Table]:
+def indexed_ticks(place: Path, key: str, parts: int, *, has_checksums: bool) -> list[pa.Table]:
     """Returns the numbers and times of the ticks of each part that an index knows, in order.
 
     Args:
         place: the folder of the index.
         key: the text that identifies the episode.
         parts: the number of parts that are there.
+        has_checksums: whether the index must have checksums.
     """
-    file = _file_in(place)
+    file = index_file(place)
     if not file.is_file():
         return []
     try:
-        index = pq.ParquetFile(file.absolute())
+        index = verified_parquet(file, has_checksums=has_checksums)
         if (index.schema_arrow.metadata or {}).get(_LABEL) != _label(key):
             return []
         check_columns(str(file), arrow_columns(index.schema_arrow), _TYPES)
@@ -136,7 +134,8 @@ def checked_ticks(rows: pa.Table, source: str) -> TickBuffer:
     return TickBuffer.from_arrays(numbers, times)
 
 
-def _file_in(place: Path) -> Path:
+def index_file(place: Path) -> Path:
+    """Returns the file of the index in a folder."""
     return place / "ticks.parquet"
 
 

@@ -2,7 +2,7 @@
 
 PyBullet returns each point as a tuple of numbers and triples, 31 Python objects. A loop over these
 objects costs more than the tick itself. `marshal` writes them all in one call; since the bytes of
-each point have the same layout, numpy reads them as records.
+each point have the same layout, numpy reads each field of all points at once.
 """
 
 from __future__ import annotations
@@ -10,40 +10,41 @@ from __future__ import annotations
 import marshal
 import struct
 from collections.abc import Sequence
-from itertools import repeat
+from itertools import accumulate, chain
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.pybullet.console import pybullet
 
-# The groups of adjacent fields of a point in PyBullet's order, with the type and number of each:
-# flags, bodies and links; points and normal; distance, normal force and first friction; ...
-_GROUPS = (
-    ("integers", "integer", 5),
-    ("vectors", "triple", 3),
-    ("scalars", "float", 3),
-    ("direction_1", "triple", 1),
-    ("friction_2", "float", 1),
-    ("direction_2", "triple", 1),
-)
 # marshal's format 2, without references: a type code, then the value or the count of elements.
 _FORMAT = 2
-_HEADER = np.dtype([("code", "S1"), ("count", "<i4")])
-_INTEGER = np.dtype([("code", "S1"), ("value", "<i4")])
-_FLOAT = np.dtype([("code", "S1"), ("value", "<f8")])
-_TRIPLE = np.dtype([("header", _HEADER), ("elements", _FLOAT, 3)])
-_TYPES = {"integer": _INTEGER, "float": _FLOAT, "triple": _TRIPLE}
-_RECORD = np.dtype(
-    [("header", _HEADER), *((name, _TYPES[kind], count) for name, kind, count in _GROUPS)]
+_SIZES = {"integer": 5, "float": 9, "triple": 5 + 3 * 9}
+_HEADER_SIZE = 5
+# The fields of a point in PyBullet's order: flags, bodies and links; points and normal; distance,
+# normal force and first friction; its direction; the second friction; its direction.
+_FIELDS = (
+    *("integer",) * 5,
+    *("triple",) * 3,
+    *("float",) * 3,
+    *("triple", "float", "triple"),
 )
-# A record as bytes: copying these is faster than copying its fields.
-_BYTES = np.dtype((np.void, _RECORD.itemsize))
+# Where the value of each field is, or its first element; the last number is the size of a point.
+_STARTS = list(accumulate(map(_SIZES.__getitem__, _FIELDS), initial=_HEADER_SIZE))
+_SIZE = _STARTS[-1]
+# The fields of bodies and links, and the runs of equal fields with floats.
+_SIDES = range(1, 5)
+_RUNS = (range(5, 8), range(8, 11), range(11, 12), range(12, 13), range(13, 14))
+# Rows of floats: the points and the normal, the distance, the normal force, the frictions.
+_DISTANCE, _FORCE, _FRICTION_1, _FRICTION_2 = 9, 10, 11, 15
+_FLOATS = 19
 
 _Point: TypeAlias = tuple[Any, ...]
-_Numbers: TypeAlias = npt.NDArray[Any]
+# Bodies and links, (4, points), and the other numbers, (19, points).
+_Columns: TypeAlias = tuple[Indices, Array]
 
 
 def read_contacts(client: int) -> ContactPoints:
@@ -54,65 +55,59 @@ def read_contacts(client: int) -> ContactPoints:
 
 def _meeting(points: Sequence[_Point]) -> ContactPoints:
     """Returns the points at which shapes meet."""
-    records = _records(points)
-    if records is None:
-        return _contacts(_values_by_field([point for point in points if point[8] <= 0.0]))
-    is_meeting = records["scalars"]["value"][:, 0] <= 0.0
+    sides, floats = _columns(points) or _columns_by_field(points)
+    is_meeting = floats[_DISTANCE] <= 0.0
     if not is_meeting.all():
-        records = records.view(_BYTES)[is_meeting].view(_RECORD)
-    return _contacts(_values(records))
-
-
-def _contacts(values: dict[str, _Numbers]) -> ContactPoints:
-    """Returns contact points, from the values of each group of fields."""
-    integers, vectors, scalars = values["integers"], values["vectors"], values["scalars"]
-    friction = scalars[:, 2, None] * values["direction_1"][:, 0]
-    friction += values["friction_2"] * values["direction_2"][:, 0]
+        chosen = is_meeting.nonzero()[0]
+        sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
+    friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
+    friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]
     return ContactPoints(
-        bodies=integers[:, 1:3].astype(np.intp),
-        links=integers[:, 3:5].astype(np.intp) + 1,
-        points=vectors[:, :2],
-        normals=vectors[:, 2],
-        depths=-scalars[:, 0],
-        forces=scalars[:, 1],
-        frictions=friction,
+        bodies=sides[:2].T,
+        links=sides[2:].T + 1,
+        points=floats[:6].reshape(2, 3, -1).transpose(2, 0, 1),
+        normals=floats[6:9].T,
+        depths=-floats[_DISTANCE],
+        forces=floats[_FORCE],
+        frictions=friction.T,
     )
 
 
-def _values(records: _Numbers) -> dict[str, _Numbers]:
-    """Returns the values of each group of fields, (points, fields) or (points, fields, 3).
-
-    They are copied: arithmetic on numbers that are not aligned takes longer.
-    """
-    return {
-        name: np.array((records[name]["elements"] if kind == "triple" else records[name])["value"])
-        for name, kind, _ in _GROUPS
-    }
-
-
-def _records(points: Sequence[_Point]) -> _Numbers | None:
-    """Returns points as records; None if the bytes of a point have another layout."""
-    written = marshal.dumps(tuple(points), _FORMAT)
-    if len(written) != _HEADER.itemsize + len(points) * _RECORD.itemsize:
+def _columns(points: Sequence[_Point]) -> _Columns | None:
+    """Returns the numbers of points; None if the bytes of a point have another layout."""
+    written, count = marshal.dumps(tuple(points), _FORMAT), len(points)
+    if len(written) != _HEADER_SIZE + count * _SIZE:
         return None
-    content = np.frombuffer(written, np.uint8, offset=_HEADER.itemsize)
-    raw = content.reshape(len(points), _RECORD.itemsize)
-    return content.view(_RECORD) if ((raw & _CODES) == _EXPECTED).all() else None
+    raw = np.frombuffer(written, np.uint8, offset=_HEADER_SIZE).reshape(count, _SIZE)
+    if not ((raw & _CODES) == _EXPECTED).all():
+        return None
+
+    def values(fields: range, kind: str) -> npt.NDArray[Any]:
+        """Returns the values of equal fields, (fields, points) or (fields, 3, points)."""
+        field = _FIELDS[fields.start]
+        is_triple = field == "triple"
+        # Behind the header of the points and the codes of the field and of its first element.
+        start = _HEADER_SIZE + _STARTS[fields.start] + 1 + is_triple * _HEADER_SIZE
+        shape = (len(fields), 3, count) if is_triple else (len(fields), count)
+        inner = (_SIZES["float"], _SIZE) if is_triple else (_SIZE,)
+        return np.ndarray(shape, kind, written, start, (_SIZES[field], *inner))
+
+    floats, row = np.zeros((_FLOATS, count)), 0
+    for fields in _RUNS:
+        run = values(fields, "<f8")
+        rows = run.size // count
+        floats[row : row + rows].reshape(run.shape)[...] = run
+        row += rows
+    return values(_SIDES, "<i4").astype(np.intp), floats
 
 
-def _values_by_field(points: Sequence[_Point]) -> dict[str, _Numbers]:
-    """Returns the values of each group of fields, converted one field at a time."""
-    fields = iter(zip(*points, strict=True) if points else repeat(()))
-    return {
-        name: np.stack([_column(next(fields), kind) for _ in range(count)], axis=1)
-        for name, kind, count in _GROUPS
-    }
-
-
-def _column(values: Sequence[Any], kind: str) -> _Numbers:
-    """Returns the values of a field, (points,) or (points, 3)."""
-    shape = (len(values), 3) if kind == "triple" else (len(values),)
-    return np.array(values, dtype=np.int64 if kind == "integer" else np.float64).reshape(shape)
+def _columns_by_field(points: Sequence[_Point]) -> _Columns:
+    """Returns the numbers of points, converted one field at a time."""
+    fields = list(zip(*points, strict=True))
+    columns = [fields[place] for place in chain(*_RUNS)]
+    floats = [np.array(column, dtype=np.float64).reshape(len(points), -1).T for column in columns]
+    sides = [fields[place] for place in _SIDES]
+    return np.array(sides, dtype=np.intp), np.concatenate(floats)
 
 
 def _sample(byte: int) -> npt.NDArray[np.uint8]:
@@ -120,8 +115,7 @@ def _sample(byte: int) -> npt.NDArray[np.uint8]:
     values = {"integer": struct.unpack("<i", bytes([byte] * 4))[0]}
     values["float"] = struct.unpack("<d", bytes([byte] * 8))[0]
     values["triple"] = (values["float"],) * 3
-    point = tuple(values[kind] for _, kind, count in _GROUPS for _ in range(count))
-    return np.frombuffer(marshal.dumps(point, _FORMAT), np.uint8)
+    return np.frombuffer(marshal.dumps(tuple(values[kind] for kind in _FIELDS), _FORMAT), np.uint8)
 
 
 # A mask of the bytes that are the same for all points, codes and counts, and these bytes.

@@ -15,6 +15,7 @@ from ssduck.geometry import shape_comparisons
 from ssduck.interpreter.triggers.batch import FormulaBatches
 from ssduck.interpreter.triggers.selection import FormulaSelection
 from ssduck.world.handles import Handle
+from tests.support.cases import generated
 from tests.support.triggering import state
 
 # Formulas for numpy, formulas for DuckDB, and programs that are evaluated by themselves.
@@ -220,7 +221,7 @@ def outcome(actions, *, together):
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
+@settings(max_examples=generated(10))
 @given(st.lists(ADDED, min_size=3, max_size=8), ACTIONS)
 def test_together_as_one_by_one(added, actions):
     """The same calls in the same order, with the same results, errors, warnings and states."""

@@ -59,7 +59,7 @@ def test_tables_are_the_same_row_for_row(request, world, table, kind):
 @pytest.mark.slow
 def test_each_past_tick_is_the_same(tmp_path, client):
     with ssduck.Interpreter(recording=None) as ss:
-        live_lab(ss, client, Recording(), ticks=30).request_tables(["shapes"])
+        live_lab(ss, client, Recording(), ticks=12).request_tables(["shapes"])
         ss.export(tmp_path / "run")
         with ssduck.open(tmp_path / "run") as opened:
             for time in ss.past("lab").times:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import ssduck
-from tests.support.cases import sampled
+from tests.support.cases import generated, sampled
 from tests.support.recorded import POSIX, python
 from tools import kill
 
@@ -110,7 +110,7 @@ def test_half_an_export_is_taken_back(tmp_path):
 
 
 @POSIX
-@sampled("seed", range(6), every=6)
+@sampled("seed", range(generated(3)), every=3)
 def test_killed_recorders_leave_whole_records(seed):
     """The short form of `python -m tools.kill`."""
     run = kill.Run(kill.KINDS["both"], slack=5.0)  # the machine may be busy

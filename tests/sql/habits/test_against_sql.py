@@ -12,13 +12,13 @@ import ssduck
 from ssduck.errors import ProgramWarning, SelectScriptError
 from ssduck.interpreter import query_runner
 from tests.sql.habits.test_queries import DATA
-from tests.support.cases import sampled
+from tests.support.cases import generated, sampled
 from tests.support.choices import seeded
 from tests.support.sql_grammar import COLUMNS, sql_query
 
 # The number of queries of a case, and of those that have to be answered.
-QUERIES = 40
-ANSWERED = 25
+QUERIES = 20
+ANSWERED = 10
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def rows_of_sql(table, text):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["room", "dicts"])
-@sampled("start", range(0, 300, QUERIES), every=15)
+@sampled("start", range(0, generated(100), QUERIES), every=5)
 def test_random_queries_give_what_sql_gives_or_an_error(ss, table, start, source):
     answered, before = 0, set(ss)
     for seed in range(start, start + QUERIES):

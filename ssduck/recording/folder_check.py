@@ -1,0 +1,271 @@
+"""Checks all files of a record in a folder, and repairs it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ssduck.errors import RecordError, warn
+from ssduck.recording.stores.atomic_files import create_file, write_atomically
+from ssduck.recording.stores.checksums import (
+    footer_of,
+    json_text,
+    parquet_problem,
+    verified_parquet,
+    write_json,
+)
+from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.parquet_layout import (
+    ABOUT,
+    DESCRIPTION,
+    LOG,
+    MISSING,
+    FolderRun,
+    check_about,
+    lost_runs,
+    part_name,
+    runs_named,
+)
+from ssduck.recording.stores.part_log import log_file_problem, log_files
+from ssduck.recording.stores.tick_index import INDEX, index_file
+from ssduck.schema import MODELS, RECORDED
+
+# What is added to the name of a damaged file.
+DAMAGED = ".damaged"
+_LABEL = re.compile(rb'\{"episode": "([0-9a-f]+)", "table": ')
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A file of a record that is damaged or missing.
+
+    Attributes:
+        file: the file.
+        problem: what is wrong with it.
+        loss: what cannot be read without it.
+        is_repaired: whether it was repaired: what is left can be opened.
+    """
+
+    file: Path
+    problem: str
+    loss: str
+    is_repaired: bool = False
+
+
+@dataclass(frozen=True)
+class _RunDamage(Damage):
+    """A damaged file of an episode.
+
+    Attributes:
+        run: the episode.
+        part: the number of the part of its tables; None for another file.
+        log: the number of files of the log before it; None for another file.
+    """
+
+    run: FolderRun | None = None
+    part: int | None = None
+    log: int | None = None
+
+
+def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
+    """Returns the damaged and missing files of a folder; reads all bytes of all files.
+
+    Args:
+        path: the folder.
+        repair: whether damaged parts are taken out of the record. Their files stay, under names
+            that end in `.damaged`.
+
+    Raises:
+        RecordError: the folder is no record, or one of a newer version; or it cannot be written.
+    """
+    damages: list[Damage] = []
+    about = path / ABOUT
+    try:
+        check_about(path)
+    except RecordError as error:
+        if not (path / "episodes").is_dir() or (about.exists() and "damaged" not in error.message):
+            raise
+        problem = _problem_of(error, about) if about.exists() else MISSING
+        damage = Damage(about, problem, "the whole record")
+        damages.append(_repaired(damage, lambda: _write_about(about)) if repair else damage)
+    runs = runs_named(path)
+    runs += lost_runs(path, [(run.world, run.number) for run in runs])
+    for run in runs:
+        found = list(damages_of(run))
+        damages += _repair_run(run, found) if repair else found
+    return damages
+
+
+def partial_run(run: FolderRun) -> FolderRun:
+    """Returns an episode without its damaged parts; warns of each damaged file.
+
+    Raises:
+        RecordError: the file that describes the episode, or a model, is damaged.
+    """
+    damages = list(damages_of(run))
+    for damage in damages:
+        if damage.part is None and damage.log is None:
+            if damage.file == index_file(run.place(INDEX)):
+                continue
+            raise RecordError(f"{damage.file} {damage.problem}: {damage.loss} cannot be read")
+    for damage in damages:
+        warn(f"{damage.file} {damage.problem}; left out: {damage.loss}")
+    parts = frozenset(damage.part for damage in damages if damage.part is not None)
+    ends = [damage.log for damage in damages if damage.log is not None]
+    return replace(run, left_out=parts, log_end=min(ends, default=None))
+
+
+def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
+    """Yields the damaged and missing files of an episode; reads all bytes of all files."""
+    episode = f"episode {run.number} of {run.world!r}"
+    problem: str | None
+    try:
+        tables = run.tables
+    except RecordError as error:
+        problem = _problem_of(error, run.about_file)
+        yield _RunDamage(run.about_file, problem, f"all of {episode}", run=run)
+        return
+    if run.is_unfinished_export:
+        problem = "is of an export that did not end"
+        yield _RunDamage(run.about_file, problem, f"{episode}, which is not complete", run=run)
+        return
+    for number in run.numbers_to_check(is_model=False):
+        if number in run.removed_parts:
+            continue
+        for table in tables:
+            problem = run.problem(table, number)
+            if problem is not None:
+                file, loss = run.place(table) / part_name(number), _loss(run, number)
+                yield _RunDamage(file, problem, loss, run=run, part=number)
+    for number in run.numbers_to_check(is_model=True):
+        for table in (f"models/{model}" for model in MODELS):
+            problem = run.problem(table, number)
+            if problem is not None:
+                file = run.place(table) / part_name(number)
+                yield _RunDamage(file, problem, f"all of {episode}", run=run)
+    yield from _log_damages(run)
+    index = index_file(run.place(INDEX))
+    problem = _index_problem(run, index)
+    if problem is not None:
+        yield _RunDamage(index, problem, "nothing: the parts have what it has", run=run)
+
+
+def _log_damages(run: FolderRun) -> Iterator[_RunDamage]:
+    for number, file in enumerate(log_files(run.place(LOG))[: run.log_end]):
+        problem = log_file_problem(file, run.key or "", has_checksums=run.has_checksums)
+        if problem is not None:
+            loss = "ticks from there to the end of the log"
+            yield _RunDamage(file, problem, loss, run=run, log=number)
+            return
+
+
+def _index_problem(run: FolderRun, index: Path) -> str | None:
+    if not index.is_file():
+        return None
+    return parquet_problem(index, has_checksums=run.has_checksums)
+
+
+def _loss(run: FolderRun, part: int) -> str:
+    """Returns the ticks that are lost with a part."""
+    if run.problem("ticks", part) is not None:
+        return f"ticks of part {part}"
+    file = run.place("ticks") / part_name(part)
+    ticks = verified_parquet(file, has_checksums=run.has_checksums).read(["tick"])["tick"]
+    first, last = ticks[0].as_py(), ticks[-1].as_py()
+    return f"tick {first}" if first == last else f"ticks {first} to {last}"
+
+
+def _problem_of(error: RecordError, file: Path) -> str:
+    return error.message.removeprefix(f"{file} ")
+
+
+# -- repairing --------------------------------------------------------------------------------
+
+
+def _repair_run(run: FolderRun, damages: Sequence[_RunDamage]) -> list[Damage]:
+    """Takes the damaged files of an episode out of the record; returns what was done.
+
+    The description of the episode comes first, so that a repair that is interrupted leaves no gap.
+    """
+    parts = sorted({damage.part for damage in damages if damage.part is not None})
+    if parts:
+        about = read_description(run.about_file)
+        removed = sorted({*about.get("removed", ()), *parts})
+        content = about | {"removed": removed}
+        write_atomically(run.about_file, lambda file: write_json(content, file))
+        for part in parts:
+            for table in run.tables:
+                set_aside(run.place(table) / part_name(part))
+    return [replace(damage, is_repaired=_repair(run, damage)) for damage in damages]
+
+
+def _repair(run: FolderRun, damage: _RunDamage) -> bool:
+    """Repairs a damaged file unless it is of a part; returns whether it is repaired."""
+    if damage.part is not None:
+        return True
+    if damage.log is not None:
+        for file in log_files(run.place(LOG))[damage.log :]:
+            set_aside(file)
+        return True
+    if damage.file == run.about_file:
+        about = None if "export" in damage.problem else _description_of(run)
+        is_export = about is None and damage.file.exists() and "export" in damage.problem
+        if about is not None or is_export:
+            set_aside(damage.file)
+        if about is not None:
+            create_file(run.about_file, json_text(about))
+        return about is not None or is_export
+    if damage.file == index_file(run.place(INDEX)):
+        set_aside(damage.file)
+        return True
+    return False
+
+
+def set_aside(file: Path) -> None:
+    """Adds `.damaged` to the name of a file, if it is there; replaces none."""
+    if not file.exists():
+        return
+    place, number = file.with_name(f"{file.name}{DAMAGED}"), 1
+    while place.exists():
+        number += 1
+        place = file.with_name(f"{file.name}{DAMAGED}-{number}")
+    file.rename(place)
+
+
+def _write_about(about: Path) -> None:
+    set_aside(about)
+    create_file(about, json_text(DESCRIPTION))
+
+
+def _repaired(damage: Damage, repair: object) -> Damage:
+    assert callable(repair)
+    repair()
+    return replace(damage, is_repaired=True)
+
+
+def _description_of(run: FolderRun) -> dict[str, object] | None:
+    """Returns what the files of an episode say of it; None if they are too damaged."""
+    tables = [table for table in RECORDED if run.place(table).is_dir()]
+    files = sorted(run.place("ticks").glob("part-*.parquet"))
+    for file in files:
+        with suppress(OSError):
+            footer = footer_of(file) or b""
+            match = _LABEL.search(footer)
+            if match is None or parquet_problem(file, has_checksums=True) is not None:
+                continue
+            started = datetime.fromtimestamp(file.stat().st_mtime, UTC)
+            return {
+                "world": run.world,
+                "episode": run.number,
+                "key": json.loads(b'"%s"' % match.group(1)),
+                "checksums": "crc32",
+                "tables": tables,
+                "started": started.isoformat(timespec="seconds"),
+                "recording": {"every": 1, "entities": None},
+            }
+    return None

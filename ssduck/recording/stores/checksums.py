@@ -1,0 +1,207 @@
+"""Checksums (CRC-32) of the files of a record: they find damages, not forgeries.
+
+The footer of a Parquet file has two: that of all bytes before the footer, and that of the footer,
+computed with zeros in its own place. So a footer is checked without the data, and the data without
+what follows. A file of a log has one, of all its bytes, and a JSON file has that of its content.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.errors import RecordError
+from ssduck.recording.stores.atomic_files import write_atomically
+
+# The bytes that begin and end a Parquet file.
+_MAGIC = b"PAR1"
+# The length of a footer and the magic, bytes.
+_TAIL = 4 + len(_MAGIC)
+# The size that most footers do not exceed, bytes.
+_MOST_FOOTERS = 1 << 15
+_KEY = b"ssduck checksums"
+_DIGITS = rb"[0-9a-f]{8}"
+_FOOTER_SUMS = re.compile(rb"crc32 of data (%s), of footer (%s)" % (_DIGITS, _DIGITS))
+_FILE_SUM = re.compile(rb"crc32 of file (%s)" % _DIGITS)
+_NONE = b"0" * 8
+# The key of the checksum of a JSON file.
+CHECKSUM_KEY = "crc32"
+NOT_COMPLETE = "is damaged: it is no complete Parquet file"
+WRONG_CHECKSUM = "is damaged: its checksum is wrong"
+
+
+def _hex(checksum: int) -> bytes:
+    return b"%08x" % checksum
+
+
+# -- Parquet files ----------------------------------------------------------------------------
+
+
+def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
+    """Writes rows, with their metadata, to a Parquet file with checksums, all or nothing.
+
+    Args:
+        rows: the rows.
+        place: the path of the file.
+        options: the options of the Parquet library.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(sink, rows.schema, write_page_checksum=True, **options) as writer:
+        writer.write_table(rows)
+        sums = b"crc32 of data %s, of footer %s" % (_NONE, _NONE)
+        writer.add_key_value_metadata({_KEY: sums})
+    content = memoryview(sink.getvalue())
+    length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
+    data, footer = content[:-length], bytearray(content[-length:])
+    match = _last(_FOOTER_SUMS, footer)
+    assert match is not None
+    footer[slice(*match.span(1))] = _hex(zlib.crc32(data))
+    footer[slice(*match.span(2))] = _hex(zlib.crc32(footer))
+
+    def write(file: Path) -> None:
+        with file.open("wb", buffering=0) as stream:
+            _write_all(stream, data)
+            _write_all(stream, memoryview(footer))
+
+    write_atomically(place, write)
+
+
+def _write_all(stream: Any, content: memoryview) -> None:
+    while content:
+        content = content[stream.write(content) :]
+
+
+def footer_of(file: Path) -> bytes | None:
+    """Returns the footer of a Parquet file; None if the file does not end in one."""
+    with file.open("rb", buffering=0) as stream:
+        size = stream.seek(0, 2)
+        if size < _TAIL + len(_MAGIC):
+            return None
+        stream.seek(-min(size, _MOST_FOOTERS), 2)
+        end = stream.read()
+        length = int.from_bytes(end[-_TAIL:-4], "little") + _TAIL
+        if end[-4:] != _MAGIC or length > size:
+            return None
+        if length <= len(end):
+            return end[-length:]
+        stream.seek(-length, 2)
+        return stream.read()
+
+
+def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with a footer; None for nothing.
+
+    Args:
+        footer: the footer; None if the file does not end in one.
+        has_checksums: whether it must have checksums, which older records lack.
+    """
+    if footer is None:
+        return NOT_COMPLETE
+    match = _last(_FOOTER_SUMS, footer)
+    if match is None:
+        return WRONG_CHECKSUM if has_checksums else None
+    start, end = match.span(2)
+    expected = zlib.crc32(footer[end:], zlib.crc32(_NONE, zlib.crc32(footer[:start])))
+    return None if match.group(2) == _hex(expected) else WRONG_CHECKSUM
+
+
+def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with a Parquet file, all of which is read; None for nothing.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    return _problem(file.read_bytes(), has_checksums=has_checksums)
+
+
+def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
+    """Returns a Parquet file, which is in memory and was checked.
+
+    Raises:
+        RecordError: the file is damaged.
+        OSError: it cannot be read.
+    """
+    content = file.read_bytes()
+    problem = _problem(content, has_checksums=has_checksums)
+    if problem is not None:
+        raise RecordError(f"{file} {problem}")
+    return pq.ParquetFile(pa.BufferReader(content))
+
+
+def _problem(content: bytes, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with the content of a Parquet file; None for nothing."""
+    length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
+    is_complete = len(content) >= length + len(_MAGIC) and content[-4:] == _MAGIC
+    footer = content[-length:] if is_complete else None
+    problem = footer_problem(footer, has_checksums=has_checksums)
+    match = None if footer is None else _last(_FOOTER_SUMS, footer)
+    if problem is None and match is not None:
+        data = memoryview(content)[:-length]
+        problem = None if match.group(1) == _hex(zlib.crc32(data)) else WRONG_CHECKSUM
+    return problem
+
+
+def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[bytes] | None:
+    """Returns the last match: names of entities are in a footer, too, before it."""
+    matches = list(pattern.finditer(content))
+    return matches[-1] if matches else None
+
+
+# -- files of a log ---------------------------------------------------------------------------
+
+# Metadata of a file that is to have a checksum.
+UNSEALED = {_KEY: b"crc32 of file " + _NONE}
+
+
+def sealed(content: bytearray) -> bytearray:
+    """Returns the content of a file with its checksum, in the place of the metadata `UNSEALED`."""
+    match = _FILE_SUM.search(content)
+    assert match is not None
+    start, end = match.span(1)
+    content[start:end] = _hex(zlib.crc32(content))
+    return content
+
+
+def log_problem(content: bytes, *, has_checksums: bool) -> str | None:
+    """Returns what is wrong with the content of a file that was sealed; None for nothing."""
+    match = _FILE_SUM.search(content)
+    if match is None:
+        return WRONG_CHECKSUM if has_checksums else None
+    start, end = match.span(1)
+    view = memoryview(content)
+    expected = zlib.crc32(view[end:], zlib.crc32(_NONE, zlib.crc32(view[:start])))
+    return None if match.group(1) == _hex(expected) else WRONG_CHECKSUM
+
+
+# -- JSON files -------------------------------------------------------------------------------
+
+
+def write_json(content: Mapping[str, Any], file: Path) -> None:
+    """Writes a JSON object with its checksum to a file."""
+    file.write_text(json_text(content), encoding="utf-8")
+
+
+def json_text(content: Mapping[str, Any]) -> str:
+    """Returns a JSON object with its checksum."""
+    values = {key: value for key, value in content.items() if key != CHECKSUM_KEY}
+    return json.dumps(values | {CHECKSUM_KEY: _json_sum(values)}, indent=2) + "\n"
+
+
+def pop_checksum(content: dict[str, Any]) -> bool:
+    """Removes the checksum of a JSON object; returns whether it is right, or there is none."""
+    checksum = content.pop(CHECKSUM_KEY, None)
+    return checksum is None or checksum == _json_sum(content)
+
+
+def _json_sum(content: Mapping[str, Any]) -> str:
+    return _hex(zlib.crc32(json.dumps(content, sort_keys=True).encode())).decode()

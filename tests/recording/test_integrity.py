@@ -1,0 +1,265 @@
+"""Damaged records give the right answers or an error; `check` finds and repairs what is damaged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording.stores.descriptions import read_description
+from tests.support.command_line import answer, ssduck_
+from tests.support.recorded import python
+from tools import flip
+
+PLACE = "world=lab/episode=0"
+COUNT = "SELECT count(*) FROM entities_history"
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The records of `tools.flip`."""
+    place = tmp_path_factory.mktemp("records")
+    flip.write_records(place)
+    return place
+
+
+@pytest.fixture
+def run(records: Path, tmp_path: Path) -> Path:
+    """A folder of five parts, which is closed."""
+    return flip.copy_of(records / "run", tmp_path)
+
+
+def flip_bit(file: Path, position: float) -> None:
+    """Flips a bit of a file, at a part of its length."""
+    content = bytearray(file.read_bytes())
+    content[int(position * len(content))] ^= 4
+    file.write_bytes(content)
+
+
+@pytest.fixture(scope="module")
+def flips(tmp_path_factory: pytest.TempPathFactory) -> Iterator[flip.Run]:
+    run = flip.Run(tmp_path_factory.mktemp("flips"))
+    yield run
+    run.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_damaged_records_give_right_answers_or_errors(flips: flip.Run, seed: int) -> None:
+    """The short form of `python -m tools.flip`."""
+    flips.add(seed)
+    assert seed not in flips.faults, flips.faults[seed]
+
+
+FILES = [
+    f"entities/{PLACE}/part-000002.parquet",
+    f"ticks/{PLACE}/part-000001.parquet",
+    f"models/entities/{PLACE}/part-000000.parquet",
+    "episodes/lab-0.json",
+    "ssduck.json",
+]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_flipped_bit_of_any_byte_is_noticed(run: Path, name: str) -> None:
+    """In the data, which the footer does not tell, and in the footer."""
+    whole = (run / name).read_bytes()
+    for position in (0.1, 0.3, 0.5, 0.7, 0.9, 0.999):
+        (run / name).write_bytes(whole)
+        flip_bit(run / name, position)
+        if (run / name).suffix == ".json" and whole == (run / name).read_bytes().strip():
+            continue
+        with pytest.raises(RecordError, match=Path(name).name), ssduck.open(run) as ss:
+            ss.sql(COUNT)
+
+
+def test_a_part_is_verified_when_it_is_first_read(run: Path) -> None:
+    flip_bit(run / "contacts" / PLACE / "part-000001.parquet", 0.2)
+    with ssduck.open(run) as ss:
+        assert ss.sql(COUNT).fetchall() != [(0,)]
+        for _ in range(2):
+            with pytest.raises(RecordError, match=r"contacts/.*part-000001.* checksum is wrong"):
+                ss.sql("SELECT count(*) FROM contacts_history")
+
+
+def test_other_tools_can_verify_pages(run: Path) -> None:
+    file = run / "entities" / PLACE / "part-000000.parquet"
+    assert pq.ParquetFile(file, page_checksum_verification=True).read().num_rows
+    flip_bit(file, 0.21)
+    with pytest.raises(OSError, match=r"\w"):
+        pq.ParquetFile(file, page_checksum_verification=True).read()
+
+
+def test_an_episode_says_whether_it_is_complete(records: Path) -> None:
+    for name in flip.RECORDS:
+        (episode,) = ssduck.episodes(records / name)
+        assert episode.complete is not name.startswith("unfinished")
+
+
+# -- check ---------------------------------------------------------------------------------------
+
+
+def test_whole_records_are_intact(records: Path) -> None:
+    for name in flip.RECORDS:
+        assert ssduck.check(records / name) == []
+
+
+def _rows(run: Path) -> list[int]:
+    with ssduck.open(run) as ss:
+        ticks = ss.past("lab").ticks
+        assert [t for (t,) in ss.sql("SELECT DISTINCT tick FROM links_history ORDER BY 1")] == ticks
+    return ticks
+
+
+def test_a_repair_takes_out_damaged_parts_alone(run: Path) -> None:
+    before, files = _rows(run), {file.name for file in run.rglob("*")}
+    size = sum(file.stat().st_size for file in run.rglob("*.parquet"))
+    flip_bit(run / "links" / PLACE / "part-000001.parquet", 0.4)
+    (run / "shapes" / PLACE / "part-000003.parquet").unlink()
+    found = ssduck.check(run)
+    assert [(d.file.parent.parent.parent.name, d.is_repaired) for d in found] == [
+        ("links", False),
+        ("shapes", False),
+    ]
+    assert ["checksum" in d.problem for d in found] == [True, False]
+    with pytest.raises(RecordError):
+        ssduck.open(run)
+    repaired = ssduck.check(run, repair=True)
+    assert all(d.is_repaired for d in repaired)
+    lost = {
+        tick
+        for damage in repaired
+        for first, *_, last in [damage.loss.removeprefix("ticks ").split()]
+        for tick in range(int(first), int(last) + 1)
+    }
+    assert _rows(run) == [tick for tick in before if tick not in lost]
+    assert len(lost) < len(before) / 2
+    assert ssduck.check(run) == []
+    # Nothing is deleted, and plain tools do not read what was taken out.
+    assert files - {file.name.removesuffix(".damaged") for file in run.rglob("*")} == set()
+    aside = sum(file.stat().st_size for file in run.rglob("*.damaged"))
+    assert aside + sum(file.stat().st_size for file in run.rglob("*.parquet")) < size
+    assert read_description(run / "episodes" / "lab-0.json")["removed"] == [1, 3]
+
+
+def test_a_record_can_be_opened_without_its_damaged_parts(run: Path) -> None:
+    before = _rows(run)
+    flip_bit(run / "entities" / PLACE / "part-000000.parquet", 0.4)
+    with (
+        pytest.warns(UserWarning, match=r"entities/.*part-000000.*; left out: ticks"),
+        ssduck.open(run, partial=True) as ss,
+    ):
+        assert ss.past("lab").ticks == before[-len(ss.past("lab").ticks) :] != before
+    assert len(ssduck.check(run)) == 1  # it stays as it was
+
+
+@pytest.mark.parametrize("name", ["ssduck.json", "episodes/lab-0.json"])
+@pytest.mark.parametrize("damage", [lambda f: flip_bit(f, 0.5), Path.unlink], ids=["bit", "gone"])
+def test_descriptions_are_written_anew(run: Path, name: str, damage: Callable) -> None:
+    before = _rows(run)
+    damage(run / name)
+    (found,) = ssduck.check(run, repair=True)
+    assert (found.file, found.is_repaired) == (run / name, True)
+    assert _rows(run) == before
+    assert ssduck.check(run) == []
+
+
+def test_models_cannot_be_repaired(run: Path) -> None:
+    flip_bit(run / "models" / "links" / PLACE / "part-000000.parquet", 0.3)
+    (damage,) = ssduck.check(run, repair=True)
+    assert (damage.is_repaired, damage.loss) == (False, "all of episode 0 of 'lab'")
+
+
+def test_a_damaged_log_ends_earlier(records: Path, tmp_path: Path) -> None:
+    run = flip.copy_of(records / "unfinished", tmp_path)
+    before = _rows(run)
+    file = max((run / "log").rglob("*.arrow"))
+    flip_bit(file, 0.6)
+    with pytest.raises(RecordError, match=rf"{file.name} cannot be read"):
+        ssduck.open(run)
+    (damage,) = ssduck.check(run, repair=True)
+    assert (damage.file, damage.is_repaired) == (file, True)
+    after = _rows(run)
+    assert after == before[: len(after)] != before
+
+
+def test_the_log_of_a_file_is_set_aside(records: Path, tmp_path: Path) -> None:
+    file = flip.copy_of(records / "unfinished.duckdb", tmp_path)
+    before = _rows(file)
+    log = file.with_name(f"{file.name}.wal")
+    flip_bit(log, 0.5)
+    with pytest.raises(
+        RecordError, match=r"unfinished\.duckdb is damaged.*`ssduck check --repair`"
+    ):
+        ssduck.open(file)
+    (found,) = ssduck.check(file)
+    assert (found.file, found.is_repaired) == (log, False)
+    (found,) = ssduck.check(file, repair=True)
+    assert found.is_repaired
+    assert log.with_name(f"{log.name}.damaged").exists()
+    after = _rows(file)
+    assert after == before[: len(after)] != before
+
+
+@pytest.mark.slow
+def test_a_damaged_block_of_a_file_is_named(records: Path, tmp_path: Path) -> None:
+    """DuckDB has checksums of its own; at some blocks it does not open at all."""
+    whole = (records / "run.duckdb").read_bytes()
+    seen = set()
+    for block in range(1, 40):
+        file = tmp_path / "run.duckdb"
+        content = bytearray(whole)
+        content[min(12288 + 16384 * block + 3000, len(content) - 1)] ^= 1
+        file.write_bytes(content)
+        found = ssduck.check(file) if _opens(file) else []
+        if found:
+            seen.add(found[0].loss.split()[0])
+            assert all(d.file == file and "checksum" in d.problem for d in found)
+    assert seen & {"entities", "links", "shapes", "joints", "contacts"}
+
+
+def _opens(file: Path) -> bool:
+    try:
+        ssduck.open(file).close()
+    except RecordError as error:
+        assert str(file) in str(error)
+        return False
+    return True
+
+
+def test_the_command(run: Path) -> None:
+    assert answer("check", str(run)) == f"{run} is intact\n"
+    flip_bit(run / "ticks" / PLACE / "part-000001.parquet", 0.4)
+    result = ssduck_("check", str(run))
+    assert result.exit_code == 1
+    assert "its checksum is wrong" in result.stdout
+    assert "True" in answer("check", str(run), "--repair")
+    assert answer("check", str(run)) == f"{run} is intact\n"
+
+
+# -- exports and beginnings ----------------------------------------------------------------------
+
+KILLED_EXPORT = """
+import os, ssduck
+from ssduck.recording.stores.parquet import ParquetStore
+with ssduck.load("kitchen") as ss:
+    ss.run(0.1, every=4)
+    ss.export({path!r})
+    ParquetStore.finish = lambda store: os._exit(9)
+    ss.export({path!r})
+"""
+
+
+def test_a_killed_export_is_no_episode(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    python(KILLED_EXPORT.format(path=str(path)), code_expected=9)
+    assert [e.number for e in ssduck.episodes(path)] == [0]
+    with ssduck.open(path) as ss:
+        assert len(ss.past("kitchen").ticks) > 2
+        (count,) = ss.sql(COUNT).fetchone()
+    # Other tools see nothing of it either.
+    assert pq.read_table(path / "entities").num_rows == count
