@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from ssduck.errors import ArgumentError, LimitError
 from ssduck.language.clauses import Rows
+from ssduck.language.operators import size_of
 from ssduck.language.tree import Query
 from ssduck.limits import Limits, UsageMeter
 from ssduck.world.handles import Handle
@@ -19,8 +20,6 @@ if TYPE_CHECKING:
     from ssduck.world.world import World
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-# The number of rows between two checks of the time.
-_ROWS_PER_CHECK = 256
 # The input of an adapter; `Adapter.needs` describes each.
 Need: TypeAlias = Literal["rows", "columns", "entities", "query"]
 
@@ -98,9 +97,11 @@ class Selection:
 
     @property
     def timed_rows(self) -> list[tuple[Any, ...]]:
-        """The rows; whoever goes through them checks the time now and then."""
-        rows = self.rows
-        return rows if self.limits.seconds is None else _TimedRows(rows, self.check_time)
+        """The rows for a text: going through them checks the time, and counts their texts."""
+        limits = self.limits
+        if limits.seconds is None and limits.memory is None:
+            return self.rows
+        return _TimedRows(self.rows, self._meter)
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:
@@ -178,21 +179,20 @@ class Selection:
 
 
 class _TimedRows(list[tuple[Any, ...]]):
-    """Rows that check the time while they are iterated over.
+    """Rows that check the time while they are iterated over, and count the sizes of their values.
 
     Args:
         rows: the rows.
-        check_time: raises an error if the time is up.
+        meter: the use of the program's limits.
     """
 
-    def __init__(self, rows: list[tuple[Any, ...]], check_time: Callable[[], None]) -> None:
+    def __init__(self, rows: list[tuple[Any, ...]], meter: UsageMeter) -> None:
         super().__init__(rows)
-        self._check_time = check_time
+        self._meter = meter
 
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
-        for index, row in enumerate(super().__iter__()):
-            if index % _ROWS_PER_CHECK == 0:
-                self._check_time()
+        for row in super().__iter__():
+            self._meter.charge(sum(map(size_of, row)))
             yield row
 
 

@@ -107,7 +107,7 @@ def _network(selection: Selection, *, multi: bool) -> _Network:
             _add_clause(network, clause, clause.relation if multi else None)
         return network
     names = selection.columns
-    for index, row in enumerate(selection.rows):
+    for index, row in enumerate(selection.timed_rows):
         _add_row(network, names, row, index if multi else None)
     return network
 

@@ -2,8 +2,8 @@
 
 They compute a value from their arguments. Left out are functions that read or change anything else
 (files, settings, sequences, memory addresses, the catalog, the clock of the thread), that run a
-text as SQL, and, because no limit stops them, that make a long text or list of a short one or
-compare two texts in a time that grows with the product of their lengths.
+text as SQL, and, because no limit stops them, that make a long text or list of a short one (as
+`list_reduce` can), or compare two texts in a time that grows with the product of their lengths.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ array_cat array_concat array_contains array_cosine_distance array_cosine_similar
 array_cross_product array_distance array_distinct array_dot_product array_extract array_filter
 array_grade_up array_has array_has_all array_has_any array_indexof array_inner_product
 array_intersect array_length array_negative_dot_product array_negative_inner_product array_pop_back
-array_pop_front array_position array_prepend array_push_back array_push_front array_reduce
+array_pop_front array_position array_prepend array_push_back array_push_front
 array_reverse array_reverse_sort array_select array_slice array_sort array_to_json array_transform
 array_unique array_value array_where array_zip ascii asin asinh atan atan2 atanh avg base64 bin
 binom bit_and bit_count bit_length bit_or bit_position bit_xor bitstring_agg bool_and bool_or
@@ -48,7 +48,7 @@ list_dot_product list_element list_entropy list_extract list_filter list_first l
 list_has list_has_all list_has_any list_histogram list_indexof list_inner_product list_intersect
 list_kurtosis list_kurtosis_pop list_last list_mad list_max list_median list_min list_mode
 list_negative_dot_product list_negative_inner_product list_pack list_position list_prepend
-list_product list_reduce list_reverse list_reverse_sort list_select list_sem list_skewness
+list_product list_reverse list_reverse_sort list_select list_sem list_skewness
 list_slice list_sort list_stddev_pop list_stddev_samp list_sum list_transform list_unique list_value
 list_var_pop list_var_samp list_where list_zip ln log log10 log2 lower ltrim mad make_date make_time
 make_timestamp make_timestamp_ms make_timestamp_ns make_timestamptz make_type map map_concat
@@ -58,7 +58,7 @@ millisecond min min_by minute mismatches mod mode month monthname multiply nanos
 normalized_interval not_ilike_escape not_like_escape now nth_value ntile nullif octet_length ord
 parse_dirname parse_dirpath parse_filename parse_formatted_bytes parse_path path_join percent_rank
 pi position pow power prefix product quantile quantile_cont quantile_disc quarter radians random
-rank rank_dense reduce regexp_escape regexp_extract regexp_extract_all regexp_full_match
+rank rank_dense regexp_escape regexp_extract regexp_extract_all regexp_full_match
 regexp_matches regexp_split_to_array regr_avgx regr_avgy regr_count regr_intercept regr_r2
 regr_slope regr_sxx regr_sxy regr_syy reservoir_quantile reverse right right_grapheme round
 round_even roundbankers row row_number row_to_json rtrim second sem set_bit sha1 sha256 sign signbit

@@ -126,6 +126,7 @@ REFUSED = [
     ("SELECT getvariable('a')", "getvariable"),
     ("SELECT nextval('a')", "nextval"),
     ("SELECT setseed(0.5)", "setseed"),
+    ("SELECT list_reduce(['a', 'b'], lambda a, b: a || a)", "list_reduce"),
     ("SELECT levenshtein(name, kind) FROM entities", "levenshtein"),
     ("SELECT damerau_levenshtein(name, kind) FROM entities", "damerau_levenshtein"),
     ("SELECT list_aggregate(['a'], 'string_agg', ',')", "the name of an aggregate"),

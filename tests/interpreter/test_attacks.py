@@ -252,8 +252,18 @@ PYTHON = [
     ("SELECT kitchen = 1 FROM n AS list;", LimitError, "kitchen is a world"),
 ]
 
+TEXT_FORMS = [
+    (f"x = text * 90; SELECT {columns} FROM n AS {form};", LimitError, TOO_MUCH + "|" + DUCKDB)
+    for columns, form in (
+        ("x, this", "csv"),
+        ("x, this", "json"),
+        ("x, this", "markdown"),
+    )
+]
+
 REFUSED = [
     *LARGE_VALUES,
+    *TEXT_FORMS,
     *LONG_TEXTS,
     *COMBINATIONS,
     *ON_BODIES,
