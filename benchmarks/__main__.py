@@ -2,6 +2,7 @@
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so does `python -m benchmarks raw`.
+`python -m benchmarks mujoco` needs MuJoCo.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """
@@ -14,6 +15,7 @@ import sys
 from benchmarks import (
     adapters,
     language,
+    mujoco_ticks,
     pair_relations,
     pairs,
     queries,
@@ -33,6 +35,8 @@ TABLES = {
 }
 # Tables that take minutes.
 LONG_TABLES = {"raw": raw}
+# Tables that need an extra.
+EXTRA_TABLES = {"mujoco": mujoco_ticks}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 
@@ -42,7 +46,7 @@ def main() -> None:
     if sys.argv[1:] and sys.argv[1] in LONG:
         sys.exit(LONG[sys.argv[1]](sys.argv[2:]))
     names = sys.argv[1:] or list(TABLES)
-    tables = TABLES | LONG_TABLES
+    tables = TABLES | LONG_TABLES | EXTRA_TABLES
     unknown = [name for name in names if name not in tables]
     if unknown:
         sys.exit(f"no benchmark {', '.join(unknown)}; there are {', '.join([*tables, *LONG])}")

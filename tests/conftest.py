@@ -40,6 +40,11 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def pytest_unconfigure():
+    """Let Python collect it at exit: extension modules tell of what is left then."""
+    gc.unfreeze()
+
+
 @pytest.fixture
 def client():
     """A PyBullet client of the test's own."""

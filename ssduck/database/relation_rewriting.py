@@ -84,7 +84,8 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
         tree: its tree.
         names: the names of the worlds.
     """
-    calls = list(_calls(sql, tree, names, sqlglot.tokenize(sql, dialect="duckdb")))
+    tokens = sqlglot.tokenize(sql, dialect="duckdb")
+    calls = list(_calls(sql, tree, names, tokens, with_parameters=True))
     clauses = {name for name, value in tree.args.items() if value}
     if len(calls) != 1 or not clauses <= {"expressions", "from_", "joins", "where"}:
         return None
@@ -94,10 +95,10 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
     is_plain = is_plain and all(isinstance(item, exp.Table) for item in call.scope.items)
     is_plain = is_plain and all(entity in sources for entity in call.entities)
     is_plain = is_plain and all(is_inner(join) for join in call.scope.joins)
-    if not is_plain or call.search is None or [*call.entities] != sources:
+    if not is_plain or call.search is None or {*call.entities} != {*sources}:
         return None
     pairs = JoinedPairs(call.schema, call.search, call.distance(), call.node)
-    tables = [source.text for source in sources]
+    tables = [source.text for source in call.entities]  # in the order of the pairs
     columns = [column.unalias() for column in tree.expressions]
     return pair_lookup(pairs, tables, list(call.scope.conditions()), columns)
 
@@ -287,8 +288,23 @@ class _Call:
         return f"({expanded(tree, values).sql('duckdb')})"
 
 
-def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> Iterator[_Call]:
-    """Yields the calls of relations that can be rewritten."""
+def _calls(
+    sql: str,
+    tree: exp.Expr,
+    names: WorldNames,
+    tokens: list[Token],
+    *,
+    with_parameters: bool = False,
+) -> Iterator[_Call]:
+    """Yields the calls of relations that can be rewritten.
+
+    Args:
+        sql: the statement.
+        tree: its tree.
+        names: the names of the worlds.
+        tokens: its tokens.
+        with_parameters: whether numbers may be parameters with names.
+    """
     ends = _closing_brackets(tokens)
     for node in tree.find_all(exp.Anonymous, exp.Contains):
         name = "contains" if isinstance(node, exp.Contains) else node.name.lower()
@@ -306,7 +322,11 @@ def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> 
         place = _place(sql, node, ends)
         if place is None or len(arguments) not in relation.expressions:
             continue
-        if not all(isinstance(n, exp.Literal) and not n.is_string for n in numbers):
+        if not all(
+            (isinstance(number, exp.Literal) and not number.is_string)
+            or (with_parameters and isinstance(number, exp.Placeholder) and number.name)
+            for number in numbers
+        ):
             continue
         outer, start, end = place
         schema = names.only

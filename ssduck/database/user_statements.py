@@ -31,7 +31,7 @@ from ssduck.database.relation_rewriting import (
 )
 from ssduck.database.statement import PreparedPlans, statement_name
 from ssduck.database.statement_names import WorldNames, reads_only_live_tables, unread_columns
-from ssduck.errors import SelectScriptError, SqlError
+from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.sql.pair_lookup import PairLookup
 
 # The number of texts that are known at a time.
@@ -191,20 +191,22 @@ class UserStatements:
         columns = None
         for only_joins in (False, True):
             query = rewritten(sql, tree, names, only_joins=only_joins)
-            if query is None:
+            if query is None and not (parameters and lookup_of(sql, tree, names)):
                 return sql
             try:
                 columns = columns or self._connection.columns(sql, parameters)
                 types = [kind for _, kind in columns]
-                if [kind for _, kind in self._connection.columns(query, parameters)] == types:
+                if query is None or types == [
+                    kind for _, kind in self._connection.columns(query, parameters)
+                ]:
                     statement.has_plain_types = are_plain(types)
                     statement.columns = tuple(name for name, _ in columns)
                     if reads_only_live_tables(tree, names):
                         statement.unread = unread_columns(tree, sql)
-                    if statement.has_plain_types and not parameters:
+                    if statement.has_plain_types:
                         statement.lookup = lookup_of(sql, tree, names)
                         statement.last_header = Header(statement.columns, tuple(types))
-                    return query
+                    return query or sql
             except SqlError:
                 if columns is None:
                     return sql
@@ -215,11 +217,9 @@ class UserStatements:
     ) -> FetchedRows | pa.Table:
         sql = statement.query
         assert sql is not None
-        if statement.lookup is not None and statement.last_header is not None:
-            found = pair_rows(statement.lookup, self._worlds[statement.lookup.schema], {})
-            self._connection.meter.check_time()
-            self._connection.meter.check_rows(len(found))
-            return FetchedRows(statement.last_header, found)
+        found = self._looked_up(statement, parameters)
+        if found is not None:
+            return found
         header = None
         if not parameters and self._is_prepared(statement, sql, names):
             sql, parameters, header = statement.execute, None, statement.last_header
@@ -233,6 +233,19 @@ class UserStatements:
             statement.has_plain_types = False
         table = self._connection.table(sql, parameters)
         return table if statement.columns is None else table.rename_columns(statement.columns)
+
+    def _looked_up(self, statement: UserStatement, parameters: Parameters) -> FetchedRows | None:
+        """Returns the rows of a statement that has a look-up; None if it has to run."""
+        lookup, header = statement.lookup, statement.last_header
+        values = None if lookup is None else _lookup_values(lookup, parameters)
+        if lookup is None or header is None or values is None:
+            return None
+        with suppress(ArgumentError):  # the SQL raises it
+            found = pair_rows(lookup, self._worlds[lookup.schema], values)
+            self._connection.meter.check_time()
+            self._connection.meter.check_rows(len(found))
+            return FetchedRows(header, found)
+        return None
 
     def _is_prepared(self, statement: UserStatement, sql: str, names: WorldNames) -> bool:
         """Prepares a statement at its second run with the same tables."""
@@ -252,3 +265,15 @@ class UserStatements:
         self._plans.add(statement.name, statement.tables)
         statement.is_planned_next, statement.last_header = False, None
         return True
+
+
+def _lookup_values(lookup: PairLookup, parameters: Parameters) -> Mapping[str, float] | None:
+    """Returns the parameters of a look-up; None if a statement's are others, or no numbers."""
+    names = [lookup.distance] if isinstance(lookup.distance, str) else []
+    if not parameters:
+        return None if names else {}
+    if not isinstance(parameters, Mapping) or list(parameters) != names:
+        return None
+    values = [parameters[name] for name in names]
+    is_numeric = all(type(value) in (int, float) for value in values)
+    return dict(zip(names, values, strict=True)) if is_numeric else None

@@ -127,7 +127,7 @@ def _constant(distance: exp.Expr) -> float | str | None:
             return None
         distance = distance.this
     match distance:
-        case exp.Parameter():
+        case exp.Parameter() | exp.Placeholder(this=str()):
             return distance.name
         case exp.Literal(is_string=False):
             return float(distance.this)

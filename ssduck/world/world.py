@@ -258,9 +258,9 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
     def excerpt(self, entities: Iterable[str | Entity]) -> World:
         """Returns a new, running world with copies of some entities as they are at this tick.
 
-        The new world has its own PyBullet simulation, which starts at the same simulated time;
+        The new world has a simulation of its own, which starts at the same simulated time;
         its entities have the same names. docs/reference/result-forms.md lists what is copied, and
-        what PyBullet does not report.
+        what a simulator does not report.
 
         Args:
             entities: entities of this world, or their names; with a sensor, its body is copied,

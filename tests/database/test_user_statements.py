@@ -202,6 +202,22 @@ def test_a_view_may_have_a_semi_join(traced):
     assert [rows(ss.sql("FROM v")) for _ in range(4)] == [expected] * 4
 
 
+def test_pairs_by_a_parameter_need_no_statement(traced):
+    ss, _, told = traced
+    text = "SELECT a.name, b.name FROM entities a, entities b WHERE near(b, a, $d) AND a.id < b.id"
+    ss.sql(text, {"d": 0.01})
+    for d in (0.05, 1, -1.0):
+        expected = rows(row_by_row(ss, text.replace("$d", f"'{d}'::DOUBLE")))
+        told.clear()
+        assert rows(ss.sql(text, {"d": d})) == expected
+        assert told == []
+    assert rows(ss.sql(text, {"d": None})) == []
+    for parameters in ({"d": True}, {"e": 1}, {"d": 1, "e": 1}, None):
+        with pytest.raises(SqlError):
+            ss.sql(text, parameters)
+    assert len(ss.sql(text, {"d": "0.05"}).fetchall()) == len(ss.sql(text, {"d": 0.05}).fetchall())
+
+
 @pytest.mark.slow
 def test_views_of_an_earlier_session(client, tmp_path):
     """They need tables that the text of a later statement does not name."""
@@ -451,6 +467,8 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
         "SELECT a.name, b.mass FROM entities a, entities b WHERE near(a, b, 0.05) AND a.name > b.name",
         "FROM entities a, entities b SELECT b.vx WHERE touching(a, b) AND b.id <> a.id",
         "SELECT a.name, b.name FROM entities a, sim.entities b WHERE sim.above(a, b)",
+        "SELECT a.name FROM entities a, entities b WHERE collides(b, a) AND a.id < b.id",
+        "SELECT a.z, b.name FROM entities a, entities b WHERE onTop(b, a) AND a.name <> b.name",
     ],
 )
 def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
@@ -473,7 +491,6 @@ def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND a.z < 0.2",
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND a.id < 30",
         "SELECT count(*) FROM entities a, entities b WHERE collides(a, b)",
-        "SELECT a.name FROM entities a, entities b WHERE collides(b, a) AND a.id < b.id",
         "SELECT a.name FROM entities a, (SELECT * FROM entities WHERE id > 2) b WHERE collides(a, b)",
         "SELECT a.name FROM entities a LEFT JOIN entities b ON true WHERE collides(a, b)",
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND near(a, b, 0)",

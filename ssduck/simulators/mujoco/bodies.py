@@ -15,6 +15,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
+from ssduck.simulators.mujoco.height_fields import height_field
 from ssduck.simulators.mujoco.library import mujoco
 
 _GEOM, _JOINT, _OBJECT = mujoco.mjtGeom, mujoco.mjtJoint, mujoco.mjtObj
@@ -84,7 +85,7 @@ class ModelReader:
         self._names = names or {}
         self._kinds = kinds or {}
         self._link_names = body_names(model)
-        self._geoms = _by_owner(model.geom_bodyid, _colliding(model), model.nbody)
+        self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model), model.nbody)
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
         self._geometries: dict[int, Geometry] = {}
 
@@ -141,7 +142,7 @@ class ModelReader:
 
     def _shape(self, number: int, link: int) -> PlacedGeometry:
         model = self._model
-        geometry, centre, is_exact = _geometry(model, number)
+        geometry, centre, is_exact = geometry_of(model, number)
         geometry = self._geometries.setdefault(number, geometry)
         position, orientation = model.geom_pos[number].copy(), model.geom_quat[number].copy()
         if centre.any():
@@ -162,14 +163,14 @@ def link_masses(model: Any) -> Array:
 def geoms_of(model: Any, body: Body) -> Indices:
     """Returns the geoms that are the shapes of a body, in their order."""
     links = np.arange(body.handle, body.handle + len(body.links))
-    numbers = _colliding(model)
+    numbers = colliding_geoms(model)
     owners = model.geom_bodyid[numbers]
     chosen = numbers[np.isin(owners, links)]
     order: Indices = chosen[np.argsort(model.geom_bodyid[chosen], kind="stable")]
     return order
 
 
-def _colliding(model: Any) -> Indices:
+def colliding_geoms(model: Any) -> Indices:
     """Returns the numbers of the geoms that can collide."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     for pairs in (model.pair_geom1, model.pair_geom2):
@@ -186,7 +187,7 @@ def _by_owner(owners: Any, numbers: Indices, count: int) -> list[list[int]]:
     return parts
 
 
-def _geometry(model: Any, number: int) -> tuple[Geometry, Array, bool]:
+def geometry_of(model: Any, number: int) -> tuple[Geometry, Array, bool]:
     """Returns the shape of a geom, its centre in the geom's frame, and whether it is exact."""
     type = int(model.geom_type[number])
     a, b, c = model.geom_size[number].tolist()
@@ -203,6 +204,8 @@ def _geometry(model: Any, number: int) -> tuple[Geometry, Array, bool]:
         return Geometry.primitive("cylinder", (a, 2 * b, 0)), centre, True
     if type == _GEOM.mjGEOM_MESH:
         return Geometry.hull(_hull_vertices(model, int(model.geom_dataid[number]))), centre, True
+    if type == _GEOM.mjGEOM_HFIELD:
+        return height_field(model, int(model.geom_dataid[number])), centre, True
     box = model.geom_aabb[number]
     return Geometry.primitive("box", 2 * box[3:]), box[:3].copy(), False
 

@@ -72,7 +72,11 @@ def _remove(model: Any, data: Any, chosen: Collection[int]) -> None:
     is_gone = ~np.isin(model.body_rootid, list(chosen))
     of_geoms = is_gone[model.geom_bodyid]
     model.geom_contype[of_geoms] = model.geom_conaffinity[of_geoms] = 0
+    model.geom_rgba[of_geoms, 3] = 0.0
+    model.geom_matid[of_geoms] = -1
     model.pair_margin[of_geoms[model.pair_geom1] | of_geoms[model.pair_geom2]] = _NEVER
+    model.site_rgba[is_gone[model.site_bodyid], 3] = 0.0
+    model.site_matid[is_gone[model.site_bodyid]] = -1
     of_dofs = is_gone[model.dof_bodyid]
     data.qvel[of_dofs] = 0.0
     model.body_gravcomp[is_gone] = 1.0

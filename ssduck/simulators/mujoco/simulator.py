@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
@@ -20,10 +21,12 @@ from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     SCALAR_JOINTS,
     Body,
+    CameraView,
     ContactPoints,
     Kind,
     LinkPoses,
     MotorTarget,
+    RayHits,
 )
 from ssduck.simulators.mujoco.actuators import drive, hold_positions
 from ssduck.simulators.mujoco.bodies import (
@@ -36,8 +39,11 @@ from ssduck.simulators.mujoco.bodies import (
 )
 from ssduck.simulators.mujoco.contacts import read_contacts
 from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.rays import RayCaster
+from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
 from ssduck.simulators.partial import PartialSimulator
+from ssduck.simulators.scenes import Camera
 
 # The number of lists of bodies whose rows stay prepared.
 _PREPARED = 4
@@ -103,6 +109,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._described: tuple[Any, list[bytes]] | None = None
         self._bodies: list[Body] = []
         self._rows: list[_Rows] = []
+        self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         self._warned: set[str] = set()
         self._is_closed = False
@@ -130,6 +137,7 @@ class MuJoCoSimulator(PartialSimulator):
         kept = set(bodies).difference(added)
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, content), bodies
+        self._ray_caster = None
         self._rows, self._joint_rows = [], None
         self._warn_of_boxes(added)
         return (added, gone) if added or gone else None
@@ -164,8 +172,8 @@ class MuJoCoSimulator(PartialSimulator):
             self._warned.update(names)
             warn(
                 f"{joined_names(names)}: bounding boxes are used instead of shapes that ssduck "
-                "does not know (ellipsoids, height fields and signed distance fields are such), "
-                "which have exact = false in the table of shapes"
+                "does not know (ellipsoids and signed distance fields are such), which have "
+                "exact = false in the table of shapes"
             )
 
     # -- state ----------------------------------------------------------------------------
@@ -282,6 +290,30 @@ class MuJoCoSimulator(PartialSimulator):
         """Advances by a number of steps."""
         self._refresh()
         mujoco.mj_step(self.model, self.data, count)
+
+    def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
+        """Returns the first body that each ray hits; see `ssduck.simulators.mujoco.rays`."""
+        if self._ray_caster is None:
+            self._ray_caster = RayCaster(self.model, self._only)
+        return self._ray_caster.cast(self._state, starts, ends, through)
+
+    # -- pictures -------------------------------------------------------------------------
+
+    def render(
+        self, camera: Camera, width: int, height: int, *, shadow: bool
+    ) -> npt.NDArray[np.uint8]:
+        """Returns the colour image of a camera, (height, width, 3), with or without shadows."""
+        viewpoint = Viewpoint.of_camera(camera)
+        return draw(self.model, self._state, viewpoint, (width, height), shadow=shadow)
+
+    def segment(self, camera: Camera, width: int, height: int) -> Indices:
+        """Returns the root body in each pixel, (height, width); -1 for none."""
+        return segment(self.model, self._state, Viewpoint.of_camera(camera), (width, height))
+
+    def photograph(self, view: CameraView) -> npt.NDArray[np.uint8]:
+        """Returns the colour image of a camera on a body, without shadows, (height, width, 3)."""
+        viewpoint, size = Viewpoint.of_view(view), (view.width, view.height)
+        return draw(self.model, self._state, viewpoint, size, shadow=False)
 
     # -- changes --------------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssduck.errors import SimulatorError, warn
+from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose, invert
@@ -81,15 +81,37 @@ def excerpt(
 
     Raises:
         SimulatorError: the source is gone, or there is no room for another client.
-        UnsupportedError: a body is soft.
+        UnsupportedError: a body is soft, or has joints that PyBullet does not have.
         SceneError: a model file can no longer be loaded.
     """
+    originals = [_with_pybullet_joints(original) for original in originals]
     live = source if isinstance(source, PyBulletSimulator) else None
     if live is not None and _may_carry_contacts(live, originals, tick):
         with suppress(_NotCarriedError), new_client() as client:
             return _Copier(live, client, tick).copy(originals, carry=True)
     with new_client() as client:
         return _Copier(live, client, tick).copy(originals)
+
+
+def _with_pybullet_joints(original: BodyToCopy) -> BodyToCopy:
+    """Returns a body that a record may have of another simulator, without the joint of a free base.
+
+    Raises:
+        UnsupportedError: it has other joints than one for each link but the base.
+    """
+    joints = original.body.joints
+    kept = [number for number, joint in enumerate(joints) if joint.type != "free"]
+    links = [joints[number].link for number in kept]
+    is_simple = all(not any(joints[n].anchor) and not joints[n].reference for n in kept)
+    if links != list(range(1, len(original.body.links))) or not is_simple:
+        raise UnsupportedError(
+            f"{original.name} has joints that PyBullet does not have, and a record holds no model "
+            "of its simulator: copy it from the running world"
+        )
+    if len(kept) == len(joints):
+        return original
+    body = replace(original.body, joints=tuple(joints[number] for number in kept))
+    return replace(original, body=body, joints=original.joints[kept])
 
 
 class _NotCarriedError(Exception):

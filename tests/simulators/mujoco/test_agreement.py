@@ -94,7 +94,7 @@ def in_mujoco(parts: list[Part]):
     return model, data
 
 
-def in_pybullet(parts: list[Part], client: int) -> dict[int, str]:
+def in_pybullet(parts: list[Part], client: int, *, margins: bool = False) -> dict[int, str]:
     def collision(kind, size, vertices=None):
         settings = {
             "box": lambda: {"shapeType": pybullet.GEOM_BOX, "halfExtents": size},
@@ -121,7 +121,8 @@ def in_pybullet(parts: list[Part], client: int) -> dict[int, str]:
         handle = pybullet.createMultiBody(
             part.mass, shape, -1, part.position.tolist(), [*xyz, w], physicsClientId=client
         )
-        pybullet.changeDynamics(handle, -1, collisionMargin=0.0, physicsClientId=client)
+        if not margins:
+            pybullet.changeDynamics(handle, -1, collisionMargin=0.0, physicsClientId=client)
         names[handle] = part.name
     shapes = [collision("capsule", (0.05, 0.15)), collision("sphere", (0.12,))]
     arm = pybullet.createMultiBody(
@@ -137,7 +138,9 @@ def in_pybullet(parts: list[Part], client: int) -> dict[int, str]:
     return names | {arm: "arm"}
 
 
-@pytest.fixture(scope="module", params=range(4))
+@pytest.fixture(
+    scope="module", params=[0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2, 3))]
+)
 def worlds(request):
     """An interpreter with the two worlds, and MuJoCo's model and data."""
     parts = parts_of(request.param)
@@ -228,6 +231,44 @@ def test_what_if_agrees(worlds):
     )
     assert np.array_equal(*map(np.shape, (found := list(places))))
     assert found[0] == pytest.approx(found[1], abs=TOLERANCE)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_rays_agree(seed):
+    """From outside, from within shapes, and through a body; Bullet's rays are less exact.
+
+    Bullet's rays miss shapes without a margin, and hit a capsule that they begin in at once.
+    """
+    parts, client, rng = parts_of(seed), pybullet.connect(pybullet.DIRECT), np.random.default_rng(7)
+    handles = in_pybullet(parts, client, margins=True)
+    worlds = [
+        ssduck.World.attach(client, handles),
+        ssduck.World.attach(in_mujoco(parts), names={0: "floor"}),
+    ]
+    origins = rng.uniform((-0.8, -0.8, 0.1), (0.8, 0.8, 1.2), (40, 3))
+    origins = np.vstack(
+        (origins, [p.position for p in parts if p.kind in {"box", "sphere", "mesh"}])
+    )
+    starts = np.repeat(origins, 12, axis=0)
+    ends = starts + rng.normal(size=starts.shape)
+    found = []
+    for world in worlds:
+        names = {info.body.handle: info.name for info in world.snapshot.entities}
+        (arm,) = (handle for handle, name in names.items() if name == "arm")
+        hits = world.simulator.cast_rays(starts, ends, np.full(len(starts), arm))
+        found.append(
+            (np.array([names.get(int(handle), "") for handle in hits.bodies]), hits.fractions)
+        )
+    pybullet.disconnect(client)
+    (bodies, fractions), (others, other_fractions) = found
+    compared = fractions > 0.0
+    assert compared.mean() > 0.9
+    assert (bodies == others)[compared].mean() > 0.99  # the others graze an edge
+    assert len({*others}) > 8
+    assert "arm" not in others
+    same_body = compared & (bodies == others)
+    errors = np.abs(fractions - other_fractions)[same_body]
+    assert (np.quantile(errors, [0.5, 0.98]) < [1e-9, 0.01]).all()
 
 
 def test_clearance_is_the_distance_that_mujoco_computes(worlds):

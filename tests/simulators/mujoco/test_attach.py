@@ -322,8 +322,6 @@ def test_ticks_take_no_time_from_the_user(model, data):
 
 
 UNSUPPORTED = {
-    "rays": lambda world: world.reading(world.add_sensor("range_finder", "ball", max_range=1.0)),
-    "picture": lambda world: world.render(10, 10),
     "save": lambda world: world.save("nowhere/at/all"),
     "hold": lambda world: world["arm"].hold(world["ball"]),
     "hide": lambda world: setattr(world["ball"], "visible", False),
@@ -337,6 +335,19 @@ def test_what_is_not_supported_says_so(model, data, action):
         UNSUPPORTED[action](world)
 
 
+def test_sensors_perceive_what_collides(model, data):
+    """A range finder on the hand looks through it and what is only drawn, down to the table."""
+    with ssduck.Interpreter() as ss:
+        lab = ss.add_variable("lab", ssduck.World.attach(model, data))
+        lab["hand"].move([0.3, -0.2, 1.0], [0.5**0.5, 0, 0.5**0.5, 0])
+        sensor = lab.add_sensor("range_finder", "hand", "eye", max_range=2.0)
+        assert sensor.reading.ranges.tolist() == [pytest.approx(0.6, abs=1e-9)]
+        assert ss.eval("SELECT id FROM lab WHERE isSensing(lab.eye, this) AS list;") == ["table"]
+        lab["hand"].move([2.0, -2.0, 1.0])  # nothing but the paint and the floor below
+        assert sensor.reading.ranges.tolist() == [pytest.approx(1.0, abs=1e-9)]
+        assert ss.eval("SELECT id FROM lab WHERE isSensing(lab.eye, this) AS list;") == ["world"]
+
+
 def test_a_closed_world_says_so(model, data):
     world = ssduck.World.attach(model, data)
     world.close()
@@ -345,6 +356,7 @@ def test_a_closed_world_says_so(model, data):
     mujoco.mj_step(model, data)  # the simulation goes on
 
 
+@pytest.mark.slow
 def test_ssduck_works_without_mujoco():
     """It is imported when a world needs it, and its absence is told then."""
     code = (

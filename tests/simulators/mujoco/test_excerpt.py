@@ -97,3 +97,25 @@ def test_models_that_are_gone_are_told(lab, tmp_path):
             before.excerpt(["ball"])
     with pytest.raises(UnsupportedError, match="cannot be saved"):
         world.save(tmp_path / "saved")
+
+
+def test_records_have_no_model_of_mujoco(lab, tmp_path):
+    """PyBullet runs copies of bodies without joints; of others it says what is missing."""
+    world, model, data = lab
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        with ss.record_to(tmp_path / "run"):
+            mujoco.mj_step(model, data)
+            world.tick()
+    with ssduck.open(tmp_path / "run") as ss:
+        past = ss.call_variable("lab")
+        with (
+            pytest.warns(UserWarning, match="gravity and time step are not recorded"),
+            pytest.warns(UserWarning, match="ball: only shapes, links, joints and masses"),
+        ):
+            copy = past.excerpt(["ball"])
+        assert copy["ball"].position == pytest.approx(world["ball"].position, abs=1e-9)
+        assert copy.simulator.backend == "pybullet"
+        copy.close()
+        with pytest.raises(UnsupportedError, match="arm has joints that PyBullet does not have"):
+            past.excerpt(["arm"])

@@ -1,0 +1,135 @@
+"""Draws a MuJoCo simulation with MuJoCo's own renderer.
+
+A context of OpenGL belongs to the thread that made it. So each picture has a context of its own,
+which costs some milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.errors import UnsupportedError
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.simulators.interface import CameraView
+from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.scenes import Camera
+
+# The depth range of pictures, m.
+_NEAR, _FAR = 0.01, 200.0
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """A pinhole camera.
+
+    Attributes:
+        position: (3,), in the world, m.
+        forward: (3,), the unit vector along which it looks.
+        up: (3,), a unit vector at a right angle to that.
+        fov: the vertical field of view, degrees.
+    """
+
+    position: Array
+    forward: Array
+    up: Array
+    fov: float
+
+    @classmethod
+    def of_camera(cls, camera: Camera) -> Viewpoint:
+        """Returns the viewpoint of a camera of a scene."""
+        eye = np.array(camera.eye, dtype=np.float64)
+        forward = _unit(np.array(camera.target) - eye)
+        across = np.cross(forward, [0.0, 0.0, 1.0])
+        if np.linalg.norm(across) < 1e-9:  # straight up or down
+            across = np.array([1.0, 0.0, 0.0])
+        return cls(eye, forward, _unit(np.cross(across, forward)), camera.fov)
+
+    @classmethod
+    def of_view(cls, view: CameraView) -> Viewpoint:
+        """Returns the viewpoint of a camera on a body."""
+        return cls(view.position, view.matrix[:, 0], view.matrix[:, 2], view.fov)
+
+
+def draw(
+    model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int], *, shadow: bool
+) -> npt.NDArray[np.uint8]:
+    """Returns a colour picture, (height, width, 3).
+
+    Args:
+        model: the model.
+        data: the data, whose poses are drawn.
+        viewpoint: the camera.
+        size: width and height, pixels.
+        shadow: whether bodies cast shadows.
+
+    Raises:
+        UnsupportedError: there is no OpenGL.
+    """
+    with _renderer(model, data, viewpoint, size) as renderer:
+        renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = shadow
+        picture: npt.NDArray[np.uint8] = renderer.render().copy()
+        return picture
+
+
+def segment(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]) -> Indices:
+    """Returns the root body in each pixel, (height, width); -1 for none."""
+    with _renderer(model, data, viewpoint, size) as renderer:
+        renderer.enable_segmentation_rendering()
+        numbers, types = np.moveaxis(renderer.render(), -1, 0)
+        roots = np.append(model.body_rootid[model.geom_bodyid], -1).astype(np.intp)
+        is_shape = types == int(mujoco.mjtObj.mjOBJ_GEOM)
+        return roots[np.where(is_shape, numbers, -1)]
+
+
+@contextmanager
+def _renderer(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]) -> Iterator[Any]:
+    """Yields a renderer of the scene; closes it at the end."""
+    width, height = size
+    limits = model.vis.global_
+    before = limits.offwidth, limits.offheight
+    limits.offwidth, limits.offheight = max(before[0], width), max(before[1], height)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the library of windows warns where there is no screen
+            renderer = mujoco.Renderer(model, height, width)
+    except Exception as error:  # each library of OpenGL has its own
+        raise UnsupportedError(
+            f"MuJoCo cannot draw: {error}; without a screen, set the environment variable "
+            "MUJOCO_GL to egl or osmesa before MuJoCo is imported"
+        ) from error
+    finally:
+        limits.offwidth, limits.offheight = before
+    try:
+        renderer.update_scene(data)
+        _place(renderer.scene, viewpoint)
+        yield renderer
+    finally:
+        renderer.close()
+
+
+def _place(scene: Any, viewpoint: Viewpoint) -> None:
+    """Puts the cameras of a scene at a viewpoint: one for each eye, which are the same."""
+    half = _NEAR * math.tan(math.radians(viewpoint.fov) / 2)
+    for camera in scene.camera:
+        camera.pos, camera.forward, camera.up = (
+            viewpoint.position,
+            viewpoint.forward,
+            viewpoint.up,
+        )
+        camera.orthographic = 0
+        camera.frustum_center = camera.frustum_width = 0.0  # the width follows from the picture
+        camera.frustum_bottom, camera.frustum_top = -half, half
+        camera.frustum_near, camera.frustum_far = _NEAR, _FAR
+
+
+def _unit(vector: Array) -> Array:
+    unit: Array = vector / np.linalg.norm(vector)
+    return unit
