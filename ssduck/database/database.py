@@ -297,9 +297,12 @@ class Database:
     def begin_episode(self, world: World) -> None:
         """Records a world that was reset as before, in new records; ends the records before."""
         with self._lock:
-            bound = self._worlds.entry(world)
-            if bound.history is not None and bound.history.recorder is not None:
-                self._worlds.record(bound, bound.history.store.recording)
+            if not self.connection.is_open:
+                return
+            for bound in self._worlds.bound:
+                history = bound.history
+                if bound.reference() is world and history and history.recorder is not None:
+                    self._worlds.record(bound, history.store.recording)
             self._recorders.begin_episodes(world)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:

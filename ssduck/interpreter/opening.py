@@ -14,7 +14,8 @@ from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.simulators.scenes import find_scene
+from ssduck.simulators.scene_files import check_files_inside
+from ssduck.simulators.scenes import find_scene, shipped_scenes
 from ssduck.world.world import World
 
 
@@ -33,7 +34,8 @@ def load(
             MJCF).
         database: the path of a DuckDB file, or `":memory:"`.
         recording: the recording of the world; see `Interpreter`.
-        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere.
+        limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
+            `files=False`, models, meshes and textures must be in the folder of the scene.
         simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
             file, and PyBullet for everything else.
 
@@ -47,6 +49,13 @@ def load(
     ['fridge']
     """
     description = find_scene(scene)
+    validation.instance(limits, Limits, "load: limits")
+    if (
+        limits is not None
+        and not limits.files
+        and description.path not in shipped_scenes().values()
+    ):
+        check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
         world = World.load(description, simulator=simulator)

@@ -196,8 +196,8 @@ def _name(table: TomlTable) -> str | None:
 def _model(table: TomlTable, key: str, folder: Path) -> Path:
     """Returns the path of a model file."""
     file = table.text(key)
-    model = (folder / file).resolve()
-    if not model.is_file():
+    model = _existing(folder / file)
+    if model is None:
         where = "" if Path(file).is_absolute() else " beside the scene file"
         table.fail(key, f"there is no file {file!r}{where}")
     suffixes = MODEL_FILES[key]
@@ -206,6 +206,15 @@ def _model(table: TomlTable, key: str, folder: Path) -> Path:
         right = tuple(name for name, endings in MODEL_FILES.items() if suffix in endings)
         table.fail(key, f"{model.name!r} does not end in {' or '.join(suffixes)}", right)
     return model
+
+
+def _existing(file: Path) -> Path | None:
+    """Returns the path of a file, without links; None if there is none of that name."""
+    try:
+        file = file.resolve()
+        return file if file.is_file() else None
+    except (OSError, RuntimeError, ValueError):  # the name is too long, a link to itself, or NUL
+        return None
 
 
 def _primitive(table: TomlTable, type: str, fixed: bool) -> Primitive:

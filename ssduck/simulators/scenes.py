@@ -202,7 +202,7 @@ def _is(path: Path, check: Callable[[Path], bool]) -> bool:
     """Applies a check to a path; False for a name that no file can have."""
     try:
         return check(path)
-    except OSError:
+    except (OSError, ValueError):
         return False
 
 
@@ -214,9 +214,11 @@ def read_scene(path: Path) -> Scene:
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:  # a TOMLDecodeError is a ValueError
         reason = error.strerror if isinstance(error, OSError) else error
         raise SceneError(f"{path}: {reason}") from error
+    except RecursionError:
+        raise SceneError(f"{path}: it is nested too deeply") from None
     return _scene(TomlTable(path, "", table), path)
 
 

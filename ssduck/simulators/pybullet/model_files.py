@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
-from ssduck.formatting import joined_names
+from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
+from ssduck.simulators.pybullet.model_numbers import check_numbers
 from ssduck.simulators.scene_bodies import BodySpec
 
 # Elements of SDF files whose text PyBullet reads without a check.
@@ -22,6 +24,8 @@ _TEXTS = frozenset(
 )
 # Elements of SDF models that PyBullet does not read.
 _UNREAD = ("plugin", "sensor", "surface", "frame", "gripper")
+# The length of the longest names of models, links and joints, bytes.
+MAX_NAME = 1023
 # The types of MJCF shapes that need a size.
 _SIZED = ("box", "sphere", "capsule", "cylinder")
 
@@ -49,22 +53,23 @@ class ModelFile:
         return cls(spec.source, root)
 
     def check(self) -> None:
-        """Checks that the file does not crash PyBullet 3.2.7.
+        """Checks that the file does not crash PyBullet 3.2.7, and that its numbers are right.
 
         Raises:
-            SceneError: the file would crash it.
+            SceneError: the file would crash it, or a number is out of bounds.
         """
         if self.format == "mjcf":
             for world in self.root.iterfind("worldbody"):
                 self._check_world(world)
         for model in self._models():
-            _check_names(part for part in model if part.tag in ("link", "joint"))
+            _check_names([model, *(part for part in model if part.tag in ("link", "joint"))])
             for joint in model.iterfind("joint"):
                 if joint.get("type") is None:
                     raise SceneError(f"the joint {joint.get('name')!r} has no type")
             if self.format == "sdf":
                 _check_texts(model)
             _check_roots(model)
+        check_numbers(self.format, self.root)
 
     def _check_world(self, world: ET.Element) -> None:
         """Checks the `<worldbody>` of an MJCF file."""
@@ -123,27 +128,39 @@ class ModelFile:
 
 def _check_names(parts: Iterable[ET.Element]) -> None:
     for part in parts:
-        if part.get("name") == "":
+        name = part.get("name")
+        if name == "":
             raise SceneError(f"a <{part.tag}> has an empty name")
+        if name is not None and len(name.encode()) > MAX_NAME:
+            raise SceneError(
+                f"a <{part.tag}> has a name of {len(name.encode())} bytes; at most {MAX_NAME}"
+            )
 
 
 def _check_texts(part: ET.Element) -> None:
     """Checks the texts that PyBullet reads in a model of an SDF file."""
-    if part.tag in _UNREAD:
-        return
-    if part.tag in _TEXTS and not len(part) and not (part.text or "").strip():
-        raise SceneError(f"a <{part.tag}> is empty")
-    for child in part:
-        _check_texts(child)
+    waiting = [part]
+    while waiting:  # a file from a stranger may be nested deeply
+        part = waiting.pop()
+        if part.tag in _UNREAD:
+            continue
+        if part.tag in _TEXTS and not len(part) and not (part.text or "").strip():
+            raise SceneError(f"a <{part.tag}> is empty")
+        waiting += reversed(part)
 
 
 def _check_roots(model: ET.Element) -> None:
-    """Checks that a model of a URDF or SDF file has one link without a parent."""
+    """Checks that the joints of a model of a URDF or SDF file make its links a tree."""
     links = {link.get("name") for link in model.findall("link")}
-    children = {
+    joints = [joint.get("name", "") for joint in model.findall("joint") if joint.get("name")]
+    children = [
         child.get("link") or (child.text or "").strip() for child in model.iterfind("joint/child")
-    }
-    roots = sorted(str(name) for name in links - children)
+    ]
+    for what, names in (("joints have the name", joints), ("joints have the child", children)):
+        name, count = next(iter(Counter(names).most_common(1)), ("", 0))
+        if count > 1:
+            raise SceneError(f"{count} {what} {short_repr(name)}")
+    roots = sorted(str(name) for name in links - set(children))
     if len(roots) > 1:
         raise SceneError(
             f"the model {model.get('name')!r} has {len(roots)} links without a parent "

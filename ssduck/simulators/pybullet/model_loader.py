@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from ssduck.geometry.poses import compose
 from ssduck.simulators.naming import body_name
 from ssduck.simulators.pybullet.bodies import wxyz, xyzw
 from ssduck.simulators.pybullet.console import captured, pybullet
+from ssduck.simulators.pybullet.mesh_checks import check_meshes
 from ssduck.simulators.pybullet.model_files import ModelFile
 from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
 
@@ -77,6 +79,7 @@ def _load_file(spec: BodySpec, client: int) -> Sequence[int]:
     file = str(spec.model)
     model_file = ModelFile.read(spec)
     model_file.check()
+    check_meshes(Path(file), model_file.root)
     if spec.source == "urdf":
         return (_load_urdf(spec, file, client),)
     load = pybullet.loadSDF if spec.source == "sdf" else pybullet.loadMJCF

@@ -1,0 +1,75 @@
+"""Checks mesh files that would crash PyBullet, which reads them without a check."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from ssduck.errors import SceneError
+from ssduck.simulators.pybullet.collada import collada_fault
+
+_SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
+_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+_FACE = re.compile(rb"^[ \t]*f[ \t]+(.*)$", re.MULTILINE)
+# The number of a vertex at the beginning of a corner, before those of its texture and normal.
+_CORNER = re.compile(rb"(?:^|\s)([+-]?[0-9]+)")
+# PyBullet reads numbers of 32 bits.
+_MAX_NUMBER = 2**31 - 1
+
+
+def check_meshes(model: Path, root: ET.Element) -> None:
+    """Checks the OBJ and COLLADA files that a model file names, as far as they are beside it.
+
+    Args:
+        model: the model file.
+        root: its root element.
+
+    Raises:
+        SceneError: a part of one is missing, or a face has a vertex that is not there.
+    """
+    for name in _names_in(root):
+        file = model.parent / name
+        if file.suffix.lower() not in _CHECKS or "\0" in name:
+            continue
+        try:
+            status = file.stat()
+        except OSError:  # PyBullet says so, or finds it elsewhere
+            continue
+        fault = _fault_of(file, status.st_mtime_ns, status.st_size)
+        if fault:
+            raise SceneError(f"{file}: {fault}")
+
+
+def _names_in(root: ET.Element) -> Iterator[str]:
+    """Yields the names of mesh files in a model file, without schemes."""
+    for part in root.iter("mesh"):
+        for name in (part.get("filename"), part.get("file"), part.findtext("uri")):
+            if name:
+                yield _SCHEME.sub("", name.strip(), count=1)
+
+
+@lru_cache(maxsize=64)
+def _fault_of(file: Path, _time: int, _size: int) -> str:
+    """Returns what is wrong with a mesh file, in words; nothing if it can be read."""
+    return _CHECKS[file.suffix.lower()](file) if file.is_file() else "it is no file"
+
+
+def _obj_fault(file: Path) -> str:
+    """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
+    content = file.read_bytes()
+    count = len(_VERTEX.findall(content))
+    corners = _CORNER.findall(b"\n".join(_FACE.findall(content)))
+    if not corners:
+        return ""
+    numbers = np.array([min(max(int(n[:12]), -_MAX_NUMBER), _MAX_NUMBER) for n in corners])
+    if numbers.max() > count or numbers.min() < -count:
+        return f"a face refers to a missing vertex: there are {count}"
+    return ""
+
+
+_CHECKS = {".obj": _obj_fault, ".dae": collada_fault}

@@ -1,0 +1,292 @@
+"""Scenes from strangers: what is wrong is a SceneError, and strict limits keep to the folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck import Limits
+from ssduck.errors import SceneError, UnknownNameError
+from tests.support.cases import sampled
+
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (
+    "f 1 2 3\nf 2 3 4\nf 5 6 7\nf 6 7 8\nf 1 2 5\nf 2 5 6\n"
+)
+INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+
+
+def urdf(geometry: str = '<box size="1 1 1"/>', *, mass: str = "1", more: str = "") -> str:
+    return (
+        f'<robot name="r"><link name="base"><inertial><mass value="{mass}"/>{INERTIA}</inertial>'
+        f"<collision><geometry>{geometry}</geometry></collision>{more}</link></robot>"
+    )
+
+
+def mesh(name: str, scale: str = "1 1 1") -> str:
+    return urdf(f'<mesh filename="{name}" scale="{scale}"/>')
+
+
+def sdf(geometry: str, mass: str = "1") -> str:
+    return (
+        '<sdf version="1.6"><world name="w"><model name="m"><link name="l">'
+        f"<inertial><mass>{mass}</mass><inertia><ixx>1</ixx><ixy>0</ixy><ixz>0</ixz><iyy>1</iyy>"
+        f"<iyz>0</iyz><izz>1</izz></inertia></inertial><collision name='c'><geometry>{geometry}"
+        "</geometry></collision></link></model></world></sdf>"
+    )
+
+
+def mjcf(geom: str, before: str = "") -> str:
+    return (
+        f'<mujoco>{before}<worldbody><body name="b"><joint type="free"/><geom {geom}/></body>'
+        "</worldbody></mujoco>"
+    )
+
+
+def file_mjcf(name: str, compiler: str = "") -> str:
+    return mjcf('type="mesh" mesh="x"', f'{compiler}<asset><mesh name="x" file="{name}"/></asset>')
+
+
+def visual(material: str) -> str:
+    shape = '<visual><geometry><box size="1 1 1"/></geometry>'
+    return urdf(more=f'{shape}<material name="m">{material}</material></visual>')
+
+
+# -- files elsewhere --------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder for a scene; files that it is not to have are beside it and in another."""
+    for folder in ("scene", "outside", "working"):
+        (tmp_path / folder).mkdir()
+    for file in ("cube.obj", "outside/cube.obj", "working/only_there.obj", "scene/m.obj"):
+        (tmp_path / file).write_text(CUBE)
+    (tmp_path / "working" / "m.obj").write_text(CUBE.replace("1", "2"))
+    (tmp_path / "outside" / "o.urdf").write_text(urdf())
+    (tmp_path / "scene" / "link.obj").symlink_to(tmp_path / "outside" / "cube.obj")
+    (tmp_path / "scene" / "sub").symlink_to(tmp_path / "outside")
+    (tmp_path / "scene" / "k.obj").write_text("mtllib ../outside/secret.mtl\n" + CUBE)
+    (tmp_path / "scene" / "n.obj").write_text("mtllib n.mtl\n" + CUBE)
+    (tmp_path / "scene" / "n.mtl").write_text("newmtl a\nmap_Kd ../outside/secret.png\n")
+    included = file_mjcf("../outside/cube.obj", '<include file="included.xml"/>')
+    (tmp_path / "scene" / "included.xml").write_text(included)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "scene"
+
+
+def body(key: str, file: str) -> str:
+    return f'[[body]]\nname = "a"\n{key} = "{file}"\n'
+
+
+# (file, text); {outside} is an absolute path
+ELSEWHERE = [
+    *(("s.urdf", mesh(name)) for name in (
+        "../outside/cube.obj", "{outside}/cube.obj", "file://{outside}/cube.obj", "link.obj",
+        "package://outside/cube.obj", "model://../outside/cube.obj", "sub/cube.obj", "cube.obj",
+        "package://../outside/cube.obj", "..\\outside\\cube.obj", "file:../outside/cube.obj",
+        "k.obj", "n.obj",
+    )),
+    ("s.urdf", visual('<texture filename="../outside/secret.png"/>')),
+    ("s.urdf", urdf(more='<visual><geometry><mesh filename="../cube.obj"/></geometry></visual>')),
+    ("s.urdf", '<!DOCTYPE r [<!ENTITY a "../outside/cube.obj">]>' + mesh("&a;")),
+    ("s.urdf", '<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>' + urdf(more="&a;")),
+    ("s.urdf", mesh("m.obj").replace("</robot>", "")),
+    ("s.sdf", sdf("<mesh><uri>../outside/cube.obj</uri></mesh>")),
+    ("s.sdf", sdf("<mesh><uri>model://{outside}/cube.obj</uri></mesh>")),
+    ("s.xml", file_mjcf("../outside/cube.obj")),
+    ("s.xml", file_mjcf("{outside}/cube.obj")),
+    ("s.xml", file_mjcf("cube.obj", '<compiler meshdir="../outside"/>')),
+    ("s.xml", file_mjcf("cube.obj", '<compiler meshdir="{outside}"/>')),
+    ("s.xml", mjcf('type="sphere" size="1"', '<include file="../outside/x.xml"/>')),
+    ("s.xml", mjcf('type="sphere" size="1"', '<asset><texture fileup="/etc/passwd"/></asset>')),
+    ("s.xml", mjcf('type="sphere" size="1"', '<include file="included.xml"/>')),
+    ("s.toml", body("urdf", "../outside/o.urdf")),
+    ("s.toml", body("urdf", "{outside}/o.urdf")),
+    ("s.toml", body("urdf", "sub/o.urdf")),
+]  # fmt: skip
+
+
+@sampled(("name", "text"), ELSEWHERE, every=3)
+def test_strict_limits_keep_to_the_folder(place: Path, name: str, text: str) -> None:
+    file = place / name
+    file.write_text(text.replace("{outside}", str(place.parent / "outside")))
+    with pytest.raises(SceneError, match=r"Limits: files|cannot be read") as error:
+        ssduck.load(file, limits=Limits.strict())
+    assert str(place) in str(error.value)
+
+
+def test_the_working_directory_is_another(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PyBullet looks there first."""
+    (place / "s.urdf").write_text(mesh("m.obj"))
+    monkeypatch.chdir(place.parent / "working")
+    with pytest.raises(SceneError, match=r"'m.obj' is not in .*scene, and files elsewhere"):
+        ssduck.load(place / "s.urdf", limits=Limits.strict())
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("s.urdf", mesh("m.obj")),
+        ("s.urdf", mesh("package://m.obj")),
+        ("s.sdf", sdf("<mesh><uri>model://m.obj</uri></mesh>")),
+        ("s.toml", body("urdf", "s.urdf")),
+    ],
+)
+def test_files_beside_it_are_read(place: Path, name: str, text: str) -> None:
+    (place / "s.urdf").write_text(mesh("m.obj"))
+    (place / name).write_text(text)
+    with ssduck.load(place / name, limits=Limits.strict()) as ss:
+        assert ss.sql("SELECT type FROM geometries").fetchall() in ([("hull",)], [("mesh",)])
+
+
+def test_shipped_scenes_load_with_strict_limits() -> None:
+    with ssduck.load("kitchen", limits=Limits.strict()) as ss:
+        assert ss.eval("count(SELECT this FROM kitchen AS list);") == 37
+
+
+# -- numbers, depth and meshes ------------------------------------------------------------------------
+
+
+def deep(tag: str, count: int = 100_000) -> str:
+    return f"<{tag}>" * count + f"</{tag}>" * count
+
+
+def joints(first: str, second: str, *children: str) -> str:
+    """Returns a model of three links and two joints; some crash PyBullet 3.2.7."""
+    link = f'<link name="{{}}"><inertial><mass value="1"/>{INERTIA}</inertial></link>'
+    names = zip((first, second), children, strict=True)
+    return (
+        f"<robot name='r'>{''.join(map(link.format, 'abc'))}"
+        + "".join(
+            f'<joint name="{name}" type="fixed"><parent link="a"/><child link="{child}"/></joint>'
+            for name, child in names
+        )
+        + "</robot>"
+    )
+
+
+# (file, text, words of the error)
+WRONG = [
+    *(("s.urdf", urdf(mass=value), f"<mass value> {words}") for value, words in
+      [("-1", "is negative"), ("nan", "is not a number"), ("inf", "is not finite"),
+       ("1e400", "is not finite")]),
+    *(("s.urdf", urdf(f'<box size="{value} 1 1"/>'), f"<box size> {words}") for value, words in
+      [("-1", "is negative"), ("nan", "is not a number"), ("inf", "is not finite")]),
+    ("s.urdf", urdf('<sphere radius="-1"/>'), "<sphere radius> is negative"),
+    ("s.urdf", urdf('<cylinder radius="1" length="nan"/>'), "<cylinder length> is not a number"),
+    ("s.urdf", urdf().replace('ixx="1"', 'ixx="nan"'), "<inertia ixx> is not a number"),
+    ("s.urdf", urdf(more='<visual><origin xyz="inf 0 0"/></visual>'), "<origin xyz> is not finite"),
+    ("s.urdf", mesh("m.obj", "0 0 0"), "<mesh scale> is 0"),
+    ("s.urdf", mesh("m.obj", "nan 1 1"), "<mesh scale> is not a number"),
+    ("s.sdf", sdf("<box><size>nan 1 1</size></box>"), "<size> is not a number"),
+    ("s.sdf", sdf("<sphere><radius>-1</radius></sphere>"), "<radius> is negative"),
+    ("s.sdf", sdf("<box><size>1 1 1</size></box>", "-1"), "<mass> is negative"),
+    ("s.xml", mjcf('type="sphere" size="-1"'), "<geom size> is negative"),
+    ("s.xml", mjcf('type="box" size="nan 1 1"'), "<geom size> is not a number"),
+    ("s.urdf", urdf(more=deep("a")), "nesting is too deep"),
+    ("s.sdf", sdf(deep("a")), "nesting is too deep"),
+    ("s.xml", f"<mujoco><worldbody>{deep('body')}</worldbody></mujoco>", "nesting is too deep"),
+    ("s.urdf", joints("j", "j2", "b", "b"), "2 joints have the child 'b'"),
+    ("s.urdf", joints("j", "j", "b", "c"), "2 joints have the name 'j'"),
+    ("s.urdf", urdf().replace('"base"', f'"{"b" * 9000}"'), "a name of 9000 bytes; at most 1023"),
+    ("s.urdf", urdf().replace('"r"', f'"{"b" * 9000}"'), "a name of 9000 bytes; at most 1023"),
+    ("s.urdf", mesh("/etc/passwd"), "invalid mesh filename extension"),
+    ("s.urdf", mesh("x" * 5000 + ".obj"), "cannot find"),
+    ("s.toml", "a = " + "[" * 100_000 + "]" * 100_000, "nested too deeply"),
+    ("s.toml", "timestep = 1" + "0" * 400, "expected a finite number"),
+    ("s.toml", "timestep = 1" + "0" * 5000, "s.toml: "),
+    ("s.toml", "gravity = [inf, 0, 0]", "expected 3 finite numbers"),
+    ("s.toml", '[[body]]\nname = "a"\nbox = [nan, 1, 1]', "expected 3 finite numbers"),
+    ("s.toml", '[[body]]\nname = "a"\nbox = [-1, 1, 1]', "must be above 0"),
+    ("s.toml", '[[body]]\nname = "a"\nbox = [1, 1, 1]\nmass = -1', "less than 0"),
+    ("s.toml", '[[body]]\nname = "a"\nurdf = "a\\u0000.urdf"', "there is no file"),
+    ("s.toml", f'[[body]]\nname = "a"\nurdf = "{"x" * 5000}.urdf"', "there is no file"),
+]  # fmt: skip
+
+
+@sampled(("name", "text", "words"), WRONG, every=3)
+def test_what_is_wrong_is_an_error(tmp_path: Path, name: str, text: str, words: str) -> None:
+    (tmp_path / "m.obj").write_text(CUBE)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SceneError, match=words) as error:
+        ssduck.load(tmp_path / name, simulator="pybullet")
+    assert name in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "corners", ["1 2 3", "-1 -2 -3", "1 2 2000000000", "1 2 99999999999999999999"]
+)
+def test_a_mesh_whose_faces_are_nowhere(tmp_path: Path, corners: str) -> None:
+    """PyBullet would read beyond the vertices, and crash."""
+    (tmp_path / "m.obj").write_text(("v 0 0 0\n" if "9" in corners else "") + f"f {corners}\n")
+    for text in (mesh("m.obj"), urdf(more="<visual><geometry>M</geometry></visual>")):
+        (tmp_path / "s.urdf").write_text(text.replace("M", '<mesh filename="m.obj"/>'))
+        with pytest.raises(SceneError, match=r"m.obj: a face refers to a missing vertex"):
+            ssduck.load(tmp_path / "s.urdf")
+
+
+ACCESSOR = (
+    '<technique_common><accessor source="#a" count="3" stride="3">'
+    '<param name="X" type="float"/></accessor></technique_common>'
+)
+COLLADA = (
+    '<COLLADA version="1.4.1"><asset><unit meter="1"/></asset><library_geometries><geometry id="g">'
+    '<mesh><source id="p"><float_array id="a" count="9">0 0 0 1 0 0 0 1 0</float_array>'
+    f'{ACCESSOR}</source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices>'
+    '<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles>'
+    '</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s">'
+    '<node id="n"><instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+    "</COLLADA>"
+)
+# (old, new, words of the error): each crashes PyBullet 3.2.7, or makes it take all memory
+DAMAGES = [
+    ('<asset><unit meter="1"/></asset>', "", "<COLLADA> has no <asset>"),
+    ("library_geometries", "library", "<COLLADA> has no <library_geometries>"),
+    ('<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>', "", "no <vertices>"),
+    ("<p>0 1 2</p>", "", "<triangles> has no <p>"),
+    ("0 1 2</p>", "0 1 99999999</p>", "refers to a missing vertex"),
+    ("0 1 2</p>", "0 1 -99999999</p>", "refers to a missing vertex"),
+    ("0 1 2</p>", "0 1 x</p>", "invalid literal"),
+    ('count="1"', 'count="99999999"', "has fewer corners than it counts"),
+    ('count="9"', 'count="99999999"', "has not the numbers that it counts"),
+    ("0 0 0 1 0 0 0 1 0", "", "has not the numbers that it counts"),
+    (ACCESSOR, "", "a <source> has no <accessor>"),
+    ('source="#p"', 'source="#x"', "there is no <source> 'x'"),
+    ('source="#v"', 'source="#x"', "there is no <source> 'x'"),
+    ('<source id="p">', "<source>", "a <source> has no id"),
+    ('semantic="VERTEX" ', "", "a <input> has no semantic"),
+    ('offset="0"', 'offset="99"', "an offset is 99"),
+    ("<COLLADA ", '<!DOCTYPE a [<!ENTITY b "c">]><COLLADA ', "<!DOCTYPE> is not supported"),
+    ("</COLLADA>", "", "it is no XML"),
+]
+
+
+@sampled(("old", "new", "words"), DAMAGES, every=3)
+def test_a_damaged_collada_file(tmp_path: Path, old: str, new: str, words: str) -> None:
+    (tmp_path / "s.urdf").write_text(mesh("m.dae"))
+    (tmp_path / "m.dae").write_text(COLLADA)
+    with ssduck.load(tmp_path / "s.urdf"):
+        pass
+    assert old in COLLADA
+    (tmp_path / "m.dae").write_text(COLLADA.replace(old, new))
+    with pytest.raises(SceneError, match=rf"m.dae: .*{words}"):
+        ssduck.load(tmp_path / "s.urdf")
+
+
+def test_entities_that_grow(tmp_path: Path) -> None:
+    """Ten entities of ten of the one before; PyBullet takes none of them for another text."""
+    grown = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 12))
+    text = f'<!DOCTYPE r [<!ENTITY a0 "lol">{grown}]>' + urdf(more="<x>&a11;</x>")
+    (tmp_path / "s.urdf").write_text(text)
+    with ssduck.load(tmp_path / "s.urdf") as ss:
+        assert ss.eval("SELECT id FROM s AS list;") == ["r"]
+    with pytest.raises(SceneError, match="<!DOCTYPE> is not allowed"):
+        ssduck.load(tmp_path / "s.urdf", limits=Limits.strict())
+
+
+def test_a_name_that_no_file_can_have() -> None:
+    for name in ("a\0.urdf", "x" * 5000 + ".urdf", "\ud800.urdf"):
+        with pytest.raises((UnknownNameError, SceneError)):
+            ssduck.load(name)
