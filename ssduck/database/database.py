@@ -123,13 +123,13 @@ class Database:
             LimitError: it exceeds a limit, or is not permitted.
             SqlError: DuckDB cannot run it.
         """
-        if self.connection.meter.limits.seconds is not None:
-            check_length(sql)
         with self._lock:
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
                 with PinnedWorlds(self._lock, self._worlds, statement.reads):
                     return self._raw_sql.ready_rows(statement)
+            if self.connection.meter.limits.seconds is not None:
+                check_length(sql)
             self._confine(sql)
             words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
@@ -297,9 +297,12 @@ class Database:
     def begin_episode(self, world: World) -> None:
         """Records a world that was reset as before, in new records; ends the records before."""
         with self._lock:
-            bound = self._worlds.entry(world)
-            if bound.history is not None and bound.history.recorder is not None:
-                self._worlds.record(bound, bound.history.store.recording)
+            if not self.connection.is_open:
+                return
+            for bound in self._worlds.bound:
+                history = bound.history
+                if bound.reference() is world and history and history.recorder is not None:
+                    self._worlds.record(bound, history.store.recording)
             self._recorders.begin_episodes(world)
 
     def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
@@ -19,8 +19,6 @@ from ssduck.simulators.scene_bodies import Primitive
 from ssduck.simulators.scenes import Scene
 
 __all__ = ["attach", "excerpt", "load", "scene_of"]
-
-T = TypeVar("T")
 
 
 def load(scene: Scene) -> MuJoCoSimulator:
@@ -71,46 +69,45 @@ def attach(
     forward = validation.boolean(forward, "attach: forward")
     source = source_of(client)
     model, _ = source()
-    named = _by_root(model, validation.mapping(names, "attach: names are given in a dict"), "names")
-    kinds_by_root = _by_root(
-        model, validation.mapping(kinds, "attach: kinds are given in a dict"), "kinds"
-    )
+    named = dict(validation.mapping(names, "attach: names are given in a dict"))
+    kinds_of = dict(validation.mapping(kinds, "attach: kinds are given in a dict"))
+    for argument, keys in (("names", named), ("kinds", kinds_of)):
+        for key in keys:
+            _check_root(model, key, argument)
     for root, name in named.items():
         validation.text(name, f"attach: names: the name of body {root} must be a text")
-    for root, kind in kinds_by_root.items():
+    for root, kind in kinds_of.items():
         if kind not in ("robot", "kinbody"):
             raise ArgumentError(f"attach: kinds: body {root}: {kind!r} is no robot or kinbody")
-    return MuJoCoSimulator(source, owned=False, names=named, kinds=kinds_by_root, forward=forward)
+    return MuJoCoSimulator(source, owned=False, names=named, kinds=kinds_of, forward=forward)
 
 
-def _by_root(model: Any, values: Mapping[Any, T], argument: str) -> dict[int, T]:
-    """Returns values by the number of the root body, which the user gives by number or name."""
+def _check_root(model: Any, key: Any, argument: str) -> None:
+    """Checks that a number or a name is that of the root body of an entity.
+
+    Raises:
+        UnknownNameError: no body has the name; with the nearest names.
+        ArgumentError: no body has the number, or the body is a link of another.
+    """
     names, roots = body_names(model), roots_of(model)
-    by_root = {}
-    for key, value in values.items():
-        if isinstance(key, str):
-            known = [names[root] for root in roots]
-            if key not in names:
-                raise UnknownNameError(
-                    f"attach: {argument}: MuJoCo has no body {key!r}",
-                    suggestions=nearest(key, known),
-                )
-            number = names.index(key)
-        elif validation.is_integer(key) and 0 <= key < model.nbody:
-            number = int(key)
-        else:
-            raise ArgumentError(
-                f"attach: {argument}: MuJoCo has no body {short_repr(key)}; its bodies are 0 to "
-                f"{model.nbody - 1}, or given by name"
-            )
-        if number not in roots:
-            root = int(model.body_rootid[number])
-            raise ArgumentError(
-                f"attach: {argument}: the body {names[number]!r} is a link of the entity "
-                f"{names[root]!r}; name that"
-            )
-        by_root[number] = value
-    return by_root
+    if isinstance(key, str):
+        if key not in names:
+            message = f"attach: {argument}: MuJoCo has no body {key!r}"
+            raise UnknownNameError(message, suggestions=nearest(key, [names[n] for n in roots]))
+        number = names.index(key)
+    elif validation.is_integer(key) and 0 <= key < model.nbody:
+        number = int(key)
+    else:
+        raise ArgumentError(
+            f"attach: {argument}: MuJoCo has no body {short_repr(key)}; its bodies are 0 to "
+            f"{model.nbody - 1}, or given by name"
+        )
+    if number not in roots:
+        root = int(model.body_rootid[number])
+        raise ArgumentError(
+            f"attach: {argument}: the body {names[number]!r} is a link of the entity "
+            f"{names[root]!r}; name that"
+        )
 
 
 def excerpt(

@@ -68,7 +68,7 @@ class ModelReader:
 
     Args:
         model: the model.
-        names: names of entities by the number of the root, instead of MuJoCo's.
+        names: names of entities by the number or the name of the root, instead of MuJoCo's.
         kinds: kinds of entities, likewise.
         only: the numbers of the roots of the trees to describe; None for all.
     """
@@ -76,8 +76,8 @@ class ModelReader:
     def __init__(
         self,
         model: Any,
-        names: Mapping[int, str] | None,
-        kinds: Mapping[int, Kind] | None,
+        names: Mapping[int | str, str] | None,
+        kinds: Mapping[int | str, Kind] | None,
         only: Collection[int] | None = None,
     ) -> None:
         self._only = only
@@ -103,10 +103,12 @@ class ModelReader:
         model = self._model
         joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
         is_jointed = any(joint.type != "free" for joint in joints)
+        name = self._link_names[root]
+        kind: Kind = "robot" if is_jointed else "kinbody"
         return Body(
             handle=root,
-            name=self._names.get(root, self._link_names[root]),
-            kind=self._kinds.get(root, "robot" if is_jointed else "kinbody"),
+            name=self._names.get(name, self._names.get(root, name)),
+            kind=self._kinds.get(name, self._kinds.get(root, kind)),
             movable=bool(joints) or bool((model.body_mocapid[links.start : links.stop] >= 0).any()),
             links=tuple(self._link(number, root) for number in links),
             joints=joints,

@@ -70,7 +70,7 @@ class MuJoCoSimulator(PartialSimulator):
     Args:
         source: returns the model and the data as they are now.
         owned: whether ssduck made them; else the user steps and changes them.
-        names: names of entities by the number of the root body, instead of MuJoCo's.
+        names: names of entities by the number or the name of the root body, instead of MuJoCo's.
         kinds: kinds of entities, likewise.
         only: the numbers of the root bodies of the entities to describe; None for all.
         forward: whether each tick has the poses, velocities and contacts that follow from the
@@ -92,8 +92,8 @@ class MuJoCoSimulator(PartialSimulator):
         source: Source,
         *,
         owned: bool,
-        names: Mapping[int, str] | None = None,
-        kinds: Mapping[int, Kind] | None = None,
+        names: Mapping[int | str, str] | None = None,
+        kinds: Mapping[int | str, Kind] | None = None,
         only: Collection[int] | None = None,
         forward: bool = False,
     ) -> None:

@@ -205,6 +205,21 @@ def test_a_reset_begins_an_episode(model, data, tmp_path):
     assert episodes == [4, 2]
 
 
+def test_resets_of_worlds_that_no_interpreter_has(model, data):
+    """One was closed, in another the name stands for something else now."""
+    closed, other = ssduck.Interpreter(), ssduck.Interpreter()
+    world = closed.add_variable("lab", ssduck.World.attach(model, data))
+    other.add_variable("lab", world)
+    closed.close()
+    other.add_variable("lab", 5)
+    mujoco.mj_step(model, data, 5)
+    world.tick()
+    mujoco.mj_resetData(model, data)
+    assert world.tick().time == 0.0
+    assert other.eval("lab;") == 5
+    other.close()
+
+
 def test_a_model_that_is_built_anew(model):
     """Entities stay if nothing about them changed; one that changed is another one."""
     text = {"now": LAB}
@@ -215,7 +230,7 @@ def test_a_model_that_is_built_anew(model):
         made.append((built, mujoco.MjData(built)))
 
     reset()
-    world = ssduck.World.attach(lambda: made[-1])
+    world = ssduck.World.attach(lambda: made[-1], names={"wedge": "cheese"})
     before = {entity.name: entity.id for entity in world}
     reset()
     world.tick()
@@ -225,6 +240,11 @@ def test_a_model_that_is_built_anew(model):
     world.tick()
     after = {entity.name: entity.id for entity in world}
     assert {name for name in before if before[name] != after[name]} == {"ball"}
+    text["now"] = text["now"].replace('<body name="table"', '<body name="new"/><body name="table"')
+    reset()
+    world.tick()  # all have other numbers
+    assert [entity.name for entity in world][1:3] == ["new", "table"]
+    assert "cheese" in world
     assert world["ball"].aabb[1][2] == pytest.approx(0.451 + 0.07)
     # The same where the user writes into the model.
     made[-1][0].geom_size[made[-1][0].geom("floor").id + 2] = 0.6  # of the table
