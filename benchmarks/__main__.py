@@ -1,8 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
-language and adapters. All of them take some minutes, and so does `python -m benchmarks raw`.
-`python -m benchmarks mujoco` needs MuJoCo.
+language and adapters. All of them take some minutes, and so do `python -m benchmarks raw` and
+`python -m benchmarks strict`. `python -m benchmarks mujoco` needs MuJoCo.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """
@@ -21,6 +21,7 @@ from benchmarks import (
     queries,
     raw,
     recorded,
+    strict,
     ticks,
     triggers,
 )
@@ -34,7 +35,7 @@ TABLES = {
     "adapters": adapters,
 }
 # Tables that take minutes.
-LONG_TABLES = {"raw": raw}
+LONG_TABLES = {"raw": raw, "strict": strict}
 # Tables that need an extra.
 EXTRA_TABLES = {"mujoco": mujoco_ticks}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}

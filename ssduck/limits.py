@@ -5,13 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ssduck import validation
 from ssduck.errors import LimitError
 
-# The number of steps between two checks of the time.
-_STEPS_PER_CHECK = 8
+# The time after which a program that does not end by itself is ended with its process, s.
+GRACE = 2.0
+# Linux's file with the sizes of this process, and what a process may take beside its programs.
+_SIZES, _SPARE = Path("/proc/self/statm"), 10**9
+# The largest number of words and signs of a program under a limit of time.
+MAX_WORDS = 50_000
 
 
 @dataclass(frozen=True)
@@ -21,7 +26,8 @@ class Limits:
     Attributes:
         seconds: the longest running time, s; None for no limit.
         rows: the largest number of rows of a query, and of combinations that Python evaluates.
-        memory: the memory of DuckDB, bytes.
+        memory: the memory of DuckDB, and the size of the values that a program makes in Python,
+            bytes.
         depth: the largest number of rows in a path of a hierarchical query.
         eval: whether programs may call `eval('text')`.
         files: whether SQL may read and write files, load extensions and change settings, and
@@ -63,6 +69,11 @@ class Limits:
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
 
+    @property
+    def words(self) -> int | None:
+        """The largest number of words of a program, whose parsing cannot be interrupted."""
+        return None if self.seconds is None else MAX_WORDS
+
     @classmethod
     def strict(cls, **changes: Any) -> Limits:
         """Returns limits for untrusted programs.
@@ -85,6 +96,24 @@ class Limits:
         )
 
 
+def limit_process_memory(limits: Limits) -> None:
+    """Limits the memory that this process may take from now on, where the system can (Linux).
+
+    DuckDB and Python may each take `limits.memory`, and both need some for a time.
+
+    Args:
+        limits: the limits of the programs that it will run.
+    """
+    if limits.memory is None or not _SIZES.exists():
+        return
+    import resource
+
+    pages = int(_SIZES.read_text().split()[0])
+    size = pages * resource.getpagesize() + 2 * limits.memory + _SPARE
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (size, hard))
+
+
 class UsageMeter:
     """Measures how much of its limits a running program has used.
 
@@ -99,7 +128,7 @@ class UsageMeter:
         self.limits = limits
         self.start = time.monotonic()
         self._deadline = None if limits.seconds is None else self.start + limits.seconds
-        self._steps = 0
+        self._size = 0
 
     def step(self) -> None:
         """Counts a step in Python: a row, a call, a part of a path.
@@ -107,9 +136,23 @@ class UsageMeter:
         Raises:
             LimitError: the time is up.
         """
-        self._steps += 1
-        if self._deadline is not None and self._steps % _STEPS_PER_CHECK == 0:
+        if self._deadline is not None:
             self.check_time()
+
+    def charge(self, size: int) -> None:
+        """Counts the size of a large value that the program has made in Python.
+
+        Args:
+            size: bytes, roughly.
+
+        Raises:
+            LimitError: all values that it has made take too much memory, or the time is up.
+        """
+        self._size += size
+        maximum = self.limits.memory
+        if maximum is not None and self._size > maximum:
+            raise LimitError(f"the program makes values of more than {maximum:,} bytes")
+        self.check_time()
 
     def combination_counter(self) -> Callable[[], None]:
         """Returns a function to call for each combination of rows that Python evaluates.

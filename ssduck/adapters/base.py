@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, LimitError
 from ssduck.language.clauses import Rows
 from ssduck.language.tree import Query
 from ssduck.limits import Limits, UsageMeter
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     from ssduck.world.world import World
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+# The number of rows between two checks of the time.
+_ROWS_PER_CHECK = 256
 # The input of an adapter; `Adapter.needs` describes each.
 Need: TypeAlias = Literal["rows", "columns", "entities", "query"]
 
@@ -70,6 +73,34 @@ class Selection:
             LimitError: the time is up.
         """
         self._meter.check_time()
+
+    def check_size(self, count: float, what: str, *, per_second: float, bytes_each: float) -> None:
+        """Checks that a form of so many parts can be made within the limits of time and memory.
+
+        Args:
+            count: the number of parts.
+            what: how many and what they are, for the message.
+            per_second: how many are made in a second on a slow machine.
+            bytes_each: the memory of each while they are made.
+
+        Raises:
+            LimitError: there are too many.
+        """
+        limits, most = self.limits, math.inf
+        if limits.seconds is not None:
+            most = limits.seconds * per_second
+        if limits.memory is not None:
+            most = min(most, limits.memory / bytes_each)
+        if count > most:
+            raise LimitError(
+                f"{what} are more than {most:,.0f}, which the limits of time and memory allow"
+            )
+
+    @property
+    def timed_rows(self) -> list[tuple[Any, ...]]:
+        """The rows; whoever goes through them checks the time now and then."""
+        rows = self.rows
+        return rows if self.limits.seconds is None else _TimedRows(rows, self.check_time)
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:
@@ -144,6 +175,25 @@ class Selection:
     def time(self) -> float:
         """The simulated time of `world`, s."""
         return self.world.time
+
+
+class _TimedRows(list[tuple[Any, ...]]):
+    """Rows that check the time while they are iterated over.
+
+    Args:
+        rows: the rows.
+        check_time: raises an error if the time is up.
+    """
+
+    def __init__(self, rows: list[tuple[Any, ...]], check_time: Callable[[], None]) -> None:
+        super().__init__(rows)
+        self._check_time = check_time
+
+    def __iter__(self) -> Iterator[tuple[Any, ...]]:
+        for index, row in enumerate(super().__iter__()):
+            if index % _ROWS_PER_CHECK == 0:
+                self._check_time()
+            yield row
 
 
 @dataclass(frozen=True)

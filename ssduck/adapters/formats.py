@@ -61,7 +61,7 @@ def _csv(value: Any, stream: TextIO) -> None:
     writer = csv.writer(stream, lineterminator="\n")
     if table.columns:
         writer.writerow(table.columns)
-    writer.writerows([[cell_text(element) for element in row] for row in table.rows])
+    writer.writerows([cell_text(element) for element in row] for row in table.rows)
 
 
 def _markdown(value: Any, stream: TextIO) -> None:

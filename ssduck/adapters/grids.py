@@ -26,6 +26,8 @@ from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
 
+# The number of cells that are made in a second on a slow machine, and the memory of each meanwhile.
+CELLS_PER_SECOND, CELL_BYTES = 10_000_000, 25
 # The number of cells whose visibility is computed at a time.
 _BATCH = 1_000_000
 # Default bounds are rounded outward to multiples of this, m, as in the tutorial.
@@ -49,7 +51,7 @@ def _occupancy(
     size = validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 2)
-    counts = _counts(lower, upper, size)
+    counts = _counts(selection, lower, upper, size)
     return _occupied_cells(placed, lower, size, counts, (low, high))
 
 
@@ -58,7 +60,7 @@ def _roomba_grid(selection: Selection, z_pos: Any = 0.22, grid_size: Any = 0.025
     placed = shapes_of(selection)
     lower, upper = _bounds(None, placed, 2)
     # The tutorial requests one cell more than the bounds have.
-    nx, ny = (count + 1 for count in _counts(lower, upper, size))
+    nx, ny = (count + 1 for count in _counts(selection, lower, upper, size))
     return _occupied_cells(placed, lower, size, (nx, ny), (z, z))
 
 
@@ -79,7 +81,7 @@ def _voxels(selection: Selection, grid_size: Any, bounds: Any = None) -> VoxelGr
     size = validation.length(grid_size, "the size of a cell")
     placed = shapes_of(selection)
     lower, upper = _bounds(bounds, placed, 3)
-    nx, ny, nz = _counts(lower, upper, size)
+    nx, ny, nz = _counts(selection, lower, upper, size)
     raster, rasterizer = Raster((lower[0], lower[1]), size, (nx, ny)), Rasterizer(placed)
     cells = np.zeros((nx, ny, nz), dtype=bool)
     for layer in range(nz):
@@ -105,7 +107,7 @@ def _sensor_grid(
     placed = placed_shapes(world, [e for e in world if not isinstance(e, Sensor)])
     bounded = placed.select(np.asarray(np.isfinite(placed.boxes).all(axis=1)))
     lower, upper = _bounds(bounds, bounded, 2)
-    nx, ny = _counts(lower, upper, size)
+    nx, ny = _counts(selection, lower, upper, size)
     cells = np.zeros((nx, ny), dtype=np.int32)
     raster = Raster((lower[0], lower[1]), size, (nx, ny))
     columns = max(1, _BATCH // ny)
@@ -152,10 +154,11 @@ def _plane(selection: Selection, axes: Any, origin: Any, size: Any, blur: Any = 
         raise ArgumentError(f"size: the numbers of cells must be whole, not {short_repr(size)}")
     nx, ny = map(int, counts)
     validation.integer_between(blur, "blur", 1, max(nx, ny))
-    _check_count((nx + 2 * blur, ny + 2 * blur))
+    _check_count(selection, (nx + 2 * blur, ny + 2 * blur))
     weights = _pyramid(blur)
     cells = np.zeros((nx + 2 * blur, ny + 2 * blur))
     for entity, value in _entity_values(selection):
+        selection.check_time()
         steps = (np.array(_finite_position(entity))[list(_PLANES[plane])] - lower) / side
         if ((steps >= 0) & (steps < (nx, ny))).all():
             i, j = steps.astype(np.intp) + blur
@@ -262,23 +265,28 @@ def _given_bounds(bounds: Any, count: int) -> tuple[tuple[float, ...], tuple[flo
     return lower, upper
 
 
-def _counts(lower: Sequence[float], upper: Sequence[float], size: float) -> tuple[int, ...]:
+def _counts(
+    selection: Selection, lower: Sequence[float], upper: Sequence[float], size: float
+) -> tuple[int, ...]:
     """Returns the number of cells between the corners along each axis."""
     for low, high in zip(lower, upper, strict=True):
         if not low < high:
             raise ArgumentError(f"bounds: {low:g} is not below {high:g}")
     steps = [(high - low) / size - _TOLERANCE for low, high in zip(lower, upper, strict=True)]
-    _check_count(steps)
+    _check_count(selection, steps)
     return tuple(max(1, math.ceil(step)) for step in steps)
 
 
-def _check_count(counts: Sequence[float]) -> None:
+def _check_count(selection: Selection, counts: Sequence[float]) -> None:
     counts = [max(1.0, count) for count in counts]
+    listed = " x ".join(f"{count:,.0f}" for count in counts)
     if math.prod(counts) > MAX_CELLS:
-        listed = " x ".join(f"{count:,.0f}" for count in counts)
         raise ArgumentError(
             f"{listed} cells are more than {MAX_CELLS:,}; take larger cells, or bounds of a part"
         )
+    selection.check_size(
+        math.prod(counts), f"{listed} cells", per_second=CELLS_PER_SECOND, bytes_each=CELL_BYTES
+    )
 
 
 def _finite_position(entity: Handle) -> list[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,7 +113,11 @@ class PointCloud:
 
 
 def sample_points(
-    placed: PlacedSolids, names: Mapping[int, str], spacing: float, seed: int
+    placed: PlacedSolids,
+    names: Mapping[int, str],
+    spacing: float,
+    seed: int,
+    check: Callable[[float], None] = lambda _: None,
 ) -> PointCloud:
     """Samples points uniformly from the surfaces of shapes.
 
@@ -122,6 +126,7 @@ def sample_points(
         names: the names of the owners, by their ids.
         spacing: the mean distance, m: one point for each square of this side.
         seed: the seed of the random numbers.
+        check: a function that is called with the number of points, and may raise an error.
 
     Raises:
         ArgumentError: a shape is an infinite plane, or there would be more than `MAX_POINTS`.
@@ -135,6 +140,7 @@ def sample_points(
         raise ArgumentError(
             f"{sum(areas) / square:,.0f} points are more than {MAX_POINTS:,}; take a larger spacing"
         )
+    check(sum(areas) / square)
     indices = {id: index for index, id in enumerate(names)}
     points, normals, owners = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0, np.intp)]
     for (solid, position, matrix), area, owner in zip(placed, areas, placed.owners, strict=True):

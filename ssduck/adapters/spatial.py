@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections import Counter
 from typing import TYPE_CHECKING, Any
@@ -15,9 +14,8 @@ from ssduck.adapters.files import check_file, replace_file
 from ssduck.adapters.highlight import highlighted
 from ssduck.adapters.point_cloud import PointCloud, sample_points
 from ssduck.adapters.shapes import SHAPES, shapes_of
-from ssduck.errors import ArgumentError, LimitError
+from ssduck.errors import ArgumentError
 from ssduck.geometry.solids import Solid
-from ssduck.limits import Limits
 
 if TYPE_CHECKING:
     import trimesh
@@ -27,6 +25,8 @@ if TYPE_CHECKING:
 _UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 # The renderer's speed on a slow machine, and the memory that it and the outlines take.
 PIXELS_PER_SECOND, BYTES_PER_PIXEL = 1_000_000, 128
+# The same of random points.
+POINTS_PER_SECOND, POINT_BYTES = 2_000_000, 250
 _COLOURS = {
     "robot": (214, 120, 40, 255),
     "kinbody": (150, 160, 175, 255),
@@ -38,9 +38,14 @@ def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCl
     placed = shapes_of(selection)
     ids = {entity.id: entity.full_name for entity in selection.entities}
     mean_distance = validation.length(spacing, "spacing")
-    return sample_points(
-        placed, ids, mean_distance, validation.integer_between(seed, "seed", 0, sys.maxsize)
-    )
+    whole_seed = validation.integer_between(seed, "seed", 0, sys.maxsize)
+
+    def check(count: float) -> None:
+        selection.check_size(
+            count, f"{count:,.0f} points", per_second=POINTS_PER_SECOND, bytes_each=POINT_BYTES
+        )
+
+    return sample_points(placed, ids, mean_distance, whole_seed, check)
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
@@ -105,26 +110,13 @@ def _image(selection: Selection, width: Any = 960, height: Any = 720) -> Image.I
         validation.integer_between(width, "width", 1, validation.MAX_PIXELS),
         validation.integer_between(height, "height", 1, validation.MAX_PIXELS),
     )
-    _check_pixels(selection.limits, *size)
+    selection.check_size(
+        size[0] * size[1],
+        f"{size[0]} x {size[1]} pixels",
+        per_second=PIXELS_PER_SECOND,
+        bytes_each=BYTES_PER_PIXEL,
+    )
     return highlighted(selection.world, selection.entities, *size)
-
-
-def _check_pixels(limits: Limits, width: int, height: int) -> None:
-    """Checks that a picture can be rendered within limits; rendering cannot be interrupted.
-
-    Raises:
-        LimitError: it may take more time or memory.
-    """
-    most = math.inf
-    if limits.seconds is not None:
-        most = limits.seconds * PIXELS_PER_SECOND
-    if limits.memory is not None:
-        most = min(most, limits.memory / BYTES_PER_PIXEL)
-    if width * height > most:
-        raise LimitError(
-            f"{width} x {height} pixels are more than {most:,.0f}, which the limits of time and "
-            "memory allow"
-        )
 
 
 SPATIAL = (

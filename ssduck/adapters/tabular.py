@@ -61,8 +61,11 @@ def _json(selection: Selection, indent: int | None = None) -> str:
     if indent is not None:
         validation.integer_between(indent, "indent", 0, _MAX_INDENT)
     names = checked_names(selection.columns)
-    rows = [dict(zip(names, as_json(row), strict=True)) for row in selection.rows]
-    return json.dumps(rows, ensure_ascii=False, allow_nan=False, indent=indent)
+    rows = (dict(zip(names, as_json(row), strict=True)) for row in selection.timed_rows)
+    if indent is not None:
+        return json.dumps(list(rows), ensure_ascii=False, allow_nan=False, indent=indent)
+    texts = [json.dumps(row, ensure_ascii=False, allow_nan=False) for row in rows]
+    return f"[{', '.join(texts)}]"
 
 
 def _csv(selection: Selection) -> str:
@@ -74,12 +77,12 @@ def _markdown(selection: Selection) -> str:
 
 
 def _named_rows(selection: Selection) -> DisplayTable:
-    return DisplayTable(checked_names(selection.columns), selection.rows)
+    return DisplayTable(checked_names(selection.columns), selection.timed_rows)
 
 
 def _records(selection: Selection) -> list[tuple[Any, ...]]:
     row_class = _row_class(tuple(map(str, selection.columns)))
-    return [row_class._make(row) for row in selection.rows]
+    return [row_class._make(row) for row in selection.timed_rows]
 
 
 @lru_cache

@@ -39,6 +39,8 @@ class Format(StrEnum):
     MARKDOWN = "markdown"
 
 
+# Tells commands that the whole process is theirs; in tests, it is not.
+_OWN_PROCESS = object()
 # The number of rows of a table on a terminal.
 _TERMINAL_ROWS = 40
 
@@ -73,7 +75,7 @@ def main() -> None:
     _prepare_streams()
     sys.set_int_max_str_digits(0)  # programs may compute longer integers than 4300 digits
     try:
-        app(prog_name="ssduck")
+        app(prog_name="ssduck", obj=_OWN_PROCESS)
     except OSError as error:
         if error.filename is not None:
             raise
@@ -306,6 +308,7 @@ _Strict = Annotated[
 
 @app.command()
 def query(
+    context: typer.Context,
     scene: _SceneOrRecord,
     program: _Program = None,
     file: Annotated[
@@ -370,13 +373,19 @@ def query(
             raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
         description = find_scene(scene)
         steps = steps if seconds is None else whole_steps(seconds, description.timestep)
-    # The output of a program is not its result.
     limits = Limits.strict() if strict else None
+    program_time: AbstractContextManager[None] = contextlib.nullcontext()
+    if limits is not None and context.obj is _OWN_PROCESS:
+        from ssduck.cli.child_process import supervised
+
+        program_time = supervised(limits)
+    # The output of a program is not its result.
     with open_or_load(scene, episode, limits) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
         if steps:
             ss.call_variable(description.name).step(steps)
-        value = ss.sql(text) if sql else rows_to_show(ss.compile(text), ss.eval)
+        with program_time:
+            value = ss.sql(text) if sql else rows_to_show(ss.compile(text), ss.eval)
     write(value)
 
 
@@ -425,49 +434,17 @@ def mcp(
     """
     from ssduck.adapters.optional import library
     from ssduck.limits import Limits
-    from ssduck.simulators.scenes import find_scene
 
     library("mcp", "mcp")
+    from ssduck.cli.worker import Source, WorkerAnswers
     from ssduck.mcp.server import create_server
 
     if seconds is not None and is_record(location):
         raise typer.BadParameter("--seconds: a record cannot be simulated further")
     record = Path(location) if is_record(location) else None
-    with (
-        _only_answers_on_standard_output() as claim,
-        open_or_load(location, episode, Limits.strict(progress=False)) as ss,
-    ):
-        ss.strict = True
-        if seconds is not None:
-            description = find_scene(location)
-            ss.call_variable(description.name).step(whole_steps(seconds, description.timestep))
-        with claim():
-            create_server(ss, record).run("stdio")
-
-
-@contextlib.contextmanager
-def _only_answers_on_standard_output() -> Iterator[Callable[[], AbstractContextManager[None]]]:
-    """Sends all that is written to standard error, libraries' output in C included.
-
-    Yields a context manager that opens standard output for the answers. Afterwards it stays closed:
-    C libraries write what they have buffered when the process ends.
-    """
-    sys.stdout.flush()
-    output, errors = os.dup(1), 2
-    os.dup2(errors, 1)
-
-    @contextlib.contextmanager
-    def claim() -> Iterator[None]:
-        os.dup2(output, 1)
-        try:
-            yield
-        finally:
-            os.dup2(errors, 1)
-
-    try:
-        yield claim
-    finally:
-        os.close(output)
+    source = Source(location, seconds, episode, Limits.strict(progress=False))
+    with contextlib.closing(WorkerAnswers(source)) as answers:
+        create_server(answers, record).run("stdio")
 
 
 @app.command()

@@ -18,9 +18,11 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
+from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import MEMORY, POOL, create_file
+from ssduck.database.limited_fetch import limited_rows, limited_table
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -33,6 +35,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.limits import Limits, UsageMeter
+from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
@@ -44,8 +47,6 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # Errors of functions that SQL calls, which stay as they are.
 _OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
-# The time between two interrupts of a statement whose time is up, s.
-INTERRUPT_INTERVAL = 0.02
 # The largest number of rows that are fetched as tuples.
 _BY_ROW = 100
 # The types whose columns NumPy represents exactly.
@@ -99,6 +100,8 @@ class Connection:
         self.has_records = self.is_file
         # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
+        # A record that is read.
+        self._opened: OpenedRecord | None = None
         # The attached file with a record.
         self._attached: Path | None = None
         self._functions: set[str] = set()
@@ -212,6 +215,8 @@ class Connection:
             record: the record that it reads; None for the database itself.
         """
         file = Path(self._path) if self.is_file else None
+        if record is not None:
+            self._opened = OpenedRecord(record)
         return WriterConnection(self._connection, file, record)
 
     def attach(self, path: Path) -> str:
@@ -323,11 +328,12 @@ class Connection:
         """Returns all rows of a statement from the translator; the caller pins the worlds."""
         if not sql.startswith(_EXECUTE):  # what it names is there
             self.on_demand.provide(sql, self)
-        max_rows = self.meter.limits.rows
 
         def fetch() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
-            return _all_rows(result) if max_rows is None else result.fetchmany(max_rows + 1)
+            if self._has_limited_rows:
+                return limited_rows(result, self._max_rows, self.meter.charge)
+            return _all_rows(result)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
@@ -337,13 +343,14 @@ class Connection:
         """Returns all rows of a user's statement; the caller pins the worlds."""
         self._is_altered = True
         self.on_demand.provide(sql, self)
-        max_rows = self.meter.limits.rows
 
         def fetch() -> pa.Table:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
-            return (relation if max_rows is None else relation.limit(max_rows + 1)).to_arrow_table()
+            if self._has_limited_rows:
+                return limited_table(relation, self._max_rows, self.meter.charge)
+            return relation.to_arrow_table()
 
         table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)
@@ -360,20 +367,32 @@ class Connection:
             header: the columns, with the expected number of rows; None if they are not known.
 
         Returns:
-            The rows; None if the types of the columns require an Arrow table.
+            The rows; None if the types of the columns require an Arrow table, or it is faster.
         """
         if not sql.startswith(_EXECUTE):
             self.on_demand.provide(sql, self)
-        max_rows = self.meter.limits.rows
-        most = None if max_rows is None else max_rows + 1
+        limited = None
+        if self._has_limited_rows:
+            limited = partial(limited_rows, max_rows=self._max_rows, charge=self.meter.charge)
 
         def fetch() -> FetchedRows | None:
-            return fetched(self._connection.execute(sql, parameters), most, header)
+            return fetched(self._connection.execute(sql, parameters), limited, header)
 
         rows = self._execute(sql, fetch)
         if rows is not None:
             self.meter.check_rows(len(rows))
         return rows
+
+    @property
+    def _has_limited_rows(self) -> bool:
+        limits = self.meter.limits
+        return limits.rows is not None or limits.memory is not None
+
+    @property
+    def _max_rows(self) -> int | None:
+        """The number of rows to fetch: one more than allowed."""
+        maximum = self.meter.limits.rows
+        return None if maximum is None else maximum + 1
 
     def columns(self, sql: str, parameters: Parameters) -> list[tuple[str, str]]:
         """Returns the names and the types of a query's columns; the query does not run."""
@@ -429,6 +448,8 @@ class Connection:
         DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call after
         DuckDB's error, or inside DuckDB, which makes another error of it, or none.
         """
+        if self._opened is not None:
+            self._opened.check_process()
         if self._tracer is not None:
             self._tracer(sql)
         self._raised.clear()
@@ -436,8 +457,10 @@ class Connection:
             begin()
         listener = ctrl_c.InterruptListener(self._interrupt)
         try:
-            result = self._run_in_time(work, listener, self._timer() if timed else None)
+            result = self._run_in_time(work, listener, self.meter.remaining if timed else None)
         except Exception as error:
+            if isinstance(error, MemoryError):
+                raise LimitError("the query needs more memory than available") from error
             if not (listener.pressed or _is_duckdb_error(error)):
                 raise
             self._raise_error(error, interrupted=listener.pressed)
@@ -449,35 +472,20 @@ class Connection:
         self,
         work: Callable[[], T],
         listener: ctrl_c.InterruptListener,
-        timer: threading.Timer | None,
+        seconds: float | None,
     ) -> T:
         try:
             listener.enter()
-            if timer is not None:
-                timer.start()
+            if seconds is not None:
+                DEADLINES.begin(listener, seconds, self._interrupt)
             result = work()
         finally:
             try:
-                _end(listener, timer)
+                _end(listener, is_timed=seconds is not None)
             except KeyboardInterrupt:  # it may have come before `_end` was done
-                _end(listener, timer)
+                _end(listener, is_timed=seconds is not None)
                 raise
         return result
-
-    def _timer(self) -> threading.Timer | None:
-        remaining = self.meter.remaining
-        if remaining is None:
-            return None
-
-        def interrupt() -> None:
-            # DuckDB ignores an interrupt before the statement begins, so it is repeated.
-            self._interrupt()
-            while not timer.finished.wait(INTERRUPT_INTERVAL):
-                self._interrupt()
-
-        timer = threading.Timer(remaining, interrupt)
-        timer.daemon = True
-        return timer
 
     def _interrupt(self) -> None:
         with suppress(duckdb.Error):  # it was closed meanwhile
@@ -543,12 +551,10 @@ def _is_duckdb_error(error: Exception) -> bool:
     return isinstance(error, duckdb.Error)
 
 
-def _end(listener: ctrl_c.InterruptListener, timer: threading.Timer | None) -> None:
+def _end(listener: ctrl_c.InterruptListener, *, is_timed: bool) -> None:
     listener.leave()
-    if timer is not None:
-        timer.cancel()
-        if timer.is_alive():
-            timer.join()  # so that it does not interrupt what comes next
+    if is_timed:
+        DEADLINES.end(listener)  # so that it does not interrupt what comes next
 
 
 def _finish(

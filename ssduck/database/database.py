@@ -123,13 +123,13 @@ class Database:
             LimitError: it exceeds a limit, or is not permitted.
             SqlError: DuckDB cannot run it.
         """
-        if self.connection.meter.limits.seconds is not None:
-            check_length(sql)
         with self._lock:
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
                 with PinnedWorlds(self._lock, self._worlds, statement.reads):
                     return self._raw_sql.ready_rows(statement)
+            if self.connection.meter.limits.seconds is not None:
+                check_length(sql)
             self._confine(sql)
             words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)

@@ -2,7 +2,8 @@
 
 They compute a value from their arguments. Left out are functions that read or change anything else
 (files, settings, sequences, memory addresses, the catalog, the clock of the thread), that run a
-text as SQL, and that make a long text or list of a short one, because no limit stops them.
+text as SQL, and, because no limit stops them, that make a long text or list of a short one or
+compare two texts in a time that grows with the product of their lengths.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ array_unique array_value array_where array_zip ascii asin asinh atan atan2 atanh
 binom bit_and bit_count bit_length bit_or bit_position bit_xor bitstring_agg bool_and bool_or
 cardinality cbrt ceil ceiling century char_length character_length chr concat concat_ws contains
 corr cos cosh cot count count_if count_star countif covar_pop covar_samp cume_dist current_date
-current_localtime current_localtimestamp damerau_levenshtein date_add date_diff date_part date_sub
+current_localtime current_localtimestamp date_add date_diff date_part date_sub
 date_trunc datediff datepart datesub datetrunc day dayname dayofmonth dayofweek dayofyear
 days_in_month decade decimal_average decimal_division decode degrees dense_rank divide editdist3
 element_at encode ends_with entropy epoch epoch_ms epoch_ns epoch_us era even exp factorial favg
@@ -39,7 +40,7 @@ json_exists json_extract json_extract_path json_extract_path_text json_extract_s
 json_group_array json_group_object json_insert json_keys json_merge_patch json_merge_patch_diff
 json_object json_quote json_remove json_replace json_set json_strip_nulls json_type json_valid
 json_value julian kahan_sum kurtosis kurtosis_pop lag last last_day last_value lcase lcm lead least
-least_common_multiple left left_grapheme len length length_grapheme levenshtein lgamma like_escape
+least_common_multiple left left_grapheme len length length_grapheme lgamma like_escape
 list list_aggr list_aggregate list_any_value list_append list_apply list_approx_count_distinct
 list_avg list_bit_and list_bit_or list_bit_xor list_bool_and list_bool_or list_cat list_concat
 list_contains list_cosine_distance list_cosine_similarity list_count list_distance list_distinct
@@ -76,5 +77,9 @@ weekday weekofyear weighted_avg xor year yearweek
 
 OPERATORS = frozenset(_OPERATORS.split())
 FUNCTIONS = frozenset(_FUNCTIONS.split())
+# Functions whose second argument is the name of an aggregate.
+AGGREGATING = frozenset(
+    ("aggregate", "array_aggr", "array_aggregate", "list_aggr", "list_aggregate")
+)
 # Functions in FROM.
 TABLE_FUNCTIONS = frozenset(("generate_series", "json_each", "json_tree", "range", "unnest"))

@@ -54,8 +54,9 @@ _READS_CATALOG = re.compile(
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
 
 # DuckDB's parser, which cannot be interrupted, takes long for more words or more nested brackets.
-MAX_TOKENS = 200_000
+MAX_TOKENS = 20_000
 MAX_BRACKETS = 100
+MAX_LETTERS = 2_000_000
 
 
 def _tables_of(word: str) -> frozenset[str]:
@@ -186,6 +187,10 @@ def check_length(sql: str) -> None:
     Raises:
         LimitError: the statement is too long, or nested too deeply.
     """
+    if len(sql) > MAX_LETTERS:
+        raise LimitError(
+            f"the SQL has {len(sql):,} letters; under a limit it may have {MAX_LETTERS:,}"
+        )
     letters = sql.encode("utf-8", "replace")  # DuckDB rejects invalid characters itself
     words = duckdb.tokenize(letters.decode())
     if len(words) > MAX_TOKENS:

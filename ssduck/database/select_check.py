@@ -15,7 +15,12 @@ from typing import Any, TypeAlias
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.database.permitted_functions import FUNCTIONS, OPERATORS, TABLE_FUNCTIONS
+from ssduck.database.permitted_functions import (
+    AGGREGATING,
+    FUNCTIONS,
+    OPERATORS,
+    TABLE_FUNCTIONS,
+)
 from ssduck.errors import LimitError, SourceSpan, nearest
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.schema import HISTORIES, MODELS, TABLES
@@ -219,6 +224,13 @@ class _Walk:
         name = node["function_name"].lower()
         if name not in OPERATORS and name not in _SCALARS:
             self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
+        if name in AGGREGATING:
+            for argument in node["arguments"][1:2]:
+                literal = argument["expression"].get("literal") or {}
+                aggregate = str(literal.get("text")).lower()
+                if aggregate not in FUNCTIONS:
+                    message = f"{name} takes the name of an aggregate that SQL may call"
+                    self._refuse(node, message, aggregate, FUNCTIONS)
 
     def _refuse(
         self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()

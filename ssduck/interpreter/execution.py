@@ -68,7 +68,7 @@ class Execution(Namespace):
         row_by_row: bool,
         strict: bool = False,
     ) -> None:
-        super().__init__(database)
+        super().__init__(database, limits)
         self.strict = strict
         self._value_of_query = value_of_query
         self.linter = Linter(
@@ -78,7 +78,6 @@ class Execution(Namespace):
             self._recorded_names,
             self.type_of_relation,
         )
-        self._limits = limits
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
         self._temporal = TemporalEvaluator()
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
@@ -99,6 +98,7 @@ class Execution(Namespace):
             self._program_texts.append(program.text)
             try:
                 yield
+                self.check_variables()
             except BaseException as error:
                 self.variables = before
                 if isinstance(error, SelectScriptError):
@@ -277,7 +277,7 @@ class Execution(Namespace):
         validation.text(text, "eval takes a text")
         self._program_texts.append(text)
         try:
-            program = parse(text)
+            program = parse(text, self._limits.words)
             if program.explain:
                 return self.explanation(program)
             return self._value_of(program, frame)

@@ -191,7 +191,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         ...     ss.eval(program)
         2
         """
-        return CompiledProgram(text, parse(text), self._execution.sql_of)
+        return CompiledProgram(text, parse(text, self._limits.words), self._execution.sql_of)
 
     def eval(
         self,
@@ -220,7 +220,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         """
         if isinstance(program, QueryPart | SelectedColumns):
             return program.value(elements, names)
-        compiled = tree_of(program)
+        compiled = tree_of(program, self._limits)
         with self._execution.transaction(compiled):
             return self._execution.run(compiled)
 
@@ -247,7 +247,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         Raises:
             SelectScriptError: as `eval` does.
         """
-        compiled = tree_of(program)
+        compiled = tree_of(program, self._limits)
         with self._execution.transaction(compiled):
             return self._execution.explanation(compiled)
 
@@ -344,7 +344,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
                 self._database.bind(name, value)
                 self._planner.forget()
                 self._execution.expire_histories()  # the time may be an earlier one now
-            self._execution.variables[name] = _plain(value)
+            self._execution.bind(name, _plain(value))
         if isinstance(value, World):
             self._triggers.rebound()
         return value

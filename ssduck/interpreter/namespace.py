@@ -13,7 +13,7 @@ from typing import Any
 from ssduck import validation
 from ssduck.adapters.registry import tables_read_by
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, UnknownNameError, nearest, warn
+from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
 from ssduck.interpreter.link_functions import LINK_FUNCTIONS, mentions_links
 from ssduck.interpreter.output import help_of_result_forms
@@ -23,6 +23,7 @@ from ssduck.language.analysis import calls_of, forms_of, variables_of
 from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.language.operators import SMALL_BYTES, check_size, size_of
 from ssduck.language.overrides import (
     BINARY_SIGNS,
     NOT_OVERRIDABLE,
@@ -35,6 +36,7 @@ from ssduck.language.parser import is_reserved
 from ssduck.language.sql_suggestions import suggestion_for_name
 from ssduck.language.tree import Call, Node
 from ssduck.language.value_history import ValueHistory, history_of, past_value, with_assignment
+from ssduck.limits import Limits
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.sql.name_resolution import SCALARS
 from ssduck.sql.relations.registry import RELATIONS
@@ -71,10 +73,15 @@ class Namespace:
 
     Args:
         database: the database to which the worlds are bound.
+        limits: the limits of programs.
     """
 
-    def __init__(self, database: Database) -> None:
+    def __init__(self, database: Database, limits: Limits) -> None:
         self.database = database
+        self._limits = limits
+        # The variables that programs have set, and the sizes of their values when last measured.
+        self._assigned: set[str] = set()
+        self._sizes: dict[str, tuple[Any, int]] = {}
         self.lock = threading.RLock()
         self._variables = Variables()
         self.functions: dict[str, Function] = dict(BUILTINS)
@@ -171,14 +178,49 @@ class Namespace:
 
     def assign(self, name: str, value: Any) -> None:
         """Sets a variable."""
+        self._check_kept(name)
         self.variables[name] = value
+        self._assigned.add(name)
+
+    def bind(self, name: str, value: Any) -> None:
+        """Sets a variable of the user's."""
+        self.variables[name] = value
+        self._assigned.discard(name)
 
     def keep(self, name: str, value: Any, horizon: float) -> None:
         """Sets a variable that keeps its values for a time in seconds."""
         before, now = self.variables.get(name), self._now()
         if isinstance(value, World):
             raise ArgumentError("a world cannot be kept in a history; assign it without {…}")
+        self._check_kept(name)
         self.variables[name] = with_assignment(before, value, horizon, now)
+        self._assigned.add(name)
+
+    def _check_kept(self, name: str) -> None:
+        """Checks that a program of a stranger leaves a world of the user's as it is.
+
+        Raises:
+            LimitError: it would not.
+        """
+        if self._limits.select_only and name not in self._assigned and self.is_world(name):
+            raise LimitError(f"{name} is a world, which programs cannot replace here")
+
+    def check_variables(self) -> None:
+        """Checks the size of the variables that programs have set.
+
+        Raises:
+            LimitError: they take more memory than allowed.
+        """
+        maximum = self._limits.memory
+        if maximum is None or not self._assigned:
+            return
+        sizes: dict[str, tuple[Any, int]] = {}
+        for name in self._assigned.intersection(self.variables):
+            value = self.variables[name]
+            sizes[name] = (value, _size_kept(value, *self._sizes.get(name, (None, 0))))
+        if sum(size for _, size in sizes.values()) > maximum:
+            raise LimitError(f"the variables of programs take more than {maximum:,} bytes")
+        self._sizes = sizes
 
     def past_value(self, name: str, *age: Any) -> Any:
         """Returns the past value of a variable; all kept values if no age is given."""
@@ -336,11 +378,13 @@ class Namespace:
                 kept_variables = {n: v for n, v in self.variables.items() if isinstance(v, World)}
             else:
                 self.variable(name)
+                self._check_kept(name)
                 kept_variables = {n: v for n, v in self.variables.items() if n != name}
             self.variables = kept_variables
             return True
 
         def show(*values: Any) -> Any:
+            check_size(list(values))
             print(*values)  # noqa: T201  # the purpose of `print`
             return values[-1]
 
@@ -400,6 +444,25 @@ class Namespace:
             if isinstance(value, LazyList):
                 tables |= self.tables_read(value.node)
         return tables
+
+
+def _size_kept(value: Any, before: Any, size_before: int) -> int:
+    """Returns the size of a variable's values in bytes, roughly.
+
+    Args:
+        value: what is bound to its name.
+        before: what was bound to it before.
+        size_before: the size of that.
+    """
+    if value is before:
+        return size_before
+    if not isinstance(value, ValueHistory):
+        return SMALL_BYTES + size_of(value)
+    first, size = 0, 0
+    if isinstance(before, ValueHistory) and (before.log, before.first) == (value.log, value.first):
+        first, size = before.end - before.first, size_before
+    added = value.log.values[value.first + first : value.end]
+    return size + sum(SMALL_BYTES + size_of(kept) for kept in added)
 
 
 def check_name(name: str, owner: str) -> None:

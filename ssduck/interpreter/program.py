@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ssduck import validation
 from ssduck.language.parser import parse
 from ssduck.language.tree import Program
+from ssduck.limits import Limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +36,15 @@ class CompiledProgram:
         return self._sql_of(self.tree, dialect)
 
 
-def tree_of(program: str | CompiledProgram) -> Program:
+def tree_of(program: str | CompiledProgram, limits: Limits) -> Program:
     """Returns the syntax tree of a program given as text or compiled.
 
     Raises:
         ArgumentError: the program is neither.
         ParseError: the text is no program; the error has the place.
+        LimitError: the text is too long.
     """
     if isinstance(program, CompiledProgram):
         return program.tree
-    return parse(validation.text(program, "a program is a text or a compiled program"))
+    text = validation.text(program, "a program is a text or a compiled program")
+    return parse(text, limits.words)

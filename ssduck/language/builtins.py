@@ -12,7 +12,7 @@ from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
 from ssduck.formatting import argument_in_words, error_text, first_line
-from ssduck.language.operators import apply, apply_unary
+from ssduck.language.operators import apply, apply_unary, check_size
 from ssduck.language.overrides import BINARY_NAMES
 from ssduck.language.value_keys import ATOMS, NUMPYS, equality_key
 
@@ -155,6 +155,12 @@ def _builtin(
     )
 
 
+@wraps(str)
+def _text(value: Any) -> str:
+    check_size(value)
+    return str(value)
+
+
 def _round(number: float, digits: int | None = None) -> float:
     if digits is not None and abs(digits) > MAX_DIGITS:
         raise ValueError(f"a number has fewer than {digits} digits")
@@ -225,7 +231,7 @@ _OTHER_FUNCTIONS = (
         "atan2(y, x) -> float",
         2,
     ),
-    _builtin("str", str, "Returns a value as a text.", "str(value) -> str"),
+    _builtin("str", _text, "Returns a value as a text.", "str(value) -> str"),
     _builtin(
         "int",
         int,

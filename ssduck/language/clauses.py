@@ -166,7 +166,10 @@ class Clauses:
         """
         if self._order:
             entries = _sorted(
-                entries, lambda entry: [key(row(entry)) for key, _ in self._order], self._order
+                entries,
+                lambda entry: [key(row(entry)) for key, _ in self._order],
+                self._order,
+                outer.scope.meter.step,
             )
         if not self._group:
             return self._select_all(entries, row, select, window, outer)
@@ -180,7 +183,10 @@ class Clauses:
         if self._group_order:
             order = self._group_order
             selected_keys = _sorted(
-                selected_keys, lambda k: [key(frames[k], outer) for key, _ in order], order
+                selected_keys,
+                lambda k: [key(frames[k], outer) for key, _ in order],
+                order,
+                outer.scope.meter.step,
             )
         aggregated = self._aggregated
         if aggregated is not None:
@@ -254,6 +260,7 @@ class SelectedItems:
 
     def values(self, frame: Frame) -> tuple[Any, ...]:
         """Returns the selected values of a row."""
+        frame.scope.meter.step()
         return tuple([item(frame) for item in self._items])
 
     def names(self, frame: Frame) -> tuple[Any, ...]:
@@ -298,12 +305,16 @@ class _Aggregated:
 
 
 def _sorted(
-    entries: list[Any], keys_of: Callable[[Any], list[Any]], order: Sequence[tuple[Any, OrderKey]]
+    entries: list[Any],
+    keys_of: Callable[[Any], list[Any]],
+    order: Sequence[tuple[Any, OrderKey]],
+    step: Callable[[], None],
 ) -> list[Any]:
-    """Sorts by keys; items with equal keys keep their order."""
+    """Sorts by keys; items with equal keys keep their order. Each comparison is a step."""
     keyed = [(keys_of(entry), entry) for entry in entries]
 
     def compare(left: tuple[Any, Any], right: tuple[Any, Any]) -> int:
+        step()
         for (_, key), a, b in zip(order, left[0], right[0], strict=True):
             if truth(apply("!=", a, b, key.value.span), key.value):
                 less = truth(apply("<", a, b, key.value.span), key.value)

@@ -27,8 +27,8 @@ from ssduck.language.missing_names import (
     missing_source_error,
     unknown_name_error,
 )
-from ssduck.language.operator_frames import binary, chain, is_short_circuit, unary
-from ssduck.language.operators import check_size, indexed, truth
+from ssduck.language.operator_frames import binary, chain, counted, is_short_circuit, unary
+from ssduck.language.operators import ELEMENT_BYTES, check_size, indexed, truth
 from ssduck.language.tree import (
     Assignment,
     Binary,
@@ -355,6 +355,7 @@ class ExpressionCompiler:
             values = [thunk(frame) for thunk in thunks]
             if large:
                 check_size(values, node.span)
+                frame.scope.meter.charge(ELEMENT_BYTES * len(values))
             return values
 
         return make
@@ -418,7 +419,7 @@ class ExpressionCompiler:
             try:
                 if function is not None:
                     check(arguments)
-                    return function(arguments)
+                    return counted(frame, function(arguments))
                 return frame.scope.call(node, arguments, frame)
             except SelectScriptError as error:
                 error.span = error.span or node.span

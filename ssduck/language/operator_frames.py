@@ -11,8 +11,13 @@ from ssduck.language.operators import (
     OPERATORS,
     SAFE_TYPES,
     SHORT_CIRCUIT,
+    SLOW,
+    SMALL_BITS,
+    SMALL_BYTES,
     apply,
     apply_unary,
+    check_size,
+    own_size_of,
     truth,
 )
 from ssduck.language.overrides import written_name
@@ -60,8 +65,11 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
         def growing(frame: Frame) -> Any:
             a, b = left(frame), right(frame)
             if type(a) is type(b) and type(a) in quick:
-                return operate(a, b)
-            return apply(sign, a, b, node.span)
+                value = operate(a, b)
+                if type(value) is float or value.bit_length() < SMALL_BITS:
+                    return value
+                return counted(frame, value)
+            return counted(frame, apply(sign, a, b, node.span))
 
         return growing
     left, right = _operand(compiler, node.left), _operand(compiler, node.right)
@@ -73,7 +81,27 @@ def binary(compiler: OperandCompiler, node: Binary) -> Thunk:
         except Exception:  # noqa: BLE001  # `apply` raises the right error
             return apply(sign, a, b, node.span)
 
-    return operation
+    if sign not in SLOW:
+        return operation
+
+    def timed(frame: Frame) -> Any:
+        frame.scope.meter.step()
+        return operation(frame)
+
+    return timed
+
+
+def counted(frame: Frame, value: Any) -> Any:
+    """Checks and counts the size of a value that an operator or a function has made.
+
+    Raises:
+        EvaluationError: it is a list whose lists and texts are too large.
+    """
+    size = own_size_of(value)
+    if size > SMALL_BYTES:
+        check_size(value)
+        frame.scope.meter.charge(size)
+    return value
 
 
 def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
@@ -98,7 +126,7 @@ def chain(compiler: OperandCompiler, node: OperatorChain) -> Thunk:
 def _step(sign: str, span: SourceSpan) -> Callable[[Frame, Any, Any], Any]:
     """Returns one operator of a chain: one of the language, or a user's function in its place."""
     if sign in OPERATORS:
-        return lambda _, left, right: apply(sign, left, right, span)
+        return lambda frame, left, right: counted(frame, apply(sign, left, right, span))
     call, is_in = Call(span, sign, (), span), written_name(sign) == "in"
     return lambda frame, left, right: frame.scope.call(
         call, [right, left] if is_in else [left, right], frame

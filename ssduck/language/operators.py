@@ -21,21 +21,57 @@ from ssduck.language.tree import Node
 
 # The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
 MAX_BITS = 1_000_000
+_BITS_PER_ELEMENT = 64
 MAX_ELEMENTS = 10_000_000
+# The largest number of comparisons of letters by LIKE.
+MAX_COMPARISONS = 200_000_000
+# The size of an element of a list, bytes, and the largest size of a value that is not counted.
+ELEMENT_BYTES, SMALL_BYTES = 8, 64
+SMALL_BITS = 8 * SMALL_BYTES
 
 
 def _is_like(text: Any, pattern: Any) -> bool:
-    """Checks whether a text matches a pattern: `%` for any characters, `_` for any one."""
+    """Checks whether a text matches a pattern: `%` for any characters, `_` for any one.
+
+    Raises:
+        EvaluationError: both are so long that the search would take seconds.
+    """
     if not isinstance(text, str) or not isinstance(pattern, str):
         raise TypeError
-    return _pattern(pattern).fullmatch(text) is not None
+    if len(text) < len(pattern.replace("%", "")):
+        return False
+    if "_" in pattern and len(text) * len(pattern) > MAX_COMPARISONS:
+        raise EvaluationError("the text and the pattern of LIKE are too long")
+    first, *others = pattern.split("%")
+    if not others:
+        return len(text) == len(first) and _fits(text, first, 0)
+    end = len(first) if _fits(text, first, 0) else -1
+    for part in others[:-1]:  # the first place of each part leaves most to the next ones
+        end = -1 if end < 0 else _end_of(part, text, end)
+    last = len(text) - len(others[-1])
+    return 0 <= end <= last and _fits(text, others[-1], last)
+
+
+def _fits(text: str, part: str, place: int) -> bool:
+    """Checks whether a part of a pattern without `%` fits at a place of a text."""
+    if "_" not in part:
+        return text.startswith(part, place)
+    return _like_part(part).match(text, place) is not None
+
+
+def _end_of(part: str, text: str, place: int) -> int:
+    """Returns the end of the first place from one on that a part fits; -1 if there is none."""
+    if "_" not in part:
+        start = text.find(part, place)
+        return -1 if start < 0 else start + len(part)
+    match = _like_part(part).search(text, place)
+    return -1 if match is None else match.end()
 
 
 @lru_cache(maxsize=256)
-def _pattern(pattern: str) -> re.Pattern[str]:
-    parts = {"%": ".*", "_": "."}
-    letters = "".join(parts.get(letter) or re.escape(letter) for letter in pattern)
-    return re.compile(letters, re.DOTALL)
+def _like_part(part: str) -> re.Pattern[str]:
+    """Returns a part of a pattern without `%`: of a fixed length, so that nothing backtracks."""
+    return re.compile("".join("." if c == "_" else re.escape(c) for c in part), re.DOTALL)
 
 
 def _remainder(left: Any, right: Any) -> Any:
@@ -69,6 +105,8 @@ _UNARY: dict[str, Callable[[Any], Any]] = {
 GROWING = frozenset("+*^")
 # The types of operands whose result is never too large.
 SAFE_TYPES = {"+": frozenset((int, float)), "*": frozenset((float,)), "^": frozenset[type]()}
+# The operators whose time grows with their operands, though the result is small.
+SLOW = frozenset(("LIKE", "IN", "%", "/"))
 SHORT_CIRCUIT = frozenset(("AND", "OR"))
 
 
@@ -115,11 +153,12 @@ def _is_too_large(sign: str, left: Any, right: Any) -> bool:
     return False
 
 
-def check_size(value: Any, span: SourceSpan) -> None:
+def check_size(value: Any, span: SourceSpan | None = None) -> None:
     """Checks the size of a nested list, which may be too large to print or to compare.
 
     Raises:
-        EvaluationError: it and the lists in it have more than `MAX_ELEMENTS` elements.
+        EvaluationError: it and the lists in it have more than `MAX_ELEMENTS` elements, and letters
+            of texts.
     """
     if type(value) is list and _element_total(value, {}) > MAX_ELEMENTS:
         raise EvaluationError("the list is too large", span=span)
@@ -127,18 +166,39 @@ def check_size(value: Any, span: SourceSpan) -> None:
 
 def _element_total(values: list[Any], counted: dict[int, int]) -> int:
     """Returns the number of elements of a list and of all lists in it."""
-    count = len(values)
+    count, kinds = len(values), set(map(type, values))
+    if str in kinds:
+        count += sum(len(value) for value in values if type(value) is str)
+    if int in kinds:
+        whole = values if len(kinds) == 1 else [value for value in values if type(value) is int]
+        if max((max(whole), -min(whole))).bit_length() > _BITS_PER_ELEMENT:
+            count += sum(value.bit_length() for value in whole) // _BITS_PER_ELEMENT
+    if kinds.isdisjoint((list, dict)):
+        return count
     for value in values:
-        if type(value) is not list:
+        if type(value) is not list and type(value) is not dict:
             continue
-        if list not in map(type, value):
-            count += len(value)
-        elif id(value) in counted:
-            count += counted[id(value)]
-        else:
-            total = counted[id(value)] = _element_total(value, counted)
-            count += total
+        total = counted.get(id(value))
+        if total is None:
+            parts = list(value.values()) if isinstance(value, dict) else value
+            total = counted[id(value)] = _element_total(parts, counted)
+        count += total
     return count
+
+
+def size_of(value: Any) -> int:
+    """Returns the size of a text, a list or a large integer in bytes, roughly; else 0."""
+    kind = type(value)
+    if kind is str:
+        return len(value)
+    if kind is list:
+        return ELEMENT_BYTES * _element_total(value, {})
+    return int(value.bit_length() // 8) if kind is int else 0
+
+
+def own_size_of(value: Any) -> int:
+    """Returns the same without the values in a list."""
+    return ELEMENT_BYTES * len(value) if type(value) is list else size_of(value)
 
 
 def apply_unary(sign: str, value: Any, span: SourceSpan | None = None) -> Any:

@@ -10,18 +10,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import ClassVar
 
-from sqlglot.errors import TokenError
 from sqlglot.tokenizer_core import Token, TokenType
-from sqlglot.tokens import Tokenizer
 
-from ssduck.errors import ParseError, SourceSpan
-from ssduck.language.comments import divisions, last_opening, without_dashes
+from ssduck.errors import LimitError, ParseError, SourceSpan
+from ssduck.language.comments import divisions
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
+from ssduck.language.tokenizer import LETTERS_PER_WORD, tokenize
 from ssduck.language.tree import (
     AdapterClause,
     Assignment,
@@ -46,35 +44,12 @@ from ssduck.language.tree import (
 )
 
 
-class SelectScriptTokenizer(Tokenizer):
-    """sqlglot's tokenizer with SelectScript's quotes, comments and operators.
-
-    Words stay plain words (`VAR`), so that no name is lost to an SQL keyword.
-    """
-
-    QUOTES: ClassVar[list[str | tuple[str, str]]] = ["'", '"']
-    IDENTIFIERS: ClassVar[list[str | tuple[str, str]]] = []
-    COMMENTS: ClassVar[list[str | tuple[str, str]]] = ["//", "#", ("/*", "*/")]
-    STRING_ESCAPES: ClassVar[list[str]] = ["\\", "'", '"']  # a quote is doubled, too
-    KEYWORDS: ClassVar[dict[str, TokenType]] = {
-        "==": TokenType.EQ,
-        "!=": TokenType.NEQ,
-        ">=": TokenType.GTE,
-        "<=": TokenType.LTE,
-        "<>": TokenType.NEQ,
-        "||": TokenType.DPIPE,
-        "&&": TokenType.DAMP,
-        "::": TokenType.DCOLON,
-    }
-
-
 def is_reserved(name: str) -> bool:
     """Checks whether a name cannot be that of a variable."""
     return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
-@lru_cache(maxsize=512)
-def parse(text: str) -> Program:
+def parse(text: str, max_words: int | None = None) -> Program:
     """Parses a program.
 
     >>> parse("1 + 2 * 3;").statements[0].outline()
@@ -92,30 +67,39 @@ def parse(text: str) -> Program:
 
     Args:
         text: statements, each ended by `;` (the last may go without).
+        max_words: the largest number of words and signs, and a tenth of that of letters; None for
+            no limit.
 
     Returns:
-        The program's tree; the same object for the same text.
+        The program's tree; the same object for the same text, unless it is long.
 
     Raises:
         ParseError: the text is not a program; the error has the place.
+        LimitError: the text is too long.
     """
-    return _Parser(text).program()
+    if max_words is not None and len(text) > LETTERS_PER_WORD * max_words:
+        raise LimitError(f"the program has {len(text):,} letters, too many under a limit of time")
+    if len(text) <= _SHORT:
+        return _short_program(text, max_words)
+    return (_long_program if len(text) <= _LONG else _program)(text, max_words)
 
 
-def _tokenize(text: str) -> list[Token]:
-    try:
-        return SelectScriptTokenizer().tokenize(without_dashes(text))
-    except TokenError as error:
-        # The tokenizer's only error is a text or a comment without an end.
-        message = "a text or a comment is opened here and never closed"
-        span = SourceSpan(last_opening(text), len(text))
-        raise ParseError(message, text=text, span=span) from error
+def _program(text: str, max_words: int | None) -> Program:
+    tokens = tokenize(text)
+    if max_words is not None and len(tokens) > max_words:
+        raise LimitError(
+            f"the program has {len(tokens):,} words and signs; under a limit of time it may have "
+            f"{max_words:,}"
+        )
+    return _Parser(text, tokens).program()
+
+
+# The trees of long programs take much memory.
+_short_program, _long_program = lru_cache(maxsize=512)(_program), lru_cache(maxsize=8)(_program)
+_SHORT, _LONG = 2_000, 50_000
 
 
 class _Parser(SqlForms):
-    def __init__(self, text: str) -> None:
-        super().__init__(text, _tokenize(text))
-
     # -- statements -----------------------------------------------------------------------
 
     def program(self) -> Program:

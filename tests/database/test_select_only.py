@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 
 import ssduck
 from ssduck.database.permitted_functions import FUNCTIONS, OPERATORS
 from ssduck.errors import LimitError, SqlError
+from tests.support.cases import sampled
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +126,25 @@ REFUSED = [
     ("SELECT getvariable('a')", "getvariable"),
     ("SELECT nextval('a')", "nextval"),
     ("SELECT setseed(0.5)", "setseed"),
+    ("SELECT levenshtein(name, kind) FROM entities", "levenshtein"),
+    ("SELECT damerau_levenshtein(name, kind) FROM entities", "damerau_levenshtein"),
+    ("SELECT list_aggregate(['a'], 'string_agg', ',')", "the name of an aggregate"),
+    ("SELECT ['a'].list_aggr('string_agg')", "the name of an aggregate"),
+    ("SELECT list_aggregate([1], 'su' || 'm')", "the name of an aggregate"),
+    ("SELECT getenv('HOME')", "getenv"),
+    ("SELECT * FROM read_csv('/etc/passwd')", "read_csv"),
+    ("SELECT * FROM 'https://example.com/a.csv'", "example"),
+    ("SELECT * FROM read_parquet('s3://a/b')", "read_parquet"),
+    ("SELECT * FROM pragma_database_size()", "pragma_database_size"),
+    ("SELECT * FROM duckdb_secrets()", "duckdb_secrets"),
+    ("SELECT list_transform(['/etc/passwd'], lambda f: read_text(f))", "read_text"),
+    ("SELECT list_resize([1], 1000000000)", "list_resize"),
+    ("SELECT range(1000000000)", "range"),
+    ("CREATE SECRET a (TYPE s3)", "one SELECT"),
+    ("COMMENT ON TABLE entities IS 'a'", "one SELECT"),
+    ("COPY entities FROM '/etc/passwd'", "not COPY"),
+    ("DETACH memory", "one SELECT"),
+    ("VACUUM", "one SELECT"),
     ("FROM (PIVOT entities ON kind IN ('robot') USING string_agg(name))", "string_agg"),
 ]
 
@@ -134,6 +156,61 @@ def test_other_texts_are_refused_and_change_nothing(strict, text, words):
         strict.sql(text)
     assert strict.sql("SELECT count(*), max(z) FROM entities").fetchall() == before
     assert strict.eval("SELECT id(this) FROM kitchen WHERE isRobot(this) AS list;")
+
+
+MEMORY = 50_000_000
+DOUBLED = ", ".join(f"a{i} AS (SELECT s || s AS s FROM a{i - 1})" for i in range(1, 31))
+LARGE = "more memory than available|values of more than"
+SLOW = f"took more than|{LARGE}"
+ENDED = [
+    (f"WITH a0 AS (SELECT 'aaaaaaaaaa' AS s), {DOUBLED} SELECT length(s) FROM a30", LARGE),
+    ("WITH RECURSIVE a AS (SELECT 'a' AS s UNION ALL SELECT s || s FROM a) FROM a", LARGE),
+    (
+        "WITH RECURSIVE a AS (SELECT 1 AS i UNION ALL SELECT i + 1 FROM a) SELECT max(i) FROM a",
+        SLOW,
+    ),
+    ("SELECT " + ", ".join(f"range + {i}" for i in range(1000)) + " FROM range(1000000)", LARGE),
+    ("SELECT " + ", ".join(f"'{'a' * 1000}{i}'" for i in range(50)) + " FROM range(99999)", LARGE),
+    (f"SELECT '{'a' * 100_000}' FROM range(1000000)", LARGE),
+    (f"SELECT '{'a' * 100_000}', now() FROM range(1000000)", LARGE),
+    (f"SELECT concat('{'a' * 100_000}', range) FROM range(1000000)", LARGE),
+    ("SELECT list(range) FROM range(1000000000)", LARGE),
+    ("SELECT json_group_array(range) FROM range(1000000000)", LARGE),
+    ("SELECT histogram(range) FROM range(1000000000)", LARGE),
+    ("SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE a.range*b.range=-7", SLOW),
+    (
+        "SELECT a.range FROM range(100000) a, range(100000) b ORDER BY hash(b.range + a.range)",
+        LARGE,
+    ),
+    ("SELECT sum(clearance(a, b)) FROM entities a, entities b, range(1000)", SLOW),
+    ("SELECT 1 WHERE " + " OR ".join(f"{i} = 1" for i in range(9000)), "words"),
+    ("SELECT " + ",".join("1" * 90_000), "words"),
+    ("SELECT '" + "a" * 3_000_000 + "'", "letters"),
+    ("/*" + "a" * 3_000_000 + "*/ SELECT 1", "letters"),
+    ("SELECT " + "(" * 101 + "1" + ")" * 101, "nested deeper than 100"),
+]
+
+
+@sampled(("text", "words"), ENDED, every=3)
+def test_a_statement_ends_in_time_and_memory(text, words):
+    limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY)
+    with ssduck.load("kitchen", limits=limits) as ss:
+        started = time.process_time()
+        with pytest.raises(LimitError, match=f"{words}|took more than"):
+            ss.sql(text)
+        assert time.process_time() - started < 5
+        assert ss.sql("SELECT 42").fetchall() == [(42,)]
+
+
+@pytest.mark.parametrize("columns", ["range, 'a' || range AS a", "range, DATE '2026-01-01' AS a"])
+def test_many_rows_are_the_same_under_limits(columns):
+    """They are fetched in parts, as tuples or as an Arrow table."""
+    text = f"SELECT {columns} FROM range(10000)"
+    with ssduck.Interpreter() as free, ssduck.Interpreter(limits=ssduck.Limits.strict()) as strict:
+        assert strict.sql(text).fetchall() == free.sql(text).fetchall()
+        assert strict.sql(text).arrow() == free.sql(text).arrow()
+        with pytest.raises(LimitError, match="more than 1000000 rows"):
+            strict.sql("SELECT range, 'a' AS a FROM range(1000001)")
 
 
 def test_a_refusal_has_its_place_and_the_nearest_name(strict):

@@ -548,14 +548,14 @@ def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
 
 
 def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
-    from ssduck.language.parser import parse
+    from ssduck.language.parser import _short_program
 
     monkeypatch.setattr(evaluate, "MAX_COMPILED", 1)
     for number in range(5):
         with pytest.raises(SelectScriptError):
             ss.eval(f"above({number}, 1);")
     assert ss._execution._relation_queries
-    parse.cache_clear()
+    _short_program.cache_clear()
     evaluate._COMPILED.clear()
     gc.collect()
     assert not ss._execution._relation_queries

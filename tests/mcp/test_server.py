@@ -18,8 +18,9 @@ from PIL import Image
 
 import ssduck
 from ssduck.adapters.highlight import OUTLINE
+from ssduck.mcp.answers import MAX_LETTERS
 from ssduck.mcp.guide import GUIDE
-from ssduck.mcp.server import MAX_LETTERS, create_server
+from ssduck.mcp.server import create_server
 from ssduck.schema import TABLES
 from tests.support.timing import HANGS
 

@@ -1,0 +1,228 @@
+"""Answers agents in a process of its own, which is ended when a program exceeds its limits.
+
+The two processes exchange lines of JSON: a question names a method of `Answers` and its arguments;
+an answer is a text, the bytes of a picture, or an error. `python -m ssduck.cli.worker` is the
+process.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from typing import Any, TextIO
+
+from ssduck.cli.records import open_or_load, whole_steps
+from ssduck.errors import LimitError, SelectScriptError
+from ssduck.limits import GRACE, Limits, limit_process_memory
+from ssduck.mcp.answers import InterpreterAnswers, Language, WorkerError
+from ssduck.simulators.scenes import find_scene
+
+_GONE = "variables that programs have set are gone"
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a worker opens.
+
+    Attributes:
+        location: a scene, or the path of a record.
+        seconds: the time that a scene is simulated first, s.
+        episode: the number of the episode of a record; None for the last one.
+        limits: the limits of programs.
+    """
+
+    location: str
+    seconds: float | None
+    episode: int | None
+    limits: Limits
+
+
+class WorkerAnswers:
+    """The answers of a worker, which is started again after it has ended.
+
+    Args:
+        source: what it opens.
+
+    Raises:
+        WorkerError: it cannot be opened.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[str] | None = None
+        with self._lock:
+            self._start()
+
+    def close(self) -> None:
+        """Ends the worker."""
+        with self._lock:
+            self._end()
+
+    def schema(self) -> str:
+        """Returns the guide, the worlds, tables and functions."""
+        return str(self._ask("schema"))
+
+    def help(self, name: str) -> str:
+        """Returns the description of a function, a relation or a result form.
+
+        Raises:
+            WorkerError: there is none of that name.
+        """
+        return str(self._ask("help", name))
+
+    def query(self, program: str, language: Language, max_rows: int) -> str:
+        """Returns the result of a program as JSON, cut to a number of rows and a largest size.
+
+        Raises:
+            WorkerError: the program failed.
+            LimitError: the worker was ended, or ended by itself.
+        """
+        return str(self._ask("query", program, language, max_rows))
+
+    def picture(self, query: str, width: int, height: int) -> bytes:
+        """Returns a PNG picture with the entities that a query selects highlighted.
+
+        Raises:
+            WorkerError: the query failed.
+            LimitError: the worker was ended, or ended by itself.
+        """
+        return base64.b64decode(self._ask("picture", query, width, height))
+
+    def _ask(self, *question: Any) -> Any:
+        with self._lock:
+            if self._process is None or self._process.poll() is not None:
+                self._end()
+                self._start()
+            assert self._process is not None
+            timer = None
+            if (seconds := self._source.limits.seconds) is not None:
+                timer = threading.Timer(seconds + GRACE, self._process.kill)
+                timer.start()
+            try:
+                return self._answer(question)
+            except (EOFError, BrokenPipeError):
+                is_late = timer is not None and not timer.is_alive()
+                status = self._end()
+                if is_late:
+                    message = f"the program took more than {seconds:g} s, and its process was ended"
+                else:
+                    message = f"the process of the program ended ({_reason(status)})"
+                raise LimitError(f"{message}; {_GONE}") from None
+            finally:
+                if timer is not None:
+                    timer.cancel()
+
+    def _answer(self, question: tuple[Any, ...] | None) -> Any:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        if question is not None:
+            self._process.stdin.write(f"{json.dumps(question)}\n")
+            self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        if not line.endswith("\n"):
+            raise EOFError
+        answer = json.loads(line)
+        if "error" in answer:
+            raise WorkerError(answer["error"])
+        return answer["value"]
+
+    def _start(self) -> None:
+        self._process = subprocess.Popen(  # noqa: S603  # this file
+            [sys.executable, "-m", "ssduck.cli.worker", json.dumps(asdict(self._source))],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            encoding="utf-8",
+        )
+        try:
+            self._answer(None)
+        except EOFError:
+            raise WorkerError(f"the process for programs ended ({_reason(self._end())})") from None
+        except WorkerError:
+            self._end()
+            raise
+
+    def _end(self) -> int:
+        """Ends the worker, and returns its exit status."""
+        process, self._process = self._process, None
+        if process is None:
+            return 0
+        process.kill()
+        for stream in (process.stdin, process.stdout):
+            if stream is not None:
+                with suppress(BrokenPipeError):
+                    stream.close()
+        return process.wait()
+
+
+def _reason(status: int) -> str:
+    if status >= 0:
+        return f"exit status {status}"
+    with suppress(ValueError):
+        name = signal.Signals(-status).name
+        return f"{name}; it may have needed more memory than available"
+    return f"signal {-status}"
+
+
+# -- in the worker ----------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Opens a scene or a record, and answers questions until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    questions, answers = _streams()
+    settings = json.loads(sys.argv[1])
+    source = Source(**{**settings, "limits": Limits(**settings["limits"])})
+    try:
+        ss = open_or_load(source.location, source.episode, source.limits)
+        ss.strict = True
+        if source.seconds is not None:
+            scene = find_scene(source.location)
+            ss.call_variable(scene.name).step(whole_steps(source.seconds, scene.timestep))
+    except SelectScriptError as error:
+        _write(answers, {"error": str(error)})
+        return
+    with ss:
+        limit_process_memory(source.limits)
+        _write(answers, {"value": None})
+        interpreter_answers = InterpreterAnswers(ss)
+        for line in questions:
+            method, *arguments = json.loads(line)
+            try:
+                value = getattr(interpreter_answers, method)(*arguments)
+            except SelectScriptError as error:
+                _write(answers, {"error": f"{type(error).__name__}: {error}"})
+            except MemoryError:
+                _write(answers, {"error": "LimitError: the program needs too much memory"})
+            else:
+                is_bytes = isinstance(value, bytes)
+                _write(answers, {"value": base64.b64encode(value).decode() if is_bytes else value})
+
+
+def _streams() -> tuple[TextIO, TextIO]:
+    """Returns the streams of questions and answers; all other output goes to standard error."""
+    questions = os.fdopen(os.dup(0), "r", encoding="utf-8")
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    null = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(null, 0)
+    os.close(null)
+    os.dup2(2, 1)
+    return questions, answers
+
+
+def _write(stream: TextIO, answer: dict[str, Any]) -> None:
+    stream.write(f"{json.dumps(answer)}\n")
+    stream.flush()
+
+
+if __name__ == "__main__":
+    main()
