@@ -35,6 +35,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.limits import Limits, UsageMeter
+from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
@@ -99,6 +100,8 @@ class Connection:
         self.has_records = self.is_file
         # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
+        # A record that is read.
+        self._opened: OpenedRecord | None = None
         # The attached file with a record.
         self._attached: Path | None = None
         self._functions: set[str] = set()
@@ -212,6 +215,8 @@ class Connection:
             record: the record that it reads; None for the database itself.
         """
         file = Path(self._path) if self.is_file else None
+        if record is not None:
+            self._opened = OpenedRecord(record)
         return WriterConnection(self._connection, file, record)
 
     def attach(self, path: Path) -> str:
@@ -443,6 +448,8 @@ class Connection:
         DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call after
         DuckDB's error, or inside DuckDB, which makes another error of it, or none.
         """
+        if self._opened is not None:
+            self._opened.check_process()
         if self._tracer is not None:
             self._tracer(sql)
         self._raised.clear()

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from ssduck.database.file_paths import damage_text, is_damage
 from ssduck.errors import RecordError, SqlError
+from ssduck.recording.processes import OpenedRecord
 
 # The size of DuckDB's log, in bytes, from which on it is moved to the file. That takes tenths of a
 # second, and rewrites some earlier rows, so that fewer and larger moves take less time.
@@ -40,6 +41,7 @@ class WriterConnection:
         record: Path | None = None,
     ) -> None:
         self._record = record
+        self._opened = None if record is None else OpenedRecord(record)
         self._connection = connection.cursor()
         self._reading = connection.cursor()
         self._file = file
@@ -95,6 +97,7 @@ class WriterConnection:
         tables: Mapping[str, pa.Table] | None = None,
     ) -> pa.Table:
         """Returns all rows of a SELECT, which may read the given tables."""
+        self._check_process()
         with self._reading_lock, ExitStack() as stack:
             for name, table in (tables or {}).items():
                 self._reading.register(name, table)
@@ -106,11 +109,16 @@ class WriterConnection:
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
+        self._check_process()
         with self._reading_lock:
             try:
                 return self._reading.execute(sql).fetchall()
             except duckdb.Error as error:
                 raise self._reading_error(error) from error
+
+    def _check_process(self) -> None:
+        if self._opened is not None:
+            self._opened.check_process()
 
     def _reading_error(self, error: duckdb.Error) -> SqlError | RecordError:
         if self._record is None:

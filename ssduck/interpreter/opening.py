@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Literal
 
 from ssduck import validation
+from ssduck.errors import ArgumentError, RecordError
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.folder_check import partial_run
 from ssduck.recording.paths import expand_path
+from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.simulators.scene_files import check_files_inside
@@ -117,8 +119,20 @@ def open_record(
             for run in select_runs(recorded_runs(path, database), world, episode)
         ]
         for replayed in worlds:
-            interpreter.add_variable(replayed.name, replayed)
+            _bind(interpreter, replayed, path)
     except BaseException:
         interpreter.close()
         raise
     return interpreter
+
+
+def _bind(interpreter: Interpreter, world: ReplayedWorld, path: Path) -> None:
+    """Binds a recorded world to its name.
+
+    Raises:
+        RecordError: no variable can have the name, as SQL or another world has it.
+    """
+    try:
+        interpreter.add_variable(world.name, world)
+    except ArgumentError as error:
+        raise RecordError(f"{path} cannot be opened: {error.message}") from error

@@ -260,6 +260,22 @@ def test_a_table_that_does_not_fit_is_not_read(file: Path, monkeypatch: pytest.M
         ssduck.open(file)
 
 
+@pytest.mark.parametrize("until", [10**15, 2**62, -5])
+def test_rows_that_hold_for_ages(file: Path, until: int) -> None:
+    """A row that holds for 10**15 ticks would be repeated as often."""
+    with duckdb.connect(file) as plain:
+        ((text,),) = plain.sql(f"FROM {place('ssduck record')}").fetchall()
+    about(file, recording=json.loads(text)["recording"] | {"changed": True})
+    for table in (LINK_ROWS, JOINT_ROWS, ROWS, place("shapes 0")):
+        run(
+            file, f"ALTER TABLE {table} ADD COLUMN until BIGINT", f"UPDATE {table} SET until = tick"
+        )
+    use(file)
+    run(file, f"UPDATE {ROWS} SET until = {until} WHERE id = 1")
+    with pytest.raises(RecordError, match="until which its rows hold are wrong"):
+        use(file)
+
+
 def test_the_users_own_database_keeps_its_views(tmp_path: Path) -> None:
     path = tmp_path / "own.duckdb"
     with ssduck.load("kitchen", str(path)) as ss:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
 import ssduck
+from ssduck import Recording
 from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.command_line import answer, ssduck_
-from tests.support.recorded import python
+from tests.support.recorded import POSIX, python
 from tools import flip
 
 PLACE = "world=lab/episode=0"
@@ -263,3 +267,51 @@ def test_a_killed_export_is_no_episode(tmp_path: Path) -> None:
         (count,) = ss.sql(COUNT).fetchone()
     # Other tools see nothing of it either.
     assert pq.read_table(path / "entities").num_rows == count
+
+
+FORKED = """
+import os, sys, ssduck
+with ssduck.open(sys.argv[1]) as ss:
+    ss.eval("SELECT tick FROM lab{} AS list;")
+    child = os.fork()
+    if not child:
+        for ask in (
+            lambda: ss.eval("SELECT tick FROM lab{} AS list;"),
+            lambda: ss.sql("SELECT count(*) FROM entities_history"),
+            lambda: ss.eval("SELECT z FROM lab{0.05} AS list;"),
+        ):
+            try:
+                ask()
+            except ssduck.SelectScriptError as error:
+                print(type(error).__name__, "open it anew here" in str(error), flush=True)
+        with ssduck.open(sys.argv[1]) as anew:
+            print(len(anew.past("lab").ticks), flush=True)
+        os._exit(0)
+    os.waitpid(child, 0)
+    print(ss.sql("SELECT count(DISTINCT tick) FROM ticks_history").fetchall()[0][0])
+"""
+
+
+@POSIX
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["run", "run.duckdb"])
+def test_a_forked_process_opens_a_record_anew(records: Path, name: str) -> None:
+    *told, anew, parent = python(FORKED, records / name).splitlines()
+    assert told == ["RecordError True"] * 3
+    assert anew == parent
+
+
+def test_recorders_begin_in_one_new_folder_at_once(tmp_path: Path) -> None:
+    """The folder, its description and the numbers of episodes are made by one of them each."""
+    for attempt in range(5):
+        path, start = tmp_path / str(attempt), threading.Barrier(8)
+
+        def begin(path: Path = path, start: threading.Barrier = start) -> int:
+            start.wait()
+            return ParquetStore(path, "lab", Recording()).run.number
+
+        with ThreadPoolExecutor(8) as pool:
+            numbers = [future.result() for future in [pool.submit(begin) for _ in range(8)]]
+        assert sorted(numbers) == list(range(8))
+        assert len(ssduck.episodes(path)) == 8
+        assert not [file for file in path.rglob("*") if file.name.startswith(".")]

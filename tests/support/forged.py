@@ -109,5 +109,7 @@ def without_checksums(record: Path) -> None:
 
 
 def describe(file: Path, **values: Any) -> None:
-    """Changes values of a description."""
-    file.write_text(json.dumps(json.loads(file.read_text()) | values))
+    """Changes values of a description, and removes its checksum, as a forger would."""
+    content = json.loads(file.read_text()) | values
+    content.pop("crc32", None)
+    file.write_text(json.dumps(content))

@@ -17,6 +17,7 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError
 from ssduck.recording.model_checks import check_models
+from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
@@ -50,6 +51,7 @@ class ParquetArchive(TickArchive):
         self.recording = recording
         self.tables = run.tables
         self._run = run
+        self._opened = OpenedRecord(run.path)
         self._connection = connection
         self._starts, self.ticks = run.ticks()
         # Fails now if files are missing, or DuckDB cannot read them, rather than in a later query.
@@ -138,6 +140,7 @@ class ParquetArchive(TickArchive):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
+        self._opened.check_process()
         found = self._parts_with(table, first, last)
         self._check(table, found)
         types, files = _arrow_types(table), self._files[table][found.start : found.stop]
