@@ -64,7 +64,7 @@ def write_records(place: Path) -> None:
                 if tick in (10, 20, 30):
                     writing.flush()
                 if tick == 20:
-                    ss.sql("CHECKPOINT")
+                    ss.sql("FORCE CHECKPOINT")  # it waits for what is being stored
                 if tick == 35:
                     log = place / "run" / "log"
                     while len(list(log.rglob("*.arrow"))) < 1:

@@ -108,11 +108,12 @@ def new_world(rng: random.Random) -> tuple[ssduck.World, Any]:
     import pybullet
 
     client = pybullet.connect(pybullet.DIRECT)
-    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.2, 0.2, 0.2])
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
-    balls = [pybullet.createMultiBody(1, ball) for _ in range(BALLS)]
-    pybullet.createMultiBody(0, box, basePosition=[0, 0, -5])
-    pushed = pybullet.createMultiBody(1, box)
+    here = {"physicsClientId": client}
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.2, 0.2, 0.2], **here)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **here)
+    balls = [pybullet.createMultiBody(1, ball, **here) for _ in range(BALLS)]
+    pybullet.createMultiBody(0, box, basePosition=[0, 0, -5], **here)
+    pushed = pybullet.createMultiBody(1, box, **here)
     arm = create_linked_body(
         client,
         0,
@@ -129,17 +130,17 @@ def new_world(rng: random.Random) -> tuple[ssduck.World, Any]:
     def move(tick: int) -> None:
         for number, body in enumerate(balls):
             place = place_of(number, tick)
-            pybullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1])
-            pybullet.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0])
+            pybullet.resetBasePositionAndOrientation(body, place, [0, 0, 0, 1], **here)
+            pybullet.resetBaseVelocity(body, [0, 0, 0], [0, 0, 0], **here)
         # It touches the fixed box at every other tick.
         height = -4.61 if tick % 2 else -3
-        pybullet.resetBasePositionAndOrientation(pushed, [0, 0, height], [0, 0, 0, 1])
-        pybullet.resetJointState(arm, 0, angle_of(tick), 0)
+        pybullet.resetBasePositionAndOrientation(pushed, [0, 0, height], [0, 0, 0, 1], **here)
+        pybullet.resetJointState(arm, 0, angle_of(tick), 0, **here)
         if rng.random() < 0.05:
             if guests:
-                pybullet.removeBody(guests.pop())
+                pybullet.removeBody(guests.pop(), **here)
             else:
-                guests.append(pybullet.createMultiBody(0, box, basePosition=[0, 0, -20]))
+                guests.append(pybullet.createMultiBody(0, box, basePosition=[0, 0, -20], **here))
 
     world = ssduck.World.attach(client, names=names)
     move(2)  # the first tick that is recorded: contacts are read with it

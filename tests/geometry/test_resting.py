@@ -10,6 +10,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SelectScriptError, StateError
+from ssduck.recording.stores.checksums import write_parquet
 from tests.support.cases import sampled
 from tests.support.urdf import box_obj, collision, link, robot
 
@@ -417,4 +418,4 @@ def forget_margins(path):
     assert len(parts) >= 2
     for part in parts:
         rows = pq.read_table(part, partitioning=None)
-        pq.write_table(rows.drop_columns(["margin"]), part)
+        write_parquet(rows.drop_columns(["margin"]), part)

@@ -296,7 +296,13 @@ ENDLESS = [
     "SELECT a.this, b.this FROM a=m, b=[1, 2, 3, 4, 5] AS markdown;",
     "SELECT a.this, b.this FROM a=m, b=[1, 2, 3, 4, 5] AS json;",
     "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.5, 0.005);",
-    "SELECT a.obj, b.mass FROM a=kitchen, b=kitchen AS plane('XY', [0,0], [300,300,0.01], 290);",
+    _many(
+        8,
+        "p{0} = SELECT a.obj, b.mass FROM a=kitchen, b=kitchen "
+        "AS plane('XY', [0,0], [800,800,0.01], 290)",
+        ";",
+    )
+    + ";",
     _many(10_000, "v{0}={0}", ";") + ";",
 ]
 

@@ -20,6 +20,7 @@ from ssduck.geometry.height_fields import height_field
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.spec import Recording
+from ssduck.recording.stores.checksums import write_parquet
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled
 from tests.support.models import sdf_link, sdf_model, sdf_of
@@ -544,7 +545,7 @@ def without_the_mark(path):
         for part in path.rglob("*.parquet"):
             rows = pq.read_table(part, partitioning=None)
             if "exact" in rows.column_names:
-                pq.write_table(rows.drop_columns("exact"), part)
+                write_parquet(rows.drop_columns("exact"), part)
         return
     with duckdb.connect(str(path)) as con:
         views = con.execute(
