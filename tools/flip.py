@@ -32,7 +32,7 @@ from typing import Any
 
 import ssduck
 from ssduck import Recording
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, SqlError
 from tools import kill
 
 RECORDS = ("run", "unfinished", "run.duckdb", "unfinished.duckdb")
@@ -64,7 +64,7 @@ def write_records(place: Path) -> None:
                 if tick in (10, 20, 30):
                     writing.flush()
                 if tick == 20:
-                    ss.sql("FORCE CHECKPOINT")  # it waits for what is being stored
+                    _checkpoint(ss)
                 if tick == 35:
                     log = place / "run" / "log"
                     while len(list(log.rglob("*.arrow"))) < 1:
@@ -77,6 +77,20 @@ def write_records(place: Path) -> None:
                         )
                 move(world.snapshot.number + 1)
                 world.step()
+
+
+def _checkpoint(ss: ssduck.Interpreter) -> None:
+    """Checkpoints the database at a moment at which no ticks are being stored."""
+    for _ in range(200):
+        try:
+            ss.sql("CHECKPOINT")
+        except SqlError as error:
+            if "CHECKPOINT" not in error.message:
+                raise
+            time.sleep(0.02)
+        else:
+            return
+    raise TimeoutError("ticks are being stored all the time")
 
 
 def files_of(record: Path) -> list[Path]:
