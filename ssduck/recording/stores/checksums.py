@@ -7,6 +7,7 @@ what follows. A file of a log has one, of all its bytes, and a JSON file has tha
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import zlib
@@ -163,13 +164,39 @@ def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[by
 UNSEALED = {_KEY: b"crc32 of file " + _NONE}
 
 
-def sealed(content: bytearray) -> bytearray:
-    """Returns the content of a file with its checksum, in the place of the metadata `UNSEALED`."""
-    match = _FILE_SUM.search(content)
-    assert match is not None
-    start, end = match.span(1)
-    content[start:end] = _hex(zlib.crc32(content))
-    return content
+class SealedFile(io.FileIO):
+    """A file that is written once, with its checksum in the place of the metadata `UNSEALED`.
+
+    Args:
+        place: the path of the file.
+    """
+
+    def __init__(self, place: Path) -> None:
+        super().__init__(place, "wb")
+        self._sum = self._length = 0
+        # Where the checksum is to stand; None until the metadata were written.
+        self._start: int | None = None
+
+    def write(self, content: Any) -> int:
+        """Appends all bytes of an object; returns their number."""
+        view = memoryview(content).cast("B")
+        if self._start is None:
+            match = _FILE_SUM.search(view)
+            self._start = None if match is None else self._length + match.start(1)
+        self._sum = zlib.crc32(view, self._sum)
+        self._length += len(view)
+        self._write_all(view)
+        return len(view)
+
+    def seal(self) -> None:
+        """Writes the checksum, when all else was written."""
+        assert self._start is not None
+        self.seek(self._start)
+        self._write_all(memoryview(_hex(self._sum)))
+
+    def _write_all(self, content: memoryview) -> None:
+        while content:
+            content = content[super().write(content) :]
 
 
 def log_problem(content: bytes, *, has_checksums: bool) -> str | None:
