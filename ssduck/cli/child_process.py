@@ -79,21 +79,29 @@ def _wait(child: int, pipe: int, limits: Limits) -> NoReturn:
         if not ready:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            raise LimitError(
-                f"the program took more than {limits.seconds:g} s, and its process was ended"
-            )
+            raise LimitError(late_text(limits))
         message = os.read(pipe, 1)
         if not message:
             break
-        has_limit = message == _BEGINS and limits.seconds is not None
-        timeout = limits.seconds + GRACE if has_limit and limits.seconds is not None else None
+        is_running = message == _BEGINS
+        timeout = limits.seconds + GRACE if is_running and limits.seconds is not None else None
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if code < 0:
-        name = signal.Signals(-code).name
-        raise LimitError(
-            f"the process of the program ended by {name}; it may have needed more memory than "
-            "available"
-        )
+        raise LimitError(f"the process of the program ended by {signal_text(-code)}")
     sys.stdout.flush()
     os._exit(code)
+
+
+def late_text(limits: Limits) -> str:
+    """Returns the message that a process was ended as its program took too long."""
+    return f"the program took more than {limits.seconds:g} s, and its process was ended"
+
+
+def signal_text(number: int) -> str:
+    """Returns the name of the signal that ended a process, with its likely reason."""
+    try:
+        name = signal.Signals(number).name
+    except ValueError:  # a signal without a name, as those of real time are
+        return f"signal {number}"
+    return f"{name}; it may have needed more memory than available"

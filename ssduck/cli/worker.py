@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, TextIO
 
+from ssduck.cli.child_process import late_text, signal_text
 from ssduck.cli.records import open_or_load, whole_steps
 from ssduck.errors import LimitError, SelectScriptError
 from ssduck.limits import GRACE, Limits, limit_process_memory
@@ -112,7 +113,7 @@ class WorkerAnswers:
                 is_late = timer is not None and not timer.is_alive()
                 status = self._end()
                 if is_late:
-                    message = f"the program took more than {seconds:g} s, and its process was ended"
+                    message = late_text(self._source.limits)
                 else:
                     message = f"the process of the program ended ({_reason(status)})"
                 raise LimitError(f"{message}; {_GONE}") from None
@@ -165,12 +166,7 @@ class WorkerAnswers:
 
 
 def _reason(status: int) -> str:
-    if status >= 0:
-        return f"exit status {status}"
-    with suppress(ValueError):
-        name = signal.Signals(-status).name
-        return f"{name}; it may have needed more memory than available"
-    return f"signal {-status}"
+    return f"exit status {status}" if status >= 0 else signal_text(-status)
 
 
 # -- in the worker ----------------------------------------------------------------------------

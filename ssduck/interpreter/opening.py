@@ -112,12 +112,10 @@ def open_record(
     try:
         if path.is_dir():
             database.allow_record(path)
-        worlds = [
-            replayed_world(
-                partial_run(run) if partial and isinstance(run, FolderRun) else run, database
-            )
-            for run in select_runs(recorded_runs(path, database), world, episode)
-        ]
+        runs = select_runs(recorded_runs(path, database), world, episode)
+        if partial:
+            runs = [partial_run(run) if isinstance(run, FolderRun) else run for run in runs]
+        worlds = [replayed_world(run, database) for run in runs]
         for replayed in worlds:
             _bind(interpreter, replayed, path)
     except BaseException:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -242,8 +242,7 @@ def _write_about(about: Path) -> None:
     create_file(about, json_text(DESCRIPTION))
 
 
-def _repaired(damage: Damage, repair: object) -> Damage:
-    assert callable(repair)
+def _repaired(damage: Damage, repair: Callable[[], None]) -> Damage:
     repair()
     return replace(damage, is_repaired=True)
 

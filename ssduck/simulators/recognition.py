@@ -67,8 +67,7 @@ def simulator_of_scene(scene: Scene) -> str:
 
     MuJoCo loads an MJCF file by itself, if it is installed, PyBullet everything else.
     """
-    is_file = len(scene.bodies) == 1 and scene.bodies[0].model == scene.path.resolve()
-    if is_file and find_spec(MUJOCO) is not None and _is_mjcf(scene.path):
+    if scene.model_file and find_spec(MUJOCO) is not None and _is_mjcf(scene.path):
         return MUJOCO
     return DEFAULT_BACKEND
 

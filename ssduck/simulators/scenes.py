@@ -150,6 +150,12 @@ class Scene:
     constraints: tuple[ConstraintSpec, ...] = ()
     engine: Engine = Engine()
 
+    @property
+    def model_file(self) -> Path | None:
+        """The model file that is loaded by itself; None for the bodies of a scene file."""
+        model = self.bodies[0].model if len(self.bodies) == 1 else None
+        return model if isinstance(model, Path) and model == self.path.resolve() else None
+
 
 def shipped_scenes() -> dict[str, Path]:
     """Returns the scenes that come with ssduck: the path of the scene file by name."""

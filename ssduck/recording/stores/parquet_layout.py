@@ -431,9 +431,7 @@ class FolderRun:
 
 def part_numbers(place: Path) -> list[int]:
     """Returns the numbers of the files of parts in a folder, ascending."""
-    if not place.is_dir():
-        return []
-    matches = [_PART.fullmatch(file.name) for file in place.iterdir()]
+    matches = map(_PART.fullmatch, _names(place))
     return sorted(int(match.group(1)) for match in matches if match)
 
 
@@ -512,8 +510,7 @@ def runs_named(path: Path) -> list[FolderRun]:
     """Returns the episodes of a folder that have a file, sorted by world and number."""
     place = path / "episodes"
     check_inside(path, place)
-    names = [file.name for file in place.iterdir()] if place.is_dir() else []
-    matches = map(_EPISODE.fullmatch, names)
+    matches = map(_EPISODE.fullmatch, _names(place))
     keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
     return [FolderRun(path, world, number) for world, number in keys]
 

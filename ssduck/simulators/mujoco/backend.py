@@ -15,7 +15,6 @@ from ssduck.simulators.mujoco.bodies import body_names, roots_of
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.mujoco.sources import source_of
-from ssduck.simulators.scene_bodies import Primitive
 from ssduck.simulators.scenes import Scene
 
 __all__ = ["attach", "excerpt", "load", "scene_of"]
@@ -28,14 +27,13 @@ def load(scene: Scene) -> MuJoCoSimulator:
         SceneError: MuJoCo cannot load the file.
         UnsupportedError: the scene is not one model file by itself.
     """
-    model = scene.bodies[0].model if len(scene.bodies) == 1 else None
-    if model is None or isinstance(model, Primitive) or model != scene.path.resolve():
+    if scene.model_file is None:
         raise UnsupportedError(
             f"{scene.path}: MuJoCo loads model files by themselves, not scene files: describe the "
             "scene in MJCF, or load it with PyBullet"
         )
     try:
-        compiled = mujoco.MjModel.from_xml_path(str(model))
+        compiled = mujoco.MjModel.from_xml_path(str(scene.model_file))
     except ValueError as error:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
     data = mujoco.MjData(compiled)
