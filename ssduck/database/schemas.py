@@ -29,6 +29,10 @@ _HISTORY_VIEWS = {table.history_view: table for table in HISTORIES.values()}
 _MODEL_VIEWS = [table.model_view for table in MODELS.values()]
 # A reference to a world's buffers, as a regular expression in SQL.
 _STALE_BUFFER = exp.Literal.string(r'"world \d+: ').sql("duckdb")
+_HAS_LIVE_VIEWS = (
+    "SELECT view_name FROM duckdb_views() "
+    "WHERE NOT internal AND list_contains($1, view_name) LIMIT 1"
+)
 
 
 class Schemas:
@@ -173,12 +177,15 @@ class Schemas:
 
     def detach(self, schema: str, history: WorldHistory | None) -> None:
         """Drops the parts of a schema that need ssduck."""
+        if self._connection.is_file:
+            self._detach_history(schema, history)
         described = schema in (self._described or ())
         formulas = self._formulas.pop(schema, ())
         for statement in drop_statements(schema, described=described, formulas=formulas):
             self._connection.run(statement)
-        if not self._connection.is_file:
-            return
+
+    def _detach_history(self, schema: str, history: WorldHistory | None) -> None:
+        """Makes the views of a world's history read what is stored in the file."""
         store = history.store if history is not None else None
         if not isinstance(store, DuckDBStore):
             store = None
@@ -198,6 +205,9 @@ class Schemas:
 
     def drop_stale_views(self) -> None:
         """Drops the views on worlds of a process that was killed."""
+        # DuckDB writes the texts of all views for any of them. `detach` drops these last.
+        if not self._connection.internal_rows(_HAS_LIVE_VIEWS, [list(TABLES)]):
+            return
         stale = self._connection.internal_rows(
             "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal AND NOT "  # noqa: S608
             f"temporary AND regexp_matches(sql, {_STALE_BUFFER})"

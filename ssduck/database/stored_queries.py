@@ -10,10 +10,15 @@ _OWN_VIEWS = [
     *(table.history_view for table in HISTORIES.values()),
     *(table.model_view for table in MODELS.values()),
 ]
-_TEXTS = (
-    "SELECT sql FROM duckdb_views() WHERE NOT internal AND NOT temporary "
-    "AND (database_name <> current_database()) = $1 AND NOT list_contains($2, view_name) "
-    "UNION ALL SELECT macro_definition FROM duckdb_functions() "
+_OF_VIEWS = (
+    "FROM duckdb_views() WHERE NOT internal AND NOT temporary "
+    "AND (database_name <> current_database()) = $1 AND NOT list_contains($2, view_name)"
+)
+# DuckDB writes the texts of all views for any of them, and each episode has some of ssduck's.
+_HAS_VIEWS = f"SELECT view_name {_OF_VIEWS} LIMIT 1"
+_VIEWS = f"SELECT sql {_OF_VIEWS}"
+_MACROS = (
+    "SELECT macro_definition FROM duckdb_functions() "
     "WHERE NOT internal AND macro_definition IS NOT NULL AND database_name <> 'temp' "
     "AND (database_name <> current_database()) = $1"
 )
@@ -27,4 +32,7 @@ def stored_queries(connection: Connection, *, of_attached: bool = False) -> list
         of_attached: whether those of attached databases are returned, instead of those of the
             connection's own.
     """
-    return [text for (text,) in connection.internal_rows(_TEXTS, [of_attached, _OWN_VIEWS])]
+    rows = connection.internal_rows(_MACROS, [of_attached])
+    if connection.internal_rows(_HAS_VIEWS, [of_attached, _OWN_VIEWS]):
+        rows += connection.internal_rows(_VIEWS, [of_attached, _OWN_VIEWS])
+    return [text for (text,) in rows]

@@ -17,7 +17,7 @@ from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.model_tables import ABOUT
+from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
 from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
@@ -143,7 +143,7 @@ class WorldRegistry:
                 f"a world cannot have the name {name!r}: DuckDB has a schema or database so named"
             )
         run_schemas: Sequence[tuple[str]] = ()
-        if self._connection.has_records:
+        if self._connection.has_records and RUN_SCHEMA in name.casefold():
             runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"
             run_schemas = self._connection.internal_rows(runs, [ABOUT])
         if name.casefold() in {schema.casefold() for (schema,) in run_schemas}:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
+import duckdb
 import pytest
 
 import ssduck
 from ssduck import Recording
+from ssduck.database import schemas
+from ssduck.database.connection import Connection
+from ssduck.database.macros import drop_statements
 from ssduck.errors import RecordError
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.schema import TABLES
 
 EPISODES = 100
 
@@ -115,3 +123,48 @@ def test_the_last_episode_of_a_file_is_opened_at_once(
         assert ss.past("lab").ticks == [1]
     assert set(read) == {"lab_record_3"}
     assert [e.number for e in ssduck.episodes(path)] == [0, 1, 2, 3]
+
+
+def _begin(path: Path, client: int) -> None:
+    with ssduck.Interpreter(str(path)) as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+
+
+def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(
+    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.duckdb"
+    _begin(path, client)
+    asked: list[str] = []
+    rows = Connection.internal_rows
+
+    def counted(own: Connection, sql: str, parameters: Any = None) -> list[tuple[Any, ...]]:
+        asked.append(sql)
+        return rows(own, sql, parameters)
+
+    monkeypatch.setattr(Connection, "internal_rows", counted)
+    _begin(path, client)
+    # DuckDB makes the texts of all views and tables for these.
+    assert asked
+    assert [sql for sql in asked if re.search(r"\bsql\b|duckdb_tables", sql)] == []
+
+
+@pytest.mark.parametrize("dropped", [0, 1, 3])
+def test_views_on_the_worlds_of_a_killed_process_are_dropped(
+    tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch, dropped: int
+) -> None:
+    path = tmp_path / "run.duckdb"
+    with monkeypatch.context() as killed:
+        killed.setattr(
+            schemas, "drop_statements", lambda *a, **o: islice(drop_statements(*a, **o), dropped)
+        )
+        _begin(path, client)
+    names = "SELECT view_name FROM duckdb_views() WHERE schema_name = 'lab'"
+    with duckdb.connect(str(path)) as plain:
+        assert {name for (name,) in plain.execute(names).fetchall()} & set(TABLES)
+    ssduck.Interpreter(str(path)).close()
+    with duckdb.connect(str(path)) as plain:
+        left = {name for (name,) in plain.execute(names).fetchall()}
+        assert left >= {"entities_history", "links_history"}
+        assert not left & set(TABLES)
+        assert plain.execute("SELECT tick FROM lab.ticks_history").fetchall() == [(1,)]
