@@ -11,7 +11,10 @@ marked `slow`: those that take long or draw many random cases. Of a test that is
 from __future__ import annotations
 
 import gc
+import os
+import shutil
 import signal
+import tempfile
 import tomllib
 from pathlib import Path
 
@@ -20,6 +23,9 @@ import pytest
 from hypothesis import settings
 
 DATA = Path(__file__).parent / "data"
+# A file system in memory, and the free bytes that tests may need in it.
+MEMORY = Path("/dev/shm")  # noqa: S108
+NEEDED = 4 << 30
 
 # The machines that run the tests are slow and shared; a failing example is found again.
 settings.register_profile("ssduck", deadline=None, derandomize=True)
@@ -32,6 +38,19 @@ def pytest_configure():
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    _keep_temporary_files_in_memory()
+
+
+def _keep_temporary_files_in_memory():
+    """Let temporary files not wait for a disk, unless TMPDIR says where they go.
+
+    Records are flushed to the disk each second and at each close: a fifth of the tests' time.
+    """
+    if "TMPDIR" in os.environ or not os.access(MEMORY, os.W_OK):
+        return
+    if shutil.disk_usage(MEMORY).free >= NEEDED:
+        os.environ["TMPDIR"] = str(MEMORY)  # the tests' processes have it, too
+        tempfile.tempdir = None  # it is read anew
 
 
 def pytest_collection_finish():
