@@ -1,7 +1,8 @@
 """The broad phase: finds all pairs of boxes of a tick that overlap.
 
-The algorithm sorts few boxes along one axis, where those that overlap follow each other (sweep and
-prune). It sorts many boxes into a uniform grid for each class of sizes. Boxes of a class have about
+The algorithm compares some tens of boxes with each other. It sorts a few hundred along one axis,
+where those that overlap follow each other (sweep and prune). It sorts many boxes into a uniform
+grid for each class of sizes. Boxes of a class have about
 the same extent, and a cell is as large as the largest of them, so that boxes that overlap begin in
 neighbouring cells. The empty cells between bodies that are very far apart are left out, so that
 cell numbers fit into 64 bits. Unbounded boxes, such as that of a ground plane, are compared with
@@ -38,6 +39,8 @@ _MAX_CELL_NUMBER = 2**62
 _MAX_DENSE_CELLS = 2.0**20
 # The largest number of boxes that are sorted along one axis instead of into a grid.
 _MAX_SWEPT = 1000
+# The largest number of boxes that are all compared with each other instead.
+_MAX_COMPARED = 128
 # The number of candidates that are compared at a time.
 _CANDIDATES_AT_ONCE = 250_000
 # The number of pairs of boxes of two sets that are compared at a time; up to twice as many result.
@@ -65,6 +68,8 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
     pad = 0.5 * max_distance
     with np.errstate(over="ignore", invalid="ignore"):  # unbounded, or no box
         low, high = boxes[:3] - pad, boxes[3:] + pad
+    if low.shape[1] <= _MAX_COMPARED:
+        return _compared_pairs(low, high)
     is_box: Flags = np.asarray((low <= high).all(axis=0))
     is_bounded = ((low >= -_MAX_CORNER) & (high <= _MAX_CORNER)).all(axis=0)
     is_unbounded: Flags = np.asarray(is_box & ~is_bounded)
@@ -80,6 +85,18 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     first, second = zip(*parts, strict=True)
     return np.concatenate(first), np.concatenate(second)
+
+
+def _compared_pairs(low: Array, high: Array) -> Pairs:
+    """Returns the pairs of boxes that overlap, by a comparison of all of them."""
+    begins_before: Flags = np.asarray((low[:, :, None] <= high[:, None]).all(axis=0))
+    overlaps: Flags = begins_before & begins_before.T
+    is_box = begins_before.diagonal()
+    if not is_box.all():
+        overlaps &= is_box & is_box[:, None]
+    first, second = overlaps.nonzero()
+    is_first = first < second
+    return first[is_first], second[is_first]
 
 
 def _pairs_of_unbounded(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,6 +24,15 @@ def brute(boxes, apart=0.0):
 
 
 def found(boxes, apart=0.0):
+    """The pairs, by each way that this number of boxes can take."""
+    result = sorted_pairs(boxes, apart)
+    if boxes.shape[1] <= broad._MAX_COMPARED:
+        with mock.patch.object(broad, "_MAX_COMPARED", 0):
+            assert sorted_pairs(boxes, apart) == result
+    return result
+
+
+def sorted_pairs(boxes, apart):
     pairs = zip(*(side.tolist() for side in overlapping_pairs(boxes, apart)), strict=True)
     return sorted((min(pair), max(pair)) for pair in pairs)
 
@@ -194,6 +205,13 @@ def test_few_are_compared_though_some_are_far_or_large(monkeypatch, distances, s
     boxes = with_far(scene(5000, 10, (size, size)), *distances)
     boxes[3:, 0] += wide
     assert sum(compared(monkeypatch, boxes)) < 4 * 5000
+
+
+@pytest.mark.parametrize(("count", "is_sorted"), [(2, False), (128, False), (129, True)])
+def test_some_tens_of_boxes_are_not_sorted(monkeypatch, count, is_sorted):
+    boxes = scene(count, 11)
+    assert bool(compared(monkeypatch, boxes)) is is_sorted
+    assert found(boxes) == brute(boxes)
 
 
 def test_many_candidates_are_compared_in_parts(monkeypatch):
