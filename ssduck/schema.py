@@ -9,7 +9,7 @@ those of link frames, not of centres of mass.
 >>> TABLES["joints"].tick_columns.integers
 ('tick', 'entity', 'joint')
 >>> [column.name for column in TABLES["links"].model]
-['entity', 'link', 'name', 'parent', 'mass']
+['entity', 'link', 'name', 'parent', 'mass', 'region', 'region_x', 'region_y', 'region_z']
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ BOX = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 
 # The tables whose rows are values of programs.
-EntityTable: TypeAlias = Literal["entities", "links"]
+LinkTable: TypeAlias = Literal["links", "sites"]
+EntityTable: TypeAlias = Literal["entities"] | LinkTable
 ColumnType: TypeAlias = Literal["double", "integer", "string", "boolean", "points", "triples"]
 # Where a record stores a column: with the rows of each tick, once for each entity in the *model*
 # of the table, or in both.
@@ -66,6 +67,7 @@ class Column:
         storage: where a record stores it.
         is_live: whether the table of the current tick has it; else only the model has.
         model_comment: its meaning in the model, where it differs; else empty.
+        is_of_sites: whether only rows of sites have it, so that the view of links lacks it.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Column:
     storage: Storage = "tick"
     is_live: bool = True
     model_comment: str = ""
+    is_of_sites: bool = False
 
     @property
     def sql(self) -> str:
@@ -130,6 +133,7 @@ class Table:
         has_history: whether its rows belong to ticks.
         view_columns: the columns that only its views have: they follow from others.
         follows_from_poses: whether it can be computed for a past tick without being recorded.
+        part_of: the table that has its rows among others, so that it is only a view; else empty.
     """
 
     name: str
@@ -144,6 +148,18 @@ class Table:
     has_history: bool = True
     view_columns: tuple[Column, ...] = ()
     follows_from_poses: bool = False
+    part_of: str = ""
+
+    @property
+    def source(self) -> str:
+        """The name of the table that has its rows: its own, unless it is a part of another."""
+        return self.part_of or self.name
+
+    @cached_property
+    def shown_columns(self) -> tuple[Column, ...]:
+        """The columns of its views."""
+        shown = (c for c in self.columns if self.part_of or not c.is_of_sites)
+        return (*shown, *self.view_columns)
 
     @cached_property
     def columns(self) -> tuple[Column, ...]:
@@ -215,6 +231,11 @@ def _fixed(name: str, type: ColumnType, comment: str, model_comment: str = "") -
     return Column(name, type, comment, storage="model", model_comment=model_comment)
 
 
+def _of_sites(name: str, type: ColumnType, comment: str) -> Column:
+    """Returns a column that only rows of sites have."""
+    return Column(name, type, comment, storage="model", is_of_sites=True)
+
+
 def _key(name: str, comment: str) -> Column:
     """Returns a column that joins the rows of a tick with those of the model."""
     return Column(name, "integer", comment, storage="both")
@@ -242,6 +263,8 @@ _TWIST = (
 )
 _BOX = _doubles(" ".join(BOX), "axis-aligned box of the shapes, exact, m")
 _FIRST_MASS = "kg, when the entity was first recorded; a later change is not recorded"
+
+_REGION_SIZE = "size of a site's region, as that of geometries, m; else 0"
 
 EXACT = (
     "whether it is the simulator's own shape; else a box stands in for it. Unknown in records "
@@ -288,8 +311,10 @@ _LINKS = Table(
         *_TWIST,
         *_BOX,
         _fixed("mass", "double", "kg; 0 for a base that cannot move", _FIRST_MASS),
+        _of_sites("region", "string", "form of a site's region: a type of geometries; else NULL"),
+        *(_of_sites(f"region_{axis}", "double", _REGION_SIZE) for axis in "xyz"),
     ),
-    ("world.snapshot.Snapshot._fill_links", "world.layout.BodyGroup.write_links"),
+    ("world.model_columns.link_columns", "world.layout.BodyGroup.write_links"),
     key=("entity", "link"),
     entity_columns=("entity",),
     is_on_demand=True,
@@ -298,12 +323,19 @@ _LINKS = Table(
             "id", "integer", "id of the link, among those of entities: (link + 1) * 2^22 + entity"
         ),
         Column("full_name", "string", "names of entity and link, unique in the world"),
-        Column("kind", "string", "link"),
+        Column("kind", "string", "link or site"),
         Column("enabled", "boolean", "whether its entity takes part in collisions"),
         Column("visible", "boolean", "whether its entity is drawn"),
         Column("run", "integer", "random number of the run that the row belongs to"),
     ),
     follows_from_poses=True,
+)
+_SITES = replace(
+    _LINKS,
+    name="sites",
+    row="a site of an entity: a named frame on a link, with a region around it",
+    is_recordable=False,
+    part_of="links",
 )
 _JOINTS = Table(
     "joints",
@@ -330,7 +362,7 @@ _JOINTS = Table(
         _model_only("anchor_z", "double", "point of the axis, in the frame of the link, m"),
         _model_only("reference", "double", "position at which the joint moves nothing, rad or m"),
     ),
-    ("world.snapshot.Snapshot._fill_joints", "world.snapshot.Snapshot.take"),
+    ("world.model_columns.joint_columns", "world.snapshot.Snapshot.take"),
     key=("entity", "joint"),
     entity_columns=("entity",),
     is_on_demand=True,
@@ -434,6 +466,7 @@ _FRAMES = Table(
 _DECLARED = (
     _ENTITIES,
     _LINKS,
+    _SITES,
     _JOINTS,
     _SHAPES,
     _GEOMETRIES,
@@ -444,23 +477,35 @@ _DECLARED = (
 )
 # The tables that each world has, by name.
 TABLES: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.is_live}
+# Those that have rows of their own, and are not only views.
+STORED_TABLES: Mapping[str, Table] = {n: table for n, table in TABLES.items() if not table.part_of}
 # The tables that are read from the simulator only when they are requested.
-ON_DEMAND = frozenset(table.name for table in _DECLARED if table.is_on_demand)
+ON_DEMAND = frozenset(table.source for table in _DECLARED if table.is_on_demand)
 # The tables that users choose to record; `ticks` is recorded always, and models once.
 RECORDABLE = tuple(table.name for table in _DECLARED if table.is_recordable)
 # The tables that are recorded unless the user chooses others.
 RECORDED_BY_DEFAULT = ("entities", "links", "contacts")
 # The tables of ticks that a record may store, by name.
-RECORDED: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.has_history}
+RECORDED: Mapping[str, Table] = {
+    table.name: table for table in _DECLARED if table.has_history and not table.part_of
+}
 # The recorded tables that users see.
-HISTORIES: Mapping[str, Table] = {name: RECORDED[name] for name in ("ticks", *RECORDABLE)}
+HISTORIES: Mapping[str, Table] = {
+    **{name: RECORDED[name] for name in ("ticks", *RECORDABLE)},
+    _SITES.name: _SITES,
+}
 # The tables that have a model, by name.
-MODELS: Mapping[str, Table] = {table.name: table for table in _DECLARED if table.model}
+MODELS: Mapping[str, Table] = {
+    table.name: table for table in _DECLARED if table.model and not table.part_of
+}
 # The recorded poses of links, where the table of links is not recorded.
 FRAMES = _FRAMES.name
 # The columns that records have since a later version; older ones lack them.
 LATER_COLUMNS = frozenset(
-    ("run", "margin", "exact", "joints", "joint", "anchor_x", "anchor_y", "anchor_z", "reference")
+    (
+        *("run", "margin", "exact", "joints", "joint", "anchor_x", "anchor_y", "anchor_z"),
+        *("reference", "region", "region_x", "region_y", "region_z"),
+    )
 )
 
 

@@ -274,7 +274,7 @@ def tables_page() -> str:
             "| columns | type | meaning |",
             "|---|---|---|",
         ]
-        columns = merged((*table.columns, *table.view_columns))
+        columns = merged(table.shown_columns)
         lines += [f"| {names} | {kind} | {comment} |" for names, kind, comment in columns]
     return "\n".join(lines) + "\n"
 

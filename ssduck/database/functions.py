@@ -192,7 +192,8 @@ def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Ca
         tick = ticks.pop()
         has_links = max(ids) >= LINK_FACTOR
         entities = [entity_of(id) for id in ids] if has_links else ids
-        shapes = worlds[world].shapes(tick, None if udf.needs_whole_tick else entities)
+        needed = None if udf.needs_whole_tick else entities
+        shapes = worlds[world].shapes(tick, needed, with_sites=has_links)
         if has_links:
             shapes = shapes.of(ids)
         if udf.uses_margins:

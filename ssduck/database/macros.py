@@ -249,7 +249,7 @@ def drop_statements(world: str, *, described: bool, formulas: Iterable[str] = ()
 def _comments(schema: str, *, recorded: bool) -> Iterator[str]:
     """Yields the comments on the tables of a world."""
     for name, table in TABLES.items():
-        columns = (*table.columns, *table.view_columns)
+        columns = table.shown_columns
         comments = {column.name: column.comment for column in columns}
         comments |= {
             column.second_name: column.comment for column in table.columns if column.second_name

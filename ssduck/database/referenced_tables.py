@@ -22,7 +22,8 @@ _READ = {"mass": MASSES, "margin": MARGINS}
 
 def _with_read_columns(table: str) -> frozenset[str]:
     """Returns a table, and the tables read for its columns."""
-    return frozenset((table, *(_READ[name] for name in TABLES[table].names if name in _READ)))
+    read = (_READ[name] for name in TABLES[table].names if name in _READ)
+    return frozenset((TABLES[table].source, *read))
 
 
 _WORLD_TABLES = {name.lower(): name for name in TABLES}

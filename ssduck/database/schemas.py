@@ -190,9 +190,10 @@ class Schemas:
         if not isinstance(store, DuckDBStore):
             store = None
         for name in (*_HISTORY_VIEWS, *_MODEL_VIEWS):
-            if store is not None and name in store.views:
-                rows = f"SELECT * FROM {store.place(name)}"  # noqa: S608
-                table = _HISTORY_VIEWS.get(name)
+            table = _HISTORY_VIEWS.get(name)
+            source = name if table is None else TABLES[table.source].history_view
+            if store is not None and source in store.views:
+                rows = f"SELECT * FROM {store.place(source)}"  # noqa: S608
                 view = (
                     rows
                     if table is None
@@ -226,8 +227,8 @@ def _make_live_view(schema: str, bound: BoundWorld, table: Table, connection: Co
     """Creates the view of a table at the current tick."""
     if table.view_columns:
         connection.on_demand.make((schema, "entities"), connection)
-    _register(connection, bound, bound.live_buffers(), [bound.live_view(table.name)])
-    rows = _live_rows(bound, table, bound.world.snapshot.unavailable.get(table.name))
+    _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
+    rows = _live_rows(bound, table, bound.world.snapshot.unavailable.get(table.source))
     _make_view(connection, schema, table.name, _with_view_columns(table, rows, schema))
 
 
@@ -242,12 +243,12 @@ def _make_history_view(
     rows = None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
-        tables = {table.name, entities.name} & set(history.store.tables)
+        tables = {table.source, entities.name} & set(history.store.tables)
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)
-        rows = history.store.select(table.name, waiting)
+        rows = history.store.select(table.source, waiting)
     if rows is None:
-        _register(connection, bound, bound.live_buffers(), [bound.live_view(table.name)])
+        _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
         rows = _live_rows(bound, table, _not_recorded(table, schema, history))
     columns = _with_view_columns(table, rows, schema, entities.history_view)
     _make_view(connection, schema, table.history_view, columns)
@@ -273,9 +274,9 @@ def _register(
 def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str:
     """Returns the message that a table of a world has no history."""
     if history is None:
-        return not_recorded_message(table.name, world, None)
+        return not_recorded_message(table.source, world, None)
     recording, is_live = history.store.recording, history.recorder is not None
-    return not_recorded_message(table.name, world, recording, is_live=is_live)
+    return not_recorded_message(table.source, world, recording, is_live=is_live)
 
 
 def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "entities") -> str:
@@ -289,10 +290,13 @@ def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "en
     """
     if table.view_columns:
         place = f"{quoted(schema)}.{quoted(entities)}"
-        columns = ", ".join(
-            f"{value} AS {quoted(name)}" for name, value in _link_columns(place).items()
-        )
-        return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
+        added = _link_columns(place, "site" if table.part_of else "link")
+        columns = ", ".join(f"{value} AS {quoted(name)}" for name, value in added.items())
+        listed, condition = "*", "region IS NOT NULL"
+        if not table.part_of:
+            hidden = ", ".join(column.name for column in table.columns if column.is_of_sites)
+            listed, condition = f"* EXCLUDE ({hidden})", "region IS NULL"
+        return f"SELECT {listed}, {columns} FROM ({rows}) AS rows WHERE {condition}"  # noqa: S608
     if not table.second_names:
         return rows
     columns = ", ".join(
@@ -301,13 +305,14 @@ def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "en
     return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
 
 
-def _link_columns(entities: str) -> dict[str, str]:
-    """Returns the columns that only views of links have, in SQL.
+def _link_columns(entities: str, kind: str) -> dict[str, str]:
+    """Returns the columns that only views of links and sites have, in SQL.
 
     Subqueries that depend on no row run once, and a join could change the order of the rows.
 
     Args:
         entities: the view of the entities of the same ticks.
+        kind: link or site.
     """
 
     def is_not_among(condition: str) -> str:
@@ -318,7 +323,7 @@ def _link_columns(entities: str) -> dict[str, str]:
     return {
         "id": f"CASE WHEN link < {MAX_LINKS} THEN (link + 1) * {LINK_FACTOR} + entity END",
         "full_name": f"map_extract_value(({names}), entity) || '.' || name",
-        "kind": "'link'",
+        "kind": f"'{kind}'",
         "enabled": is_not_among("NOT enabled"),
         "visible": is_not_among("NOT visible"),
         "run": f"(SELECT any_value(run) FROM {entities})",  # noqa: S608
@@ -331,7 +336,7 @@ def _live_rows(bound: BoundWorld, table: Table, reason: str | None = None) -> st
     With a reason, the statement fails with it. The condition makes DuckDB evaluate `error` even if
     there are no rows.
     """
-    rows = f"FROM {quoted(bound.live_view(table.name))}"
+    rows = f"FROM {quoted(bound.live_view(table.source))}"
     if reason is None:
         return f"SELECT * {rows}"
     failing = f"SELECT error({exp.Literal.string(reason).sql('duckdb')}) AS reason"

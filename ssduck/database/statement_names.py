@@ -183,7 +183,7 @@ class Scope:
         table = self.names.live_table(item) or self.names.history(item)
         if table is None:
             return Source()
-        columns = {*table.names, *(column.name for column in table.view_columns)}
+        columns = {column.name for column in table.shown_columns}
         columns |= set(table.second_names.values())
         is_entities = table.name == "entities" and self.names.live_table(item) is not None
         schema = self.names.schema(item) if is_entities else None

@@ -24,7 +24,8 @@ from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
 from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
-from ssduck.geometry.solids import Solid
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import Solid, solid_of
 
 # Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
 _BOUND_MARGIN = 1e-8
@@ -130,6 +131,7 @@ class ShapeTable:
         self.cores = ConvexCores(solids, solid_indices)
         self._witnesses: dict[PairPredicate, KeptWitnesses] = {}
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
+        self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
 
     def witnesses(self, predicate: PairPredicate) -> KeptWitnesses:
         """Returns the witnesses of a predicate at the tick before."""
@@ -138,6 +140,29 @@ class ShapeTable:
                 self._witnesses.clear()
             self._witnesses[predicate] = KeptWitnesses()
         return self._witnesses[predicate]
+
+    def extended(self, geometries: Sequence[Geometry], entities: Indices) -> ShapeTable:
+        """Returns the table with further shapes, without margins; it keeps the last one.
+
+        Args:
+            geometries: their geometries.
+            entities: (n,), the index of each one's entity.
+        """
+        key = tuple(geometry.key for geometry in geometries), entities.tobytes()
+        if self._extended is not None and self._extended[0] == key:
+            return self._extended[1]
+        known = len(self.solids)
+        distinct = {geometry.key: geometry for geometry in geometries}
+        places = {key: known + place for place, key in enumerate(distinct)}
+        indices = [places[geometry.key] for geometry in geometries]
+        table = ShapeTable(
+            [*self.solids, *map(solid_of, distinct.values())],
+            np.concatenate((self.solid_indices, np.array(indices, np.intp))),
+            np.concatenate((self.entities, entities)),
+            np.concatenate((self.margins, np.zeros(len(indices)))),
+        )
+        self._extended = key, table
+        return table
 
     def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
         """Returns the table of some of the shapes, which belong to other entities.

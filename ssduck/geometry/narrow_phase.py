@@ -110,6 +110,20 @@ class NarrowPhase:
         margins = np.array(tick.margins)[shapes]
         return NarrowPhase(tick.solids, shapes, *placed, starts, self.calls, margins)
 
+    def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
+        """Returns the narrow phase of the tick with further shapes, which are of no entity yet.
+
+        Args:
+            table: the properties of all shapes, those of this narrow phase first.
+            poses: positions, orientations and boxes of the further shapes.
+        """
+        tick = self._tick
+        before = tick.positions, tick.orientations, tick.boxes
+        positions, orientations, boxes = map(np.concatenate, zip(before, poses, strict=True))
+        placed = positions, orientations, boxes
+        solids, indices = table.solids, table.solid_indices
+        return NarrowPhase(solids, indices, *placed, self.starts, self.calls, table.margins)
+
     # -- relations ------------------------------------------------------------------------
 
     def collides(self, i: int, j: int, min_depth: float = MIN_DEPTH) -> bool | None:

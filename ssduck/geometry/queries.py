@@ -21,6 +21,7 @@ from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.on_pairs import are_on
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
+from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
@@ -66,6 +67,8 @@ class ShapeQueries:
         boxes: (6, n), of the entities in the order of `ids`: lower corners, upper corners.
         ids: (n,), the ids.
         links: (shapes,), the number of each shape's link; None if links are not queried.
+        are_regions: (shapes,), whether each shape is the region of a site, which does not belong to
+            its entity; None if none is.
     """
 
     def __init__(
@@ -76,7 +79,9 @@ class ShapeQueries:
         boxes: Array,
         ids: Ids,
         links: Indices | None = None,
+        are_regions: Flags | None = None,
     ) -> None:
+        self._are_regions = are_regions
         self._narrow = narrow
         self._neighbours = NeighbourRelations(narrow, self._near_pairs, self._on_pairs)
         self._numbers = numbers
@@ -156,6 +161,8 @@ class ShapeQueries:
             whole: the queries without links, if all links are there.
         """
         table = self._table
+        if self._are_regions is not None:
+            is_of_entity = is_of_entity & ~self._are_regions
         count = 1 + max(self._numbers.values(), default=0)
         link_ids, shapes = self._link_ids, np.arange(len(self._link_ids))
         found = np.unique(link_ids[is_of_link])
@@ -180,6 +187,29 @@ class ShapeQueries:
         queries = ShapeQueries(narrow, numbers, table.regrouped(shapes, owners), boxes, ids)
         queries._whole = whole
         return queries
+
+    def with_regions(
+        self, regions: Sequence[Geometry], poses: Sequence[Array], entities: Ids, links: Indices
+    ) -> ShapeQueries:
+        """Returns the queries in which n sites, which are links, have their regions as shapes.
+
+        They answer for ids of links; see `of`.
+
+        Args:
+            regions: the regions.
+            poses: positions (n, 3), orientations (n, 4) and boxes (n, 6) in the world.
+            entities: (n,), the ids of the sites' entities.
+            links: (n,), the numbers of the sites.
+        """
+        assert self._links is not None
+        count, owners = len(self._table.entities), [self._numbers[id] for id in entities.tolist()]
+        table = self._table.extended(regions, np.array(owners, np.intp))
+        are_regions = np.arange(count + len(regions)) >= count
+        narrow = self._narrow.extended(table, poses)
+        all_links = np.concatenate((self._links, links))
+        return ShapeQueries(
+            narrow, self._numbers, table, self._boxes, self._ids, all_links, are_regions
+        )
 
     def all_colliding(self, min_depth: float) -> list[int]:
         """Returns the pairs that are deeper in each other than a depth, m, as numbers.

@@ -1,4 +1,4 @@
-"""The functions of links in programs: `links`, `entity` and `parent`."""
+"""The functions of links in programs: `links`, `sites`, `entity` and `parent`."""
 
 from __future__ import annotations
 
@@ -26,6 +26,17 @@ def links(thing: Any) -> Any:
     if isinstance(thing, Entity):
         return thing.links
     raise ArgumentError(f"links takes a world or an entity, not {type_in_words(thing)}")
+
+
+def sites(thing: Any) -> Any:
+    """Returns the sites of an entity, or a source of the sites of all entities of a world."""
+    if isinstance(thing, World):
+        return Links(thing, "sites")
+    if isinstance(thing, Past):
+        return replace(thing, table="sites")
+    if isinstance(thing, Entity):
+        return thing.sites
+    raise ArgumentError(f"sites takes a world or an entity, not {type_in_words(thing)}")
 
 
 def entity(thing: Any) -> Entity:
@@ -56,6 +67,16 @@ LINK_FUNCTIONS = {
             ),
             "links(world or entity)",
         ),
+        (
+            "sites",
+            sites,
+            (
+                "Returns the sites of an entity, or those of all entities of a world as a source "
+                "of queries: FROM sites(kitchen). A site is a named frame on a link, with a region "
+                "around it; MuJoCo's models have sites."
+            ),
+            "sites(world or entity)",
+        ),
         ("entity", entity, "Returns the entity of a link; an entity itself.", "entity(link)"),
         (
             "parent",
@@ -84,7 +105,8 @@ def mentions_links(node: Node, variables: Mapping[str, Any]) -> bool:
 def _has_link(value: Any) -> bool:
     if isinstance(value, list):
         return any(isinstance(part, Link) for part in value)
-    return isinstance(value, Link | Links) or (isinstance(value, Past) and value.table == "links")
+    is_past = isinstance(value, Past) and value.table != "entities"
+    return isinstance(value, Link | Links) or is_past
 
 
 @cached_by_node

@@ -372,7 +372,11 @@ class Linter:
         """Returns the worlds that the name may be of, none if unknown, and whose it may be."""
         of_link: NameKind = "full link" if site.function == "id" else "link"
         value = None if site.source is None else site.source.value
-        if isinstance(value, Call) and value.name == "links" and len(value.arguments) == 1:
+        if (
+            isinstance(value, Call)
+            and value.name in ("links", "sites")
+            and len(value.arguments) == 1
+        ):
             (argument,) = value.arguments
             variable = self._variable(argument.name) if isinstance(argument, _NAMED) else None
             return _worlds_of(variable) or list(self._worlds()), [of_link]
@@ -381,7 +385,7 @@ class Linter:
             if isinstance(variable, list):
                 return self._owners_in(variable, of_link)
             is_of_links = isinstance(variable, Links) or (
-                isinstance(variable, Past) and variable.table == "links"
+                isinstance(variable, Past) and variable.table != "entities"
             )
             return _worlds_of(variable), [of_link if is_of_links else "entity"]
         return ([] if site.is_bare else list(self._worlds())), ["entity", of_link]

@@ -159,7 +159,7 @@ def _source_type(alias: str, value: Any, schema_of: SchemaOf) -> SourceType:
     if isinstance(value, World):
         return SourceType(alias, schema_of(value))
     if isinstance(value, Links):
-        return SourceType(alias, schema_of(value.world), table="links")
+        return SourceType(alias, schema_of(value.world), table=value.table)
     if isinstance(value, Past):
         past_kind: PastKind = "window" if value.is_window else "instant"
         return SourceType(
@@ -247,7 +247,7 @@ def _with_present_tick(value: Any, records: Mapping[World, Record]) -> Any:
     world = value.world if isinstance(value, Links) else value
     if not isinstance(world, World) or world not in records:
         return value
-    table: EntityTable = "entities" if value is world else "links"
+    table: EntityTable = value.table if isinstance(value, Links) else "entities"
     return PresentTick(records[world], world.tick_number, table)
 
 

@@ -64,7 +64,7 @@ def _tables() -> Iterator[str]:
         view = HISTORIES.get(table.name)
         history = f"; at all recorded ticks: `{view.history_view}`" if view is not None else ""
         yield f"`{table.name}`: a row is {table.row}{history}"
-        for column in (*table.columns, *table.view_columns):
+        for column in table.shown_columns:
             yield f"- `{column.name}` {column.sql}: {column.comment}"
         yield ""
 

@@ -23,10 +23,11 @@ from ssduck.simulators.scenes import read_sensor
 
 Array = npt.NDArray[Any]
 
+_REGION = ("region", "region_x", "region_y", "region_z")
 # The columns that may be unknown.
 _OPTIONAL = {
     "entities": {"parent", "movable", "host", "host_link", "sensor"},
-    "links": {"parent"},
+    "links": {"parent", *_REGION},
     "joints": {"lower", "upper", "max_effort", "max_velocity"},
     "shapes": {"exact"},
     "geometries": set[str](),
@@ -164,6 +165,18 @@ def _check_links(models: Mapping[str, pa.Table]) -> None:
     numbers = rows["link"].to_numpy()
     if not ((parents >= -1) & (parents < numbers)).all() or (parents[numbers > 0] < 0).any():
         _fail("the parent of a link does not come before it")
+    if "region" in rows.column_names:
+        for region, *size in zip(*(rows[name].to_pylist() for name in _REGION), strict=True):
+            _check_region(region, size)
+
+
+def _check_region(region: str | None, size: list[float | None]) -> None:
+    """Checks the region of a site; None for another link."""
+    if region is None:
+        return
+    _check_known("region", [region], tuple(_PRIMITIVES - {"plane"}))
+    if any(number is None or not 0.0 <= number < np.inf for number in size):
+        _fail("the size of a site's region is no number from 0 up")
 
 
 def _check_joints(models: Mapping[str, pa.Table]) -> None:

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Indices
 from ssduck.recording.buffers import RowBuffer
 from ssduck.recording.spec import chosen_members
-from ssduck.schema import FRAMES, TABLES
+from ssduck.schema import FRAMES, STORED_TABLES, TABLES
 from ssduck.world.layout import TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.snapshot import Snapshot
 
 # The tables that have the same rows at each tick as long as the entities are the same.
-FIXED_ROW_TABLES = tuple(table.name for table in TABLES.values() if table.key)
+FIXED_ROW_TABLES = tuple(table.name for table in STORED_TABLES.values() if table.key)
 
 
 class RecordedRows:

@@ -53,7 +53,9 @@ def model_rows(
             continue
         for number, link in enumerate(member.body.links):
             parent = link.parent if link.parent >= 0 else None
-            rows["links"].append((member.id, number, link.name, parent, link.mass))
+            region = link.region
+            size = (None, 0.0, 0.0, 0.0) if region is None else (region.type, *region.size)
+            rows["links"].append((member.id, number, link.name, parent, link.mass, *size))
         for number, joint in enumerate(member.body.joints):
             limits = (joint.lower, joint.upper, joint.max_effort, joint.max_velocity)
             place = (*joint.axis, *joint.anchor, joint.reference)
@@ -187,7 +189,11 @@ def _sensor(row: Mapping[str, Any]) -> EntityInfo:
 
 
 def _link(row: Mapping[str, Any]) -> Link:
-    return Link(row["name"], -1 if row["parent"] is None else row["parent"], row["mass"])
+    parent, type = row["parent"], row.get("region")
+    region = None
+    if type is not None:
+        region = Geometry.primitive(type, [row[f"region_{axis}"] for axis in "xyz"])
+    return Link(row["name"], -1 if parent is None else parent, row["mass"], region)
 
 
 def _joint(row: Mapping[str, Any]) -> Joint:
@@ -234,10 +240,16 @@ def join_model(table: str, rows: pa.Table, model: pa.Table, names: Iterable[str]
         raise RecordError(f"a row of {table} is of an unknown entity, or an unknown part of one")
     order = _order(table, model)
     model_rows = pa.array(order[place])
-    columns = [
-        rows[name] if name in rows.column_names else model[name].take(model_rows) for name in names
-    ]
-    return pa.table(columns, names=list(names))
+
+    def column(name: str) -> Any:
+        if name in rows.column_names:
+            return rows[name]
+        if name in model.column_names:
+            return model[name].take(model_rows)
+        types = {column.name: column.type for column in MODELS[table].model}
+        return pa.nulls(rows.num_rows, ARROW_TYPES[types[name]])  # an older record lacks it
+
+    return pa.table(list(map(column, names)), names=list(names))
 
 
 def _keys(table: str, rows: pa.Table) -> Any:

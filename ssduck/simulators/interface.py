@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import cross
-from ssduck.geometry.shapes import PlacedGeometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.scenes import Camera
 
@@ -31,17 +31,20 @@ DEFAULT_BACKEND = "pybullet"
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid part of a body.
+    """A rigid part of a body, or a site on one: a named frame with a region around it.
 
     Attributes:
         name: the name of the link.
         parent: the index of its parent among the links of the body; -1 for the base.
         mass: kg.
+        region: of a site, its region: a sphere, capsule, cylinder or box around the origin of its
+            frame, by which nothing collides; None for a rigid part.
     """
 
     name: str
     parent: int
     mass: float
+    region: Geometry | None = None
 
 
 @dataclass(frozen=True)
@@ -90,7 +93,8 @@ class Body:
         name: as given by the scene, the caller or the model file; not yet unique.
         kind: robot or kinbody.
         movable: whether the simulation can move any of its links.
-        links: link 0 is the base; parents come before their children.
+        links: link 0 is the base; parents come before their children. Sites come last: each is
+            fixed to its parent, a rigid part.
         joints: any number for each link, in the order of the links.
         shapes: the collision shapes; `PlacedGeometry.frame` is the index of the link.
     """
@@ -107,6 +111,11 @@ class Body:
     def masses(self) -> list[float]:
         """The masses of the links when the body was described, kg."""
         return [link.mass for link in self.links]
+
+    @property
+    def rigid_count(self) -> int:
+        """The number of links that are no sites."""
+        return sum(link.region is None for link in self.links)
 
     @property
     def margins(self) -> list[float]:

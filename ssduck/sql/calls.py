@@ -84,7 +84,7 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     over_ticks = sql.ticks.over_all_ticks(relation, values, count)
     if over_ticks is not None:
         return over_ticks
-    has_links = any(value.sql_type.table == "links" for value in values.values())
+    has_links = any(value.sql_type.table != "entities" for value in values.values())
     formula = (relation.link_expressions if has_links else relation.expressions)[count]
     if relation.result == "entity":
         (entity,) = values.values()

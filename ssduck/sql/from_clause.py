@@ -49,7 +49,7 @@ def world_table(schema: str, name: str, table: EntityTable = "entities") -> From
 
 def _order_of(name: str, table: EntityTable) -> tuple[exp.Ordered, ...]:
     """Returns the keys of the order of entities, sensors first, or of links."""
-    if table == "links":
+    if table != "entities":
         return ascending(column_of(name, "entity")), ascending(column_of(name, "link"))
     is_body = exp.NEQ(this=column_of(name, "kind"), expression=exp.Literal.string("sensor"))
     return ascending(is_body), ascending(column_of(name, "id"))

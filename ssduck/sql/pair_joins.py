@@ -75,7 +75,10 @@ def pair_join(
     relation, constants = RELATIONS[node.name], node.arguments[2:]
     assert relation.candidate_pairs is not None
     search = relation.candidate_pairs.search
-    kind = _kind_of({sql.value(side).sql_type.table for side in sides})
+    tables = {sql.value(side).sql_type.table for side in sides}
+    if "sites" in tables:  # the searches compare what has shapes
+        return None
+    kind = _kind_of(tables)
     if not relation.is_symmetric:  # the search gives pairs in the order of its arguments
         sides = (node.arguments[0], node.arguments[1])  # type: ignore[assignment]
     if not all(map(sql.is_constant, constants)) or (kind != "entities" and not search.finds_links):
@@ -102,10 +105,9 @@ def pair_join(
 
 def _kind_of(tables: Collection[EntityTable]) -> PairKind:
     """Returns what the sides of pairs are: rows of these tables."""
-    if len(tables) == 1:
-        (kind,) = tables
-        return kind
-    return "links and entities"
+    if len(tables) > 1:
+        return "links and entities"
+    return "links" if "links" in tables else "entities"
 
 
 def implied_box_condition(sql: Expressions, node: Node) -> exp.Expr | None:

@@ -80,7 +80,7 @@ class QueryTicks:
         geometry = relation.geometry
         if geometry is None or geometry.over_ticks is None:
             return None
-        if any(value.sql_type.table == "links" for value in values.values()):
+        if any(value.sql_type.table != "entities" for value in values.values()):
             return None
         a, b, *numbers = values.values()
         if not (a.sql_type.past and b.sql_type.past):

@@ -17,16 +17,15 @@ from ssduck.sql.plan import ParameterBinding, TypeEnvironment
 from ssduck.sql.relations.relation import ValueType
 from ssduck.sql.types import IDS, Signature, SqlType
 
-_TABLES: tuple[EntityTable, ...] = "links", "entities"
+_TABLES: tuple[EntityTable, ...] = "sites", "links", "entities"
 _COLUMN_TYPES: dict[str, ValueType] = {
     column.name: column.type
     for table in _TABLES
-    for column in (*TABLES[table].columns, *TABLES[table].view_columns)
+    for column in TABLES[table].shown_columns
     if column.type in ("double", "integer", "string", "boolean")
 }
 ENTITY_COLUMNS = {
-    table: (*TABLES[table].names, *(column.name for column in TABLES[table].view_columns))
-    for table in _TABLES
+    table: tuple(column.name for column in TABLES[table].shown_columns) for table in _TABLES
 }
 
 

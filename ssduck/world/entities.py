@@ -26,7 +26,7 @@ from ssduck.simulators.scenes import SensorSpec
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.layout import EntityInfo
-from ssduck.world.links import Link, links_of
+from ssduck.world.links import Link, Site, links_and_sites_of, links_of, sites_of
 from ssduck.world.openrave_names import OpenRaveEntity, OpenRaveSensor
 from ssduck.world.sensor_readings import Reading
 
@@ -113,27 +113,36 @@ class Entity(Handle, OpenRaveEntity):
             self.state.request_tables(["links"])
             return links_of(self)
 
+    @property
+    def sites(self) -> list[Site]:
+        """The sites; requests the table of links from the world."""
+        with self.state.lock:
+            self._row()
+            self.state.request_tables(["links"])
+            return sites_of(self)
+
     def link(self, name: str) -> Link:
-        """Returns the link of a name.
+        """Returns the link, or the site, of a name.
 
         Raises:
-            UnknownNameError: no link has the name; the error suggests the nearest names.
+            UnknownNameError: nothing has the name; the error suggests the nearest names.
             RemovedEntityError: the entity is no longer in its world.
         """
-        links = links_of(self)
+        links = links_and_sites_of(self)
         for link in links:
             if link.name == name:
                 return link
         names = [link.name for link in links]
+        kinds = " or ".join(dict.fromkeys(link.kind for link in links)) or "link"
         raise UnknownNameError(
-            f"{self.name!r} has no link {short_repr(name)}", suggestions=nearest(name, names)
+            f"{self.name!r} has no {kinds} {short_repr(name)}", suggestions=nearest(name, names)
         )
 
     def __getitem__(self, name: str) -> Link:
-        """Returns the link of a name; see `link`.
+        """Returns the link, or the site, of a name; see `link`.
 
         Raises:
-            TypeError: no link has a name like that.
+            TypeError: nothing has a name like that.
         """
         try:
             return self.link(name)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 from ssduck.errors import RemovedEntityError
-from ssduck.schema import MASSES, EntityTable
+from ssduck.schema import MASSES, TABLES, EntityTable
 from ssduck.world.public_names import HANDLE_INTERNALS, PublicNames
 
 if TYPE_CHECKING:
@@ -148,7 +148,8 @@ class Handle(PublicNames):
     def _numbers(self, first: str, last: str) -> list[float]:
         with self.state.lock:
             row = self._row()  # it may take a tick
-            column = self.state.snapshot.tables[self.TABLE].doubles(first, last)[:, row]
+            table = self.state.snapshot.tables[TABLES[self.TABLE].source]
+            column = table.doubles(first, last)[:, row]
             values: list[float] = column.tolist()
         return values
 

@@ -105,6 +105,18 @@ class TableLayout:
         )
 
     @cached_property
+    def sites(self) -> list[tuple[int, int, Geometry]]:
+        """The entity, the number and the region of each site, by group and body."""
+        ids = {body: id for id, body in self.bodies}
+        return [
+            (ids[body], number, link.region)
+            for group in (self.static_bodies, self.moving_bodies)
+            for body in group.bodies
+            for number, link in enumerate(body.links)
+            if link.region is not None
+        ]
+
+    @cached_property
     def ids_of_handles(self) -> Indices:
         """The id of the entity for each handle of a body; 0 for the last one, -1."""
         ids = np.zeros(
@@ -143,6 +155,13 @@ class BodyGroup:
         runs = map(slice, starts[:-1].tolist(), starts[1:].tolist())
         self.runs = dict(zip(self.bodies, runs, strict=True))
         self._link_rows = _runs([first[info.id][0] for info in entities], counts)
+        # The regions of sites, by the place of the link.
+        self._regions = {
+            start + number: link.region
+            for start, body in zip(starts.tolist(), self.bodies, strict=False)
+            for number, link in enumerate(body.links)
+            if link.region is not None
+        }
         shape_counts = [len(body.shapes) for body in self.bodies]
         self._shape_rows = _runs([first[info.id][1] for info in entities], shape_counts)
         self._shapes = [
@@ -228,6 +247,12 @@ class BodyGroup:
             np.array([shape.orientation for shape in self._shapes]).reshape(-1, 4),
         )
 
+    def place_regions(self, link_poses: LinkPoses) -> tuple[Array, Array, Array]:
+        """Returns positions (n, 3), orientations (n, 4) and boxes (n, 6) of the sites' regions."""
+        rows = np.array(list(self._regions), dtype=np.intp)
+        boxes = self._boxes(link_poses)[:, rows].T
+        return link_poses.positions[rows], link_poses.states[rows, 3:7], boxes
+
     def _entity_boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of the bodies, then those of the sensors, (6, entities)."""
         boxes = self._boxes(link_poses)
@@ -263,7 +288,7 @@ class BodyGroup:
         owners = [shape.frame for shape in self._shapes]
         links = len(self._link_rows)
         bare = sorted(set(range(links)) - set(owners))
-        points = [_point(frame) for frame in bare]
+        points = [_centred(frame, self._regions.get(frame, _POINT)) for frame in bare]
         count = links + len(self._mounts)
         groups = [*owners, *bare, *range(links, count)]
         return BoundingBoxes(self._shapes + points + self._mounts, groups, count)
@@ -276,9 +301,9 @@ class BodyGroup:
 _POINT = Geometry.primitive("sphere", (0, 0, 0))
 
 
-def _point(frame: int) -> PlacedGeometry:
-    """Returns a point at the origin of a frame: the box of a link or body without shapes."""
-    return PlacedGeometry(frame, _POINT, np.zeros(3), IDENTITY)
+def _centred(frame: int, geometry: Geometry) -> PlacedGeometry:
+    """Returns what the box of a link without shapes contains: its origin, or a site's region."""
+    return PlacedGeometry(frame, geometry, np.zeros(3), IDENTITY)
 
 
 def _runs(starts: Sequence[int], counts: Sequence[int]) -> Indices:

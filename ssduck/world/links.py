@@ -1,13 +1,22 @@
-"""Defines handles of the links of entities: `Link`."""
+"""Defines handles of the links of entities and of the sites on them: `Link`, `Site`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ssduck.errors import UnsupportedError
-from ssduck.schema import MAX_LINKS, entity_of, link_id, link_of
+from ssduck.schema import (
+    MAX_LINKS,
+    TABLES,
+    EntityTable,
+    LinkTable,
+    entity_of,
+    link_id,
+    link_of,
+)
+from ssduck.simulators.interface import Link as LinkInfo
 from ssduck.world.handles import Handle, RecordedTick
 
 if TYPE_CHECKING:
@@ -30,7 +39,7 @@ class Link(Handle):
 
     __slots__ = ("owner",)
 
-    TABLE = "links"
+    TABLE: ClassVar[EntityTable] = "links"
     kind = "link"
     # The hint of the error for a program that indexes a link.
     KEY_HINT = "functions tell of a link: z(this)"
@@ -89,49 +98,100 @@ class Link(Handle):
                 return self.full_name
             case "enabled" | "visible" | "run":
                 return self.entity.column(name)
-        return self.state.snapshot.value(self._row(), name, self.TABLE)
+        return self.state.snapshot.value(self._row(), name, TABLES[self.TABLE].source)
 
     def _row(self) -> int:
         state = self.state
-        state.request_tables([self.TABLE])
+        state.request_tables([TABLES[self.TABLE].source])
         row = state.snapshot.layout.link_rows.get(entity_of(self.id))
         if row is None:
             raise self.removed()
         return row + self.number
 
     def __repr__(self) -> str:
-        return f"<link {self.full_name!r}>"
+        return f"<{self.kind} {self.full_name!r}>"
+
+
+class Site(Link):
+    """A handle of a site: a named frame that is fixed to a link, with a region around it.
+
+    Models of MuJoCo have sites. Their regions have no mass, and nothing collides with them. The
+    id is that of a link, with a number after those of the links of its entity.
+    """
+
+    __slots__ = ()
+
+    TABLE = "sites"
+    kind = "site"
+    KEY_HINT = "functions tell of a site: z(this)"
+
+    @property
+    def parent(self) -> Link:
+        """The link that the site is fixed to."""
+        number: int = self.column("parent")
+        return self.entity.links[number]
 
 
 def links_of(entity: Entity) -> list[Link]:
-    """Returns the links of an entity at the tick of its handle, the base first.
+    """Returns the links of an entity at the tick of its handle, the base first, without sites.
+
+    Raises:
+        UnsupportedError: the body has too many links.
+    """
+    return [link for link in links_and_sites_of(entity) if not isinstance(link, Site)]
+
+
+def sites_of(entity: Entity) -> list[Site]:
+    """Returns the sites of an entity at the tick of its handle.
+
+    Raises:
+        UnsupportedError: the body has too many links and sites.
+    """
+    return [link for link in links_and_sites_of(entity) if isinstance(link, Site)]
+
+
+def links_and_sites_of(entity: Entity) -> list[Link]:
+    """Returns the links of an entity at the tick of its handle, then its sites, by their numbers.
 
     Raises:
         UnsupportedError: the body has too many links.
     """
     info = entity.info
-    names = [] if info.body is None else [link.name for link in info.body.links]
-    if len(names) > MAX_LINKS:
+    links = () if info.body is None else info.body.links
+    if len(links) > MAX_LINKS:
         raise UnsupportedError(
-            f"{entity.name!r} has {len(names)} links; only the links of bodies with at most "
+            f"{entity.name!r} has {len(links)} links and sites; only those of bodies with at most "
             f"{MAX_LINKS} are values"
         )
     return [
-        Link(entity.world, link_id(entity.id, number), name, entity.name, entity.moment)
-        for number, name in enumerate(names)
+        handle_of(link)(
+            entity.world, link_id(entity.id, number), link.name, entity.name, entity.moment
+        )
+        for number, link in enumerate(links)
     ]
+
+
+def handle_of(link: LinkInfo) -> type[Link]:
+    """Returns the class of handles of a link, or of a site."""
+    return Link if link.region is None else Site
 
 
 @dataclass(frozen=True)
 class Links:
-    """The links of all entities of a world: a source of queries."""
+    """The links of all entities of a world, or their sites: a source of queries.
+
+    Attributes:
+        world: the world.
+        table: the table that has them.
+    """
 
     world: World
+    table: LinkTable = "links"
 
     def __iter__(self) -> Iterator[Link]:
-        """Yields the links, those of each body together, in the order of the bodies."""
+        """Yields them, those of each body together, in the order of the bodies."""
         for entity in self.world:
-            yield from links_of(entity)
+            yield from links_of(entity) if self.table == "links" else sites_of(entity)
 
     def __repr__(self) -> str:
-        return f"<Links of {self.world.name!r}>"
+        return f"<{self.table.capitalize()} of {self.world.name!r}>"

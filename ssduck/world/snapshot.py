@@ -28,11 +28,12 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
-from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, TABLES
+from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
 from ssduck.world.contact_rows import contact_rows
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
+from ssduck.world.model_columns import joint_columns, link_columns
 from ssduck.world.run_numbers import new_run
 from ssduck.world.sensor_readings import Reading, SensorReader, TickContext, has_rays, sensor_poses
 
@@ -79,7 +80,7 @@ class Snapshot:
 
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
         self.run = new_run() if run is None else run
-        self.tables = {name: LiveTable(table.columns) for name, table in TABLES.items()}
+        self.tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
         self.unavailable: Mapping[str, str] = {}
@@ -101,6 +102,7 @@ class Snapshot:
         self.sensing = SensorReader()
         self.calls = CallCounter()
         self._shapes: ShapeQueries | None = None
+        self._shapes_and_sites: ShapeQueries | None = None
         self._boxes: BoxQueries | None = None
         self._solids: tuple[TableLayout, Any] | None = None
         # The tick of each sensor's last own request, and the sensors read at this tick.
@@ -172,6 +174,7 @@ class Snapshot:
             clone.tables[name].fill(0, {})
         clone.unavailable = unavailable
         clone.calls, clone._shapes, clone._boxes = CallCounter(), None, None  # noqa: SLF001
+        clone._shapes_and_sites = None  # noqa: SLF001
         clone.sensing = self.sensing.clone()
         clone._is_final = True  # noqa: SLF001  # one class
         clone._requested, clone._read, clone._written = {}, frozenset(), {}  # noqa: SLF001
@@ -221,8 +224,8 @@ class Snapshot:
                 "run": np.full(len(entities), self.run),
             },
         )
-        self._fill_links(layout.bodies)
-        self._fill_joints(layout.bodies)
+        self.tables["links"].fill(*link_columns(layout.bodies))
+        self.tables["joints"].fill(*joint_columns(layout.bodies))
         self._fill_shapes(layout.bodies)
         self.tables["contacts"].fill(0, {})
         self.tables["sensings"].fill(0, {})
@@ -235,26 +238,6 @@ class Snapshot:
             name: [body is not None and body not in absent for body in bodies]
             for name, absent in (("enabled", self.disabled), ("visible", self.hidden))
         }
-
-    def _fill_links(self, bodies: Sequence[tuple[int, Body]]) -> None:
-        links = [(id, n, link) for id, body in bodies for n, link in enumerate(body.links)]
-        self.tables["links"].fill(
-            len(links),
-            {
-                "entity": [entity for entity, _, _ in links],
-                "link": [number for _, number, _ in links],
-                "name": [link.name for _, _, link in links],
-                "parent": [link.parent if link.parent >= 0 else None for _, _, link in links],
-                "mass": [link.mass for _, _, link in links],
-            },
-        )
-
-    def _fill_joints(self, bodies: Sequence[tuple[int, Body]]) -> None:
-        joints = [(id, n, joint) for id, body in bodies for n, joint in enumerate(body.joints)]
-        columns = ("link", "name", "type", "lower", "upper", "max_effort", "max_velocity")
-        values = {name: [getattr(joint, name) for _, _, joint in joints] for name in columns}
-        keys = {"entity": [id for id, _, _ in joints], "joint": [n for _, n, _ in joints]}
-        self.tables["joints"].fill(len(joints), keys | values)
 
     def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
         shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
@@ -308,6 +291,19 @@ class Snapshot:
             boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
             self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, table["link"])
         return self._shapes
+
+    def shapes_and_sites(self) -> ShapeQueries:
+        """Returns the shape queries of this tick, in which sites have their regions as shapes."""
+        layout = self._layout
+        if not layout.sites:
+            return self.shapes()
+        if self._shapes_and_sites is None:
+            placed = [group.place_regions(poses) for group, poses in self.body_groups]
+            poses = [np.concatenate(parts) for parts in zip(*placed, strict=True)]
+            regions = [region for _, _, region in layout.sites]
+            entities, links, _ = (np.array(column) for column in zip(*layout.sites, strict=True))
+            self._shapes_and_sites = self.shapes().with_regions(regions, poses, entities, links)
+        return self._shapes_and_sites
 
     def boxes(self) -> BoxQueries:
         """Returns the boxes and the positions of the entities of this tick."""
@@ -423,7 +419,7 @@ class Snapshot:
         if not np.array_equal(current, shapes["margin"]):
             shapes["margin"][:] = current
             shapes.publish()
-            self._shapes = self._solids = None
+            self._shapes = self._shapes_and_sites = self._solids = None
 
     @property
     def margins(self) -> float:
@@ -451,7 +447,7 @@ class Snapshot:
             self._lay_out(layout)
             self.load_order = load_order
         self._read = frozenset(tables)
-        self._shapes = self._boxes = None
+        self._shapes = self._shapes_and_sites = self._boxes = None
         self.number, self.time = number, simulator.time
         is_static_new = state.static is not self._static
         self._static = state.static

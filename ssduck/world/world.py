@@ -44,7 +44,7 @@ from ssduck.world.construction import UNNAMED, ConstructibleWorld
 from ssduck.world.entities import HANDLES, Entity, Sensor
 from ssduck.world.excerpt import excerpt
 from ssduck.world.handles import Handle
-from ssduck.world.links import Link, links_of
+from ssduck.world.links import Link, links_and_sites_of
 from ssduck.world.manipulation import ManipulableSimulation
 from ssduck.world.openrave_names import OpenRaveWorld
 from ssduck.world.public_names import WORLD_INTERNALS, PublicNames
@@ -371,7 +371,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         """Returns the handle of a present entity or of a link of one, by its id."""
         if id < LINK_FACTOR:
             return self.entity(id)
-        return links_of(self.entity(entity_of(id)))[link_of(id)]
+        return links_and_sites_of(self.entity(entity_of(id)))[link_of(id)]
 
     def __repr__(self) -> str:
         contents = contents_of([(entity.name, entity.kind) for entity in self])

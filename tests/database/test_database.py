@@ -57,13 +57,12 @@ def sim():
 @pytest.mark.parametrize("table", TABLES)
 def test_every_table_is_there_with_its_columns(ss, table):
     for name in (table, f"kitchen.{table}"):
-        names = list(TABLES[table].names)
+        shown = [column.name for column in TABLES[table].shown_columns]
         seconds = list(TABLES[table].second_names.values())
-        views_only = [column.name for column in TABLES[table].view_columns]
-        assert ss.sql(f"FROM {name} LIMIT 0").columns == names + seconds + views_only
+        assert ss.sql(f"FROM {name} LIMIT 0").columns == shown + seconds
 
 
-@pytest.mark.parametrize("table", sorted(set(TABLES) - {"contacts"}))
+@pytest.mark.parametrize("table", sorted(set(TABLES) - {"contacts", "sites"}))
 def test_tables_are_filled_and_of_one_tick(ss, table):
     ss.call_variable("kitchen").step()
     rows = ss.sql(f"FROM {table}")

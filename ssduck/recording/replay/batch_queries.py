@@ -28,8 +28,9 @@ from ssduck.geometry.poses import (
     unit_quaternions,
 )
 from ssduck.geometry.queries import ShapeQueries
-from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
+from ssduck.simulators.interface import Link
 from ssduck.world.layout import EntityInfo
 
 Ids = npt.NDArray[np.int64]
@@ -103,8 +104,7 @@ class EntityShapes:
 
     def moving_links(self, id: int) -> range:
         """Returns the numbers of the links of an entity without its base."""
-        body = self._members[id].body
-        return range(1, 1 if body is None else len(body.links))
+        return range(1, max(1, len(_links_of(self._members[id]))))
 
     def shapes(
         self, ids: Sequence[int], poses: Sequence[Array], calls: CallCounter
@@ -121,6 +121,38 @@ class EntityShapes:
         if key not in self._shape_tables:
             self._shape_tables[key] = self._shape_table(models)
         return self._queries(ids, models, poses, self._shape_tables[key], calls)
+
+    def with_sites(
+        self, queries: ShapeQueries, ids: Sequence[int], poses: Sequence[Sequence[Array]]
+    ) -> ShapeQueries:
+        """Returns queries of `shapes` in which sites have their regions as shapes.
+
+        Args:
+            queries: the queries of some entities at one tick.
+            ids: the ids of the entities.
+            poses: the positions and orientations of the links of each entity, (7,) each.
+        """
+        sites = [
+            (id, number, link.region, at[number])
+            for id, at in zip(ids, poses, strict=True)
+            for number, link in enumerate(_links_of(self._members[id]))
+            if link.region is not None
+        ]
+        if not sites:
+            return queries
+        entities, links, regions, placed = zip(*sites, strict=True)
+        rows = np.array(placed)
+        with np.errstate(invalid="ignore"):
+            matrices = rotation_matrices(rows[:, 3:])
+        centred = [
+            PlacedGeometry(place, region, np.zeros(3), _IDENTITY)
+            for place, region in enumerate(regions)
+        ]
+        boxes = BoundingBoxes(centred, range(len(sites)), len(sites)).boxes(rows[:, :3], matrices)
+        poses_and_boxes = rows[:, :3], rows[:, 3:], boxes.T
+        return queries.with_regions(
+            regions, poses_and_boxes, np.array(entities), np.array(links, np.intp)
+        )
 
     def _shape_table(self, models: Sequence[_ShapeModel]) -> ShapeTable:
         owners = np.repeat(np.arange(len(models)), [model.count for model in models])
@@ -341,6 +373,10 @@ class EntityShapes:
             self._solid_indices[geometry.key] = len(self._solids)
             self._solids.append(solid_of(geometry))
         return self._solid_indices[geometry.key]
+
+
+def _links_of(member: EntityInfo) -> tuple[Link, ...]:
+    return () if member.body is None else member.body.links
 
 
 @dataclass

@@ -75,7 +75,7 @@ class Past:
         is_window: whether there may be several ticks; such sources of one world advance through
             their ticks together.
         id: the id of the only entity or link; None for all.
-        table: the table of the elements: entities, or the links of entities.
+        table: the table of the elements: entities, or the links or sites of entities.
         world: the recorded world.
     """
 
@@ -134,7 +134,7 @@ class Past:
         for tick in self.ticks:
             world = self.record.at(tick)
             if self.id is None:
-                yield from world if self.table == "entities" else Links(world)
+                yield from world if self.table == "entities" else Links(world, self.table)
             elif entity_of(self.id) in world.snapshot.rows:
                 yield world.handle(self.id)
 
@@ -217,5 +217,5 @@ class PresentTick:
 
     def __iter__(self) -> Iterator[Handle]:
         """Yields the entities or links, pinned to the tick."""
-        for handle in self.world if self.table == "entities" else Links(self.world):
+        for handle in self.world if self.table == "entities" else Links(self.world, self.table):
             yield handle.pinned(RecordedTick(self.record, self.tick))

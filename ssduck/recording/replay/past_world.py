@@ -64,6 +64,11 @@ class PastWorld(World):
         self.request_tables(("shapes",))
         return self.snapshot.shapes()
 
+    def shapes_and_sites(self) -> ShapeQueries:
+        """Returns queries in which sites have their regions as shapes."""
+        self.request_tables(("shapes",))
+        return self.snapshot.shapes_and_sites()
+
     def entity(self, id: int) -> Entity:
         """Returns the handle of an entity at this tick, by its id."""
         return self._record.entity(self.snapshot.number, id)

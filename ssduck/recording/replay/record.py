@@ -32,7 +32,7 @@ from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
 from ssduck.world.handles import Handle, RecordedTick
 from ssduck.world.layout import EntityInfo, margins_of
-from ssduck.world.links import Link
+from ssduck.world.links import handle_of
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
@@ -153,8 +153,8 @@ class Record:
             return self.entity(tick, id)
         member = self.members[entity_of(id)]
         assert member.body is not None
-        name = member.body.links[link_of(id)].name
-        return Link(self.world, id, name, member.name, RecordedTick(self, tick))
+        link = member.body.links[link_of(id)]
+        return handle_of(link)(self.world, id, link.name, member.name, RecordedTick(self, tick))
 
     def at(self, tick: int) -> PastWorld:
         """Returns the world at a tick.
@@ -252,7 +252,9 @@ class Record:
         index = np.flatnonzero(matches)
         return np.array([rows[name][index[0]] if len(index) else _NAN for name in POSE])
 
-    def shapes(self, tick: int, ids: Sequence[int] | None) -> ShapeQueries:
+    def shapes(
+        self, tick: int, ids: Sequence[int] | None, *, with_sites: bool = False
+    ) -> ShapeQueries:
         """Returns queries of the shapes at a tick.
 
         Only the requested shapes are placed as long as there are few queries of the tick.
@@ -260,16 +262,17 @@ class Record:
         Args:
             tick: the number of the tick.
             ids: the ids of the requested entities; None for all.
+            with_sites: whether sites have their regions as shapes.
         """
         if ids is None:
-            return self.at(tick).shapes()
+            return _shapes_of(self.at(tick), with_sites=with_sites)
         self._query_counts[tick] = self._query_counts.get(tick, 0) + 1
         if (
             tick in self._worlds
             or self._query_counts[tick] > MAX_SINGLE_QUERIES
             or len(set(ids)) < len(ids)
         ):
-            return self.at(tick).shapes()
+            return _shapes_of(self.at(tick), with_sites=with_sites)
         if len(self._query_counts) > MAX_COUNTED_TICKS:
             self._query_counts.clear()
         ordered = sorted(ids)
@@ -281,7 +284,10 @@ class Record:
             ]
             for id in ordered
         ]
-        return self.entity_shapes.shapes(ordered, [np.array(links) for links in poses], self.calls)
+        queries = self.entity_shapes.shapes(
+            ordered, [np.array(links) for links in poses], self.calls
+        )
+        return self.entity_shapes.with_sites(queries, ordered, poses) if with_sites else queries
 
     @property
     def margins(self) -> float:
@@ -295,6 +301,10 @@ class Record:
         with self.world.lock:
             self.check_open()
             return self._row_cache.rows(table, tick)
+
+
+def _shapes_of(world: PastWorld, *, with_sites: bool) -> ShapeQueries:
+    return world.shapes_and_sites() if with_sites else world.shapes()
 
 
 def index_at(world: str, time: float, times: Array, now: float, advice: str = "") -> int:

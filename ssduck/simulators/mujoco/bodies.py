@@ -2,7 +2,8 @@
 
 A tree is an entity, its bodies are the links, its root the base. MuJoCo numbers bodies depth first,
 so that the bodies of a tree have consecutive numbers. The world body is an entity of its own if it
-has geoms that collide. Names are MuJoCo's.
+has geoms that collide, or sites. Sites are links without mass after the others, each fixed to the
+body that it is on. Names are MuJoCo's.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ _MUTABLE = (
     "jnt_axis",
     "qpos0",
     "hfield_data",
+    "site_size",
 )
 
 
@@ -96,8 +98,13 @@ class ModelReader:
         return [
             self._body(root, range(root, end))
             for root, end in zip(roots, ends, strict=True)
-            if (root or self._geoms[0]) and (self._only is None or root in self._only)
+            if self._is_chosen(root)
         ]
+
+    def _is_chosen(self, root: int) -> bool:
+        """Checks whether a tree is an entity; the world body is one if it has geoms or sites."""
+        is_empty = not (root or self._geoms[0] or sites_on(self._model, range(1)))
+        return not is_empty and (self._only is None or root in self._only)
 
     def _body(self, root: int, links: range) -> Body:
         model = self._model
@@ -110,7 +117,7 @@ class ModelReader:
             name=self._names.get(name, self._names.get(root, name)),
             kind=self._kinds.get(name, self._kinds.get(root, kind)),
             movable=bool(joints) or bool((model.body_mocapid[links.start : links.stop] >= 0).any()),
-            links=tuple(self._link(number, root) for number in links),
+            links=(*(self._link(number, root) for number in links), *self._site_links(links)),
             joints=joints,
             shapes=tuple(self._shape(n, link - root) for link in links for n in self._geoms[link]),
         )
@@ -119,6 +126,17 @@ class ModelReader:
         model = self._model
         parent = -1 if number == root else int(model.body_parentid[number]) - root
         return Link(self._link_names[number], parent, float(link_masses(model)[number]))
+
+    def _site_links(self, links: range) -> Iterator[Link]:
+        """Yields the sites on some bodies; a name that a body has gets `_site` appended."""
+        taken = {self._link_names[number] for number in links}
+        for number in sites_on(self._model, links):
+            name = name_of(self._model, _OBJECT.mjOBJ_SITE, number, "site")
+            while name in taken:
+                name += "_site"
+            taken.add(name)
+            parent = int(self._model.site_bodyid[number]) - links.start
+            yield Link(name, parent, 0.0, region_of(self._model, number))
 
     def _joint(self, number: int, link: int) -> Joint:
         model = self._model
@@ -162,9 +180,21 @@ def link_masses(model: Any) -> Array:
     return masses
 
 
+def sites_on(model: Any, links: range) -> list[int]:
+    """Returns the sites on some bodies, in their order."""
+    owners = model.site_bodyid
+    numbers: list[int] = np.flatnonzero((owners >= links.start) & (owners < links.stop)).tolist()
+    return numbers
+
+
+def numbers_of(body: Body) -> range:
+    """Returns MuJoCo's numbers of the bodies that are the links of a body, without its sites."""
+    return range(body.handle, body.handle + body.rigid_count)
+
+
 def geoms_of(model: Any, body: Body) -> Indices:
     """Returns the geoms that are the shapes of a body, in their order."""
-    links = np.arange(body.handle, body.handle + len(body.links))
+    links = np.array(numbers_of(body))
     numbers = colliding_geoms(model)
     owners = model.geom_bodyid[numbers]
     chosen = numbers[np.isin(owners, links)]
@@ -192,24 +222,39 @@ def _by_owner(owners: Any, numbers: Indices, count: int) -> list[list[int]]:
 def geometry_of(model: Any, number: int) -> tuple[Geometry, Array, bool]:
     """Returns the shape of a geom, its centre in the geom's frame, and whether it is exact."""
     type = int(model.geom_type[number])
-    a, b, c = model.geom_size[number].tolist()
     centre = np.zeros(3)
+    primitive = _primitive(type, model.geom_size[number].tolist())
+    if primitive is not None:
+        return primitive, centre, True
     if type == _GEOM.mjGEOM_PLANE:
         return Geometry.primitive("plane", (0, 0, 1)), centre, True
-    if type == _GEOM.mjGEOM_BOX:
-        return Geometry.primitive("box", (2 * a, 2 * b, 2 * c)), centre, True
-    if type == _GEOM.mjGEOM_SPHERE:
-        return Geometry.primitive("sphere", (a, 0, 0)), centre, True
-    if type == _GEOM.mjGEOM_CAPSULE:
-        return Geometry.primitive("capsule", (a, 2 * b, 0)), centre, True
-    if type == _GEOM.mjGEOM_CYLINDER:
-        return Geometry.primitive("cylinder", (a, 2 * b, 0)), centre, True
     if type == _GEOM.mjGEOM_MESH:
         return Geometry.hull(_hull_vertices(model, int(model.geom_dataid[number]))), centre, True
     if type == _GEOM.mjGEOM_HFIELD:
         return height_field(model, int(model.geom_dataid[number])), centre, True
     box = model.geom_aabb[number]
     return Geometry.primitive("box", 2 * box[3:]), box[:3].copy(), False
+
+
+def region_of(model: Any, number: int) -> Geometry:
+    """Returns the region of a site."""
+    size = model.site_size[number]
+    region = _primitive(int(model.site_type[number]), size.tolist())
+    return region or Geometry.primitive("box", 2 * size)
+
+
+def _primitive(type: int, size: Sequence[float]) -> Geometry | None:
+    """Returns the shape of a geom or a site; None for a plane, a mesh and a field."""
+    a, b, c = size
+    if type == _GEOM.mjGEOM_BOX:
+        return Geometry.primitive("box", (2 * a, 2 * b, 2 * c))
+    if type == _GEOM.mjGEOM_SPHERE:
+        return Geometry.primitive("sphere", (a, 0, 0))
+    if type == _GEOM.mjGEOM_CAPSULE:
+        return Geometry.primitive("capsule", (a, 2 * b, 0))
+    if type == _GEOM.mjGEOM_CYLINDER:
+        return Geometry.primitive("cylinder", (a, 2 * b, 0))
+    return None
 
 
 def _hull_vertices(model: Any, mesh: int) -> Array:
@@ -231,11 +276,14 @@ def is_same(one: Body, other: Body) -> bool:
     return (
         (one.handle, one.name, one.kind, one.movable, one.joints)
         == (other.handle, other.name, other.kind, other.movable, other.joints)
-        and [(link.name, link.parent) for link in one.links]
-        == [(link.name, link.parent) for link in other.links]
+        and list(map(_link_key, one.links)) == list(map(_link_key, other.links))
         and len(one.shapes) == len(other.shapes)
         and all(map(_is_same_shape, one.shapes, other.shapes))
     )
+
+
+def _link_key(link: Link) -> tuple[str, int, str | None]:
+    return link.name, link.parent, None if link.region is None else link.region.key
 
 
 def _is_same_shape(one: PlacedGeometry, other: PlacedGeometry) -> bool:

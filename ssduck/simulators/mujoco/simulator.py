@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import cross
+from ssduck.geometry.poses import cross, multiply
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     SCALAR_JOINTS,
@@ -36,6 +36,8 @@ from ssduck.simulators.mujoco.bodies import (
     inexact,
     is_same,
     link_masses,
+    numbers_of,
+    sites_on,
 )
 from ssduck.simulators.mujoco.contacts import read_contacts
 from ssduck.simulators.mujoco.library import mujoco
@@ -55,13 +57,17 @@ class _Rows:
 
     Attributes:
         bodies: the bodies.
-        links: the number of each link.
+        links: the number of each link; of a site that of its parent.
         roots: the number of the root of each link's tree.
+        site_rows: which of the links are sites.
+        sites: the numbers of these sites.
     """
 
     bodies: tuple[Body, ...]
     links: Indices | slice
     roots: Indices
+    site_rows: Indices
+    sites: Indices
 
 
 class MuJoCoSimulator(PartialSimulator):
@@ -206,6 +212,11 @@ class MuJoCoSimulator(PartialSimulator):
         states = np.zeros((count, 13))
         states[:, :3] = positions
         states[:, 3:7] = state.xquat[links]
+        if len(rows.sites):
+            sites, own = rows.sites, rows.site_rows
+            positions[own], states[own, :3] = state.site_xpos[sites], state.site_xpos[sites]
+            matrices[own] = state.site_xmat[sites].reshape(-1, 3, 3)
+            states[own, 3:7] = multiply(states[own, 3:7], self.model.site_quat[sites])
         arms = positions - state.subtree_com[rows.roots]
         states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
         states[:, 10:] = twists[:, :3]
@@ -217,12 +228,20 @@ class MuJoCoSimulator(PartialSimulator):
                 return rows
         counts = [len(body.links) for body in bodies]
         roots = np.repeat([body.handle for body in bodies], counts).astype(np.intp)
-        ranges = [np.arange(body.handle, body.handle + len(body.links)) for body in bodies]
-        links: Indices | slice = np.concatenate([np.zeros(0, np.intp), *ranges]).astype(np.intp)
-        assert not isinstance(links, slice)
-        if len(links) and np.array_equal(links, np.arange(links[0], links[0] + len(links))):
-            links = slice(int(links[0]), int(links[-1]) + 1)
-        rows = _Rows(bodies, links, roots)
+        is_site = np.array([link.region is not None for b in bodies for link in b.links], bool)
+        sites = [n for body in bodies for n in sites_on(self.model, numbers_of(body))]
+        numbers = np.array(
+            [
+                body.handle + (number if link.region is None else link.parent)
+                for body in bodies
+                for number, link in enumerate(body.links)
+            ],
+            dtype=np.intp,
+        )
+        links: Indices | slice = numbers
+        if len(numbers) and np.array_equal(numbers, numbers[0] + np.arange(len(numbers))):
+            links = slice(int(numbers[0]), int(numbers[-1]) + 1)
+        rows = _Rows(bodies, links, roots, np.flatnonzero(is_site), np.array(sites, np.intp))
         self._rows = [rows, *self._rows[: _PREPARED - 1]]
         return rows
 
@@ -252,7 +271,7 @@ class MuJoCoSimulator(PartialSimulator):
         links = [
             range(int(model.body_jntadr[n]), int(model.body_jntadr[n] + model.body_jntnum[n]))
             for body in bodies
-            for n in range(body.handle, body.handle + len(body.links))
+            for n in numbers_of(body)
         ]
         return np.array([number for joints in links for number in joints], dtype=np.intp)
 
@@ -261,7 +280,7 @@ class MuJoCoSimulator(PartialSimulator):
         masses = link_masses(self.model)
         present = set(self._bodies)
         return [
-            masses[body.handle : body.handle + len(body.links)].tolist()
+            masses[list(numbers_of(body))].tolist() + body.masses[body.rigid_count :]
             if body in present
             else body.masses
             for body in bodies

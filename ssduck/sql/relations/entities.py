@@ -122,7 +122,7 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
     entity_relation(
         "volume",
         "double",
-        "CASE WHEN object.kind IN ('kinbody', 'link') THEN (object.xmax - object.xmin) "
+        "CASE WHEN object.kind IN ('kinbody', 'link', 'site') THEN (object.xmax - object.xmin) "
         "* (object.ymax - object.ymin) * (object.zmax - object.zmin) / 8 ELSE 0.0::DOUBLE END",
         "Returns the product of the half-extents of a kinbody's or a link's axis-aligned box, an "
         "eighth of "
