@@ -64,6 +64,16 @@ def pytest_unconfigure():
     gc.unfreeze()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def temporary_files(tmp_path_factory):
+    """Keeps the temporary files of tests that end processes in the folder that pytest removes."""
+    folder = str(tmp_path_factory.mktemp("temporary"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", folder)
+        patch.setattr(tempfile, "tempdir", folder)
+        yield
+
+
 @pytest.fixture
 def client():
     """A PyBullet client of the test's own."""
