@@ -241,9 +241,9 @@ class Connection:
         return _ATTACHED
 
     @property
-    def may_have_views(self) -> bool:
-        """Whether a file is open or attached: its views and macros may call relations."""
-        return self.is_file or self._attached is not None
+    def has_attached(self) -> bool:
+        """Whether the file of a record is attached."""
+        return self._attached is not None
 
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table readable under a name."""

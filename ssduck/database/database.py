@@ -168,11 +168,11 @@ class Database:
     def _names_all(self, sql: str, words: StatementWords) -> bool:
         """Checks whether a statement names all views and macros that it needs.
 
-        Views and macros of users may need more.
+        Views and macros of users may need more: those in a file, too.
         """
         return not (
             self._schemas.has_comments
-            or self.connection.may_have_views
+            or self._raw_sql.has_stored_queries
             or words.reads_catalog
             or not self._raw_sql.is_query(sql, words)
         )

@@ -92,8 +92,19 @@ class RawSql:
         self._may_have_own_names = connection.is_file
         # Whether DuckDB may plan range joins.
         self._has_range_joins = connection.meter.limits.files
+        # Whether the file has views and macros of users, and whether those of a record were noted.
+        self._has_stored_queries = self._is_record_noted = False
+        self._schemas = schemas
         if connection.is_file:
             self._note_stored_queries(of_attached=False)
+
+    @property
+    def has_stored_queries(self) -> bool:
+        """Whether a file has views or macros of users, which may call relations."""
+        if self._connection.has_attached and not self._is_record_noted:
+            self._is_record_noted = True
+            self._note_stored_queries(of_attached=True)
+        return self._has_stored_queries
 
     def ready(self, sql: str) -> UserStatement | None:
         """Returns a query that has run before and only has to be executed; None if there is none.
@@ -208,6 +219,8 @@ class RawSql:
     def _note_stored_queries(self, *, of_attached: bool) -> None:
         """Takes note of what views and macros from before read: any statement may use them."""
         for text in stored_queries(self._connection, of_attached=of_attached):
+            self._has_stored_queries = True
+            self._schemas.note_formulas(text)
             words = words_of(text)
             self._references.persistent |= words.tables
             if words.has_semi_joins and self._has_range_joins:

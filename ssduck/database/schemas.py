@@ -19,7 +19,6 @@ from ssduck.database.macros import (
     macros_among,
 )
 from ssduck.database.referenced_tables import qualified_formulas
-from ssduck.database.stored_queries import stored_queries
 from ssduck.recording.spec import not_recorded_message
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
@@ -51,7 +50,8 @@ class Schemas:
         self._named_for: tuple[tuple[str, ...], str | None] = ((), None)
         # The relations without tables that are macros of each schema.
         self._formulas: dict[str, set[str]] = {}
-        self._is_searched = False
+        # Those that views and macros in a file call.
+        self._stored_formulas: set[str] = set()
 
     def make(self, name: str, bound: BoundWorld) -> None:
         """Creates the schema of a world, or recreates its views."""
@@ -138,6 +138,10 @@ class Schemas:
         self._connection.run(script)
         self._described = set(names)
 
+    def note_formulas(self, stored: str) -> None:
+        """Takes note of the relations without tables that a view or a macro in a file calls."""
+        self._stored_formulas |= qualified_formulas(stored)
+
     def make_formulas(self, called: Collection[str], names: Sequence[str]) -> None:
         """Creates the macros of relations without tables in schemas, if a statement calls them.
 
@@ -148,11 +152,7 @@ class Schemas:
             called: the relations that the statement calls with a schema before them.
             names: the names of all schemas of worlds.
         """
-        needed = set(called)
-        if self._connection.is_file and not self._is_searched:
-            self._is_searched = True
-            for text in stored_queries(self._connection):
-                needed |= qualified_formulas(text)
+        needed = set(called) | self._stored_formulas
         for name in names if needed else ():
             existing = self._formulas.setdefault(name, set())
             for statement in formula_statements(sorted(needed - existing), name):

@@ -127,6 +127,37 @@ def test_a_users_query_makes_what_it_names(run: Path) -> None:
         assert {name for _, name in _macros(ss)} == {"name", "above", "clearance", "pairs_within"}
 
 
+@pytest.fixture
+def file(client: int, tmp_path: Path) -> Path:
+    """A small record in a DuckDB file."""
+    pybullet.createMultiBody(1, physicsClientId=client)
+    with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
+        ss.add_variable("lab", ssduck.World.attach(client, names={0: "box"})).step()
+    return tmp_path / "run.duckdb"
+
+
+def test_a_query_of_a_file_makes_what_it_names(file: Path) -> None:
+    with ssduck.open(file) as ss:
+        assert ss.sql("SELECT count(*) FROM entities_history").fetchall() == [(2,)]
+        assert not _macros(ss)
+        pairs = "FROM entities_history a JOIN entities_history b USING (tick)"
+        assert ss.sql(f"SELECT above(a, b) {pairs}").fetchall() == [(False,), (False,)]
+        assert _macros(ss) == {("main", "above"), ("main", "tick")}  # relations, both
+
+
+def test_views_in_a_file_find_everything(file: Path) -> None:
+    names = ("mine", "contacts_history")  # the second is a name of ssduck's own
+    with ssduck.Interpreter(file) as ss:
+        for name in names:
+            ss.sql(
+                f"CREATE VIEW main.{name} AS SELECT a.tick FROM lab_record_0.entities_history a, "
+                "lab_record_0.entities_history b WHERE above(a, b) OR a.tick = b.tick"
+            )
+    for name in names:
+        with ssduck.Interpreter(file) as ss:
+            assert len(ss.sql(f"SELECT * FROM main.{name}").fetchall()) == 2
+
+
 CATALOG = [
     "SELECT table_name FROM information_schema.tables",
     "SELECT view_name FROM duckdb_views()",
