@@ -1,0 +1,26 @@
+"""Processes that are killed while they work on a record leave no half that looks whole."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from tests.support.cases import sampled
+from tools import kill_work
+
+POSIX = pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return kill_work.Run(tuple(kill_work.WORK), tmp_path_factory.mktemp("records"))
+
+
+@POSIX
+# Exports, closing and so on in turn; folders below the number of works, files from it on.
+@sampled("seed", [0, 6, 2, 8, 4], every=5)
+def test_killed_work_leaves_whole_records(run, seed):
+    """The short form of `python -m tools.kill_work`."""
+    run.add(seed)
+    assert run.faults == {}
