@@ -142,6 +142,15 @@ def _changes(series: TickSeries, age: Any) -> list[list[Any]]:
     return changes_of(*series.at(past_of(series.record, age)))
 
 
+def _initially(series: TickSeries, age: Any) -> Any:
+    if age is not None:
+        raise ArgumentError("initially takes one argument: initially(expression)")
+    numbers, times = series.record.ticks_until_now()
+    last = int(np.searchsorted(times, times[0], side="right")) - 1
+    _, values = series.at(Past(series.record, int(numbers[0]), int(numbers[last]), is_window=True))
+    return values[0]
+
+
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     return _extreme(series, age, "least", min)
 
@@ -199,6 +208,14 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "Returns [time, value] of an expression at the first recorded tick and at each tick "
             "where the value changes; times in seconds.",
             "changes(expression[, age]) -> list",
+        ),
+        TemporalFunction(
+            "initially",
+            _initially,
+            "Returns the value of an expression at the first recorded tick, nothing if an entity "
+            "was not there: z(cup) - initially(z(cup)) >= 0.1 is true of a cup that is lifted by "
+            "10 cm.",
+            "initially(expression) -> value",
         ),
         TemporalFunction(
             "least",

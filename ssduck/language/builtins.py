@@ -134,6 +134,10 @@ def _avg(values: list[Any]) -> Any:
     return sum(values) / len(values)
 
 
+def _norm(vector: list[float]) -> float:
+    return math.hypot(*vector)
+
+
 def _list_function(call: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Returns a function of the elements of a list; the letters of a text are not elements."""
 
@@ -230,6 +234,12 @@ _OTHER_FUNCTIONS = (
         "Returns the angle of the vector (x, y) from the x axis, in radians, from -pi to pi.",
         "atan2(y, x) -> float",
         2,
+    ),
+    _builtin(
+        "norm",
+        _list_function(_norm),
+        "Returns the Euclidean norm of a list of numbers: the length of a vector.",
+        "norm(list) -> float",
     ),
     _builtin("str", _text, "Returns a value as a text.", "str(value) -> str"),
     _builtin(

@@ -16,6 +16,7 @@ import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnknownNameError, UnsupportedError
 from ssduck.interpreter import temporal_functions
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS, changes_of, intervals_of
+from tests.support.bodies import client_of
 from tests.support.cases import sampled
 
 STEP = 1 / 240
@@ -302,3 +303,37 @@ def test_intervals_in_sql_are_those_of_the_language(lab: Any) -> None:
     assert [still for _, _, still in rows] == [False] * (len(rows) - 1) + [True]
     row = ss.sql("FROM duckdb_functions() WHERE function_name = 'intervals'").fetchall()
     assert len(row) == 1
+
+
+def test_initially_is_the_value_at_the_first_recorded_tick(lab: Any) -> None:
+    _, _, world = lab
+    start = world["ball"].position[2]
+    _put(world, [1.2, 1.5, 1.1])
+    assert _evaluated(lab, "initially(z(ball));") == start
+    assert _evaluated(lab, "z(ball) - initially(z(ball)) >= 0.1 - 0.000000001;") is True
+    assert _evaluated(lab, "z(ball) - initially(z(ball)) >= 0.1 + 0.000000001;") is False
+    assert _evaluated(lab, "initially(above(board, ball));") is True
+    program = "SELECT id(this), initially(z(this)) FROM lab WHERE id(this) == 'ball' AS list;"
+    assert _evaluated(lab, program) == ["ball", start]
+
+
+def test_of_what_came_later_nothing_is_known_initially(lab: Any) -> None:
+    ss, rows, world = lab
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client_of(world)
+    )
+    body = pybullet.createMultiBody(
+        1, shape, basePosition=[3, 0, 1], physicsClientId=client_of(world)
+    )
+    world.tick()
+    late = next(entity for entity in world if entity.position[0] > 2)
+    assert body is not None
+    for each in (ss, rows):
+        each.add_variable("late", late)
+    assert _evaluated(lab, "initially(z(late));") is None
+
+
+def test_initially_takes_one_argument(unmoved: Any) -> None:
+    ss, *_ = unmoved
+    with pytest.raises(ArgumentError, match="initially takes one argument"):
+        ss.eval("initially(z(ball), 1.0);")

@@ -123,8 +123,8 @@ WILD = {
     "real": ("1e308", "1e-308", "9007199254740992.0", "0.0"),
 }
 COMPARISONS = ("==", "<", ">=", "!=", ">", "<=")
-REAL_RELATIONS = ("z", "x", "y", "aabbVolume", "volume")
-FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor", "isOpen", "isClosed")
+REAL_RELATIONS = ("z", "x", "y", "aabbVolume", "volume", "speed", "angularSpeed", "tilt")
+FLAG_RELATIONS = ("isRobot", "isKinbody", "isSensor", "isOpen", "isClosed", "upright", "settled")
 PAIR_RELATIONS = ("above", "within", "below", "isSensing")
 
 

@@ -18,6 +18,7 @@ from ssduck.schema import LINK_FACTOR, entity_of, link_of
 Columns: TypeAlias = Mapping[str, npt.NDArray[Any]]
 # Returns the columns of a table at the tick.
 RowReader: TypeAlias = Callable[[str], Columns]
+NORMAL = ("nx", "ny", "nz")
 
 
 def sensed(read_rows: RowReader, sensor: int, entity: int) -> list[float]:
@@ -40,11 +41,27 @@ def perceived(read_rows: RowReader, sensor: int, _: int) -> list[float]:
 def pressing(read_rows: RowReader, a: int, b: int) -> list[float]:
     """Returns the normal forces of the contacts of two entities or links, N."""
     contacts = read_rows("contacts")
-    matches = (_touches(contacts, "a", a) & _touches(contacts, "b", b)) | (
+    forces: list[float] = contacts["force"][_are_of(contacts, a, b)].tolist()
+    return forces
+
+
+def opposition(read_rows: RowReader, a: int, b: int) -> list[float]:
+    """Returns the cosines of the angles between the normals of two entities' pressing contacts.
+
+    The entities may be links. There is a number for each contact, that of the normal most opposed
+    to its own.
+    """
+    contacts = read_rows("contacts")
+    normals = _vectors(contacts, _are_of(contacts, a, b) & (contacts["force"] > 0), *NORMAL)
+    cosines: list[float] = (normals @ normals.T).min(axis=1, initial=1.0).tolist()
+    return cosines
+
+
+def _are_of(contacts: Columns, a: int, b: int) -> npt.NDArray[np.bool_]:
+    """Checks which contacts are of two entities or links."""
+    return (_touches(contacts, "a", a) & _touches(contacts, "b", b)) | (
         _touches(contacts, "a", b) & _touches(contacts, "b", a)
     )
-    forces: list[float] = contacts["force"][matches].tolist()
-    return forces
 
 
 def _touches(contacts: Columns, side: str, id: int) -> npt.NDArray[np.bool_]:
@@ -90,5 +107,5 @@ def _vectors(columns: Columns, rows: npt.NDArray[np.bool_], *names: str) -> Arra
 
 
 LOOKUPS: dict[str, Callable[[RowReader, int, int], list[float]]] = {
-    lookup.__name__: lookup for lookup in (sensed, perceived, pressing, wrench)
+    lookup.__name__: lookup for lookup in (sensed, perceived, pressing, opposition, wrench)
 }

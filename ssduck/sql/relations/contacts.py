@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import cycle
 
 from ssduck.sql.relations.common import A_B, link_of, recorded_numbers
-from ssduck.sql.relations.relation import Relation
+from ssduck.sql.relations.relation import Parameter, Relation
 
 _LINK_A, _LINK_B = (link_of(f"contacts.{side}", f"contacts.link_{side}") for side in "ab")
 _PAIR = "(least(a.id, b.id), greatest(a.id, b.id))"
@@ -14,7 +14,28 @@ _PAIRS = (
     "SELECT list_sort(unnest(CASE WHEN contacts.a = contacts.b "  # noqa: S608
     f"THEN [[contacts.a, contacts.b], [{_LINK_A}, {_LINK_B}]] ELSE [[contacts.a, contacts.b], "
     f"[{_LINK_A}, contacts.b], [contacts.a, {_LINK_B}], [{_LINK_A}, {_LINK_B}]] END)) AS pair, "
-    "contacts.force AS force FROM contacts"
+    "contacts.force AS force, contacts.nx AS nx, contacts.ny AS ny, contacts.nz AS nz FROM contacts"
+)
+# The cosine of the least angle between the normals of two contacts that oppose each other: 120°.
+OPPOSING = -0.5
+
+
+def _opposing(pairs: str) -> str:
+    """Returns a formula: whether two pressing contacts of a pair of ids oppose each other."""
+    one, other = (
+        f"(SELECT unnested.* FROM ({pairs}) AS unnested WHERE unnested.force > 0) AS {name}"  # noqa: S608
+        for name in ("one", "other")
+    )
+    product = " + ".join(f"one.n{axis} * other.n{axis}" for axis in "xyz")
+    return (
+        f"{_PAIR} IN (SELECT one.pair[1], one.pair[2] FROM {one} JOIN {other} "  # noqa: S608
+        f"ON one.pair = other.pair WHERE {product} <= {OPPOSING})"
+    )
+
+
+_ENTITY_PAIRS = (
+    "SELECT [contacts.a, contacts.b] AS pair, contacts.force AS force, contacts.nx AS nx, "
+    "contacts.ny AS ny, contacts.nz AS nz FROM contacts WHERE contacts.a < contacts.b"
 )
 
 CONTACT_RELATIONS: tuple[Relation, ...] = (
@@ -52,6 +73,22 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "SELECT map(list((pair[1], pair[2])), list(total)) FROM (SELECT pairs.pair AS pair, "
         f"sum(pairs.force) AS total FROM ({_PAIRS}) AS pairs GROUP BY ALL) AS summed), {_PAIR}), "
         "0.0::DOUBLE) END",
+    ),
+    Relation(
+        "grasped",
+        (
+            Parameter("a", "entity", "a gripper, or an entity that has one"),
+            Parameter("b", "entity", "another entity"),
+        ),
+        "boolean",
+        _opposing(_ENTITY_PAIRS),
+        "Checks if a presses b from opposite sides: of their contacts in the last step with a "
+        "normal force above 0, two have normals that are at least 120 degrees apart.",
+        is_symmetric=True,
+        across_worlds="FALSE",
+        recorded_formula="a.id <> b.id "
+        f"AND COALESCE(list_min({recorded_numbers('opposition', 'a', 'b')}) <= {OPPOSING}, FALSE)",
+        link_formula=_opposing(_PAIRS),
     ),
 )
 

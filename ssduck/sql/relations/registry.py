@@ -32,6 +32,7 @@ from ssduck.sql.relations.geometry_query import (
     unknown_udf,
 )
 from ssduck.sql.relations.joints import JOINT_RELATIONS
+from ssduck.sql.relations.motion import MOTION_RELATIONS
 from ssduck.sql.relations.ode import ODE_RELATIONS
 from ssduck.sql.relations.regions import REGION_RELATIONS
 from ssduck.sql.relations.relation import Relation, by_name
@@ -46,6 +47,7 @@ RELATIONS: dict[str, Relation] = by_name(
         CONTACT_RELATIONS,
         REGION_RELATIONS,
         JOINT_RELATIONS,
+        MOTION_RELATIONS,
         ODE_RELATIONS,
         SENSOR_RELATIONS,
     )

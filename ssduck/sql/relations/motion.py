@@ -1,0 +1,69 @@
+"""Relations of an entity's motion and attitude: formulas over its velocities and orientation."""
+
+from __future__ import annotations
+
+from ssduck.sql.relations.common import ENTITY, entity_relation
+from ssduck.sql.relations.relation import Parameter, Relation
+
+# What `settled` and `upright` take by default: m/s, rad/s and rad.
+SLOW, SLOW_TURN, UPRIGHT = 0.01, 0.1, 0.2
+
+_SPEED = "sqrt(object.vx ** 2 + object.vy ** 2 + object.vz ** 2)"
+_TURN = "sqrt(object.wx ** 2 + object.wy ** 2 + object.wz ** 2)"
+# The angle between the z axes of the object's frame and of the world. Unlike the arc cosine of
+# their product, it is exact near 0.
+_TILT = "2 * atan2(sqrt(object.qx ** 2 + object.qy ** 2), sqrt(object.qw ** 2 + object.qz ** 2))"
+
+
+def _is_slow(linear: str, angular: str) -> str:
+    return f"{_SPEED} <= {linear} AND {_TURN} <= {angular}"
+
+
+MOTION_RELATIONS: tuple[Relation, ...] = (
+    entity_relation(
+        "speed",
+        "double",
+        _SPEED,
+        "Returns the magnitude of the velocity of the entity's link frame in the world frame.",
+        "m/s",
+    ),
+    entity_relation(
+        "angularSpeed",
+        "double",
+        _TURN,
+        "Returns the magnitude of the entity's angular velocity.",
+        "rad/s",
+    ),
+    entity_relation(
+        "tilt",
+        "double",
+        _TILT,
+        "Returns the angle between the z axis of the entity's link frame and the world's z axis, "
+        "from 0 to pi.",
+        "rad",
+    ),
+    Relation(
+        "upright",
+        (*ENTITY, Parameter("angle", "double", "the greatest tilt, rad", optional=True)),
+        "boolean",
+        f"{_TILT} <= {UPRIGHT}",
+        "Checks if the z axis of the entity's link frame is at most an angle from the world's z "
+        f"axis, {UPRIGHT} rad (11 degrees) by default.",
+        formula_with_options=f"{_TILT} <= angle",
+    ),
+    Relation(
+        "settled",
+        (
+            *ENTITY,
+            Parameter("linear", "double", "the greatest speed, m/s", optional=True),
+            Parameter("angular", "double", "the greatest angular speed, rad/s", optional=True),
+        ),
+        "boolean",
+        _is_slow(str(SLOW), str(SLOW_TURN)),
+        f"Checks if the entity's speed is at most {SLOW} m/s and its angular speed at most "
+        f"{SLOW_TURN} rad/s, or at most the given ones. Only the base of an articulated body "
+        "counts. heldFor(settled(object)) >= 0.2 is true if that has held for 0.2 s.",
+        formula_with_first_option=_is_slow("linear", str(SLOW_TURN)),
+        formula_with_options=_is_slow("linear", "angular"),
+    ),
+)

@@ -1,0 +1,167 @@
+"""Relations of motion, attitude and grasps, against NumPy, SciPy and PyBullet's contact points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pybullet
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ssduck
+from tests.support.bodies import create_linked_body
+
+EDGE = 1e-9
+
+
+@pytest.fixture(scope="module")
+def lab():
+    """A cube without gravity that a test places and moves, and its interpreter."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
+    body = pybullet.createMultiBody(1, shape, **here)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client, names={body: "cube"}))
+
+        def put(turn=(0, 0, 0, 1), linear=(0, 0, 0), angular=(0, 0, 0)):
+            pybullet.resetBasePositionAndOrientation(body, [0, 0, 1], turn, **here)
+            pybullet.resetBaseVelocity(body, linear, angular, **here)
+            world.tick()
+
+        yield ss, put
+    pybullet.disconnect(client)
+
+
+def both(ss, expression):
+    """The value of an expression of the cube `e`, in SelectScript; in raw SQL it is the same."""
+    name, _, options = expression.partition("(")
+    value = ss.eval(f"{name}(lab.cube{options};" if options else f"{name}(lab.cube);")
+    call = f"{name}(e{options}" if options else f"{name}(e)"
+    assert ss.sql(f"SELECT {call} FROM entities e").fetchone() == (value,)
+    return value
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_speeds_and_tilt(lab, seed):
+    ss, put = lab
+    rng = np.random.default_rng(seed)
+    linear, angular = rng.normal(size=3), rng.normal(size=3)
+    turn = Rotation.random(random_state=seed)
+    put(turn.as_quat(), linear, angular)
+    assert both(ss, "speed") == pytest.approx(np.linalg.norm(linear), rel=1e-12)
+    assert both(ss, "angularSpeed") == pytest.approx(np.linalg.norm(angular), rel=1e-12)
+    axis = turn.apply([0.0, 0.0, 1.0])
+    assert both(ss, "tilt") == pytest.approx(math.acos(axis[2]), rel=1e-9)
+
+
+@pytest.mark.parametrize("about", ["x", "y"])
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("angle", "option"), [(0.2, ""), (0.7, ", 0.7)"), (1e-7, ", 0.0000001)")])
+def test_upright_at_its_boundary(lab, angle, option, about, sign):
+    ss, put = lab
+    expression = f"upright({option}" if option else "upright"
+    for beyond, holds in ((1e-12, False), (-1e-12, True)):
+        turn = Rotation.from_euler(f"z{about}", [1.1, sign * (angle + beyond)])
+        put(turn.as_quat())
+        assert both(ss, expression) is holds
+
+
+def test_an_object_upside_down_is_not_upright(lab):
+    ss, put = lab
+    put((1, 0, 0, 0))
+    assert both(ss, "tilt") == pytest.approx(math.pi)
+    assert both(ss, "upright") is False
+
+
+@pytest.mark.parametrize(
+    ("option", "linear", "angular"),
+    [("", 0.01, 0.1), (", 0.5)", 0.5, 0.1), (", 0.5, 2)", 0.5, 2.0)],
+)
+def test_settled_at_its_boundary(lab, option, linear, angular):
+    ss, put = lab
+    expression = f"settled({option}" if option else "settled"
+    put(linear=(0, linear, 0), angular=(0, 0, angular))
+    assert both(ss, expression) is True
+    put(linear=(0, linear + EDGE, 0), angular=(0, 0, angular))
+    assert both(ss, expression) is False
+    put(linear=(0, linear, 0), angular=(0, 0, angular + EDGE))
+    assert both(ss, expression) is False
+
+
+# -- grasps ----------------------------------------------------------------------------------------
+
+
+def squeezed(angle):
+    """A cylinder between two jaws of one body whose normals are an angle apart, degrees."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    jaw = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.2, 0.01, 0.2], **here)
+    rod = pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, radius=0.1, height=0.1, **here)
+    half = math.radians(180 - angle) / 2
+    away = 0.1 + 0.01 - 0.002  # the jaws press 2 mm into the rod
+    places = [
+        [0.0, away, 0.0],
+        [away * math.sin(2 * half), -away * math.cos(2 * half), 0.0],
+    ]
+    hand = create_linked_body(
+        client,
+        0,
+        jaw,
+        basePosition=places[0],
+        linkPositions=[np.subtract(places[1], places[0]).tolist()],
+        linkOrientations=[Rotation.from_euler("z", 2 * half).as_quat().tolist()],
+    )
+    thing = pybullet.createMultiBody(1, rod, **here)
+    pybullet.stepSimulation(client)
+    points = pybullet.getContactPoints(hand, thing, **here)
+    names = {hand: "hand", thing: "thing"}
+    return client, ssduck.World.attach(client, names=names), points
+
+
+@pytest.mark.parametrize("angle", [180, 150, 121, 119, 90])
+def test_a_grasp_is_pressed_from_opposite_sides(angle):
+    client, world, points = squeezed(angle)
+    normals = np.array([point[7] for point in points if point[9] > 0])
+    least = (normals @ normals.T).min()
+    assert least == pytest.approx(math.cos(math.radians(angle)), abs=1e-3)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        asked = "[grasped(lab.hand, lab.thing), grasped(lab.thing, lab.hand)];"
+        assert ss.eval(asked) == [least <= -0.5] * 2
+        assert ss.eval("grasped(lab.hand, lab.hand);") is False
+        pairs = "SELECT a.name, b.name FROM entities a, entities b WHERE grasped(a, b) ORDER BY 1"
+        expected = [("hand", "thing"), ("thing", "hand")] if least <= -0.5 else []
+        assert ss.sql(pairs).fetchall() == expected
+        # One link of the hand presses from one side only; the rest of the hand does not count.
+        links = "SELECT id FROM links(lab) WHERE grasped(this, lab.thing) AS list;"
+        assert ss.eval(links) == []
+        # At a recorded tick the answer is the same.
+        world.tick()
+        holds = ss.eval("holds(grasped(lab.hand, lab.thing));")
+        assert bool(holds) == (least <= -0.5)
+    pybullet.disconnect(client)
+
+
+def test_a_thing_that_rests_is_not_grasped(tmp_path):
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
+    table = pybullet.createMultiBody(0, box, **here)
+    thing = pybullet.createMultiBody(1, box, basePosition=[0, 0, 0.2], **here)
+    pybullet.setGravity(0, 0, -9.81, **here)
+    world = ssduck.World.attach(client, names={table: "table", thing: "thing"})
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", world)
+        for _ in range(20):
+            pybullet.stepSimulation(client)
+            world.tick()
+        assert ss.eval("[inContact(lab.table, lab.thing), grasped(lab.table, lab.thing)];") == [
+            True,
+            False,
+        ]
+        ss.export(tmp_path / "run")
+    pybullet.disconnect(client)
+    with ssduck.open(tmp_path / "run") as opened:
+        assert opened.eval("[grasped(lab.table, lab.thing), settled(lab.thing)];") == [False, True]
