@@ -76,6 +76,28 @@ def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) 
     return _edited(sql, edits) if edits else None
 
 
+def numbered(sql: str) -> str:
+    """Returns a statement with numbers in place of the question marks of its parameters.
+
+    >>> numbered("SELECT * FROM entities WHERE z > ? AND name <> ?")
+    'SELECT * FROM entities WHERE z > $1 AND name <> $2'
+    """
+    marks = (t for t in sqlglot.tokenize(sql, dialect="duckdb") if t.text == "?")
+    edits = []
+    for number, mark in enumerate(marks, 1):
+        if mark.token_type != TokenType.PLACEHOLDER or sql[mark.end + 1 : mark.end + 2].isalnum():
+            return sql  # `?1` is the first parameter
+        edits.append(_Edit(mark.start, mark.end + 1, f"${number}"))
+    return _edited(sql, edits)
+
+
+def number_parameters(sql: str, tree: exp.Expr, names: WorldNames) -> frozenset[str]:
+    """Returns the parameters that are arguments of the relations that `rewritten` rewrites."""
+    calls = _calls(sql, tree, names, sqlglot.tokenize(sql, dialect="duckdb"))
+    found = (_parameter(number) for call in calls for number in call.numbers)
+    return frozenset(name for name in found if name is not None)
+
+
 def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
     """Returns the look-up that replaces a query of all pairs; None if it does more than look up.
 
@@ -85,7 +107,7 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
         names: the names of the worlds.
     """
     tokens = sqlglot.tokenize(sql, dialect="duckdb")
-    calls = list(_calls(sql, tree, names, tokens, with_parameters=True))
+    calls = list(_calls(sql, tree, names, tokens))
     clauses = {name for name, value in tree.args.items() if value}
     if len(calls) != 1 or not clauses <= {"expressions", "from_", "joins", "where"}:
         return None
@@ -288,22 +310,16 @@ class _Call:
         return f"({expanded(tree, values).sql('duckdb')})"
 
 
-def _calls(
-    sql: str,
-    tree: exp.Expr,
-    names: WorldNames,
-    tokens: list[Token],
-    *,
-    with_parameters: bool = False,
-) -> Iterator[_Call]:
+def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> Iterator[_Call]:
     """Yields the calls of relations that can be rewritten.
+
+    Their numbers are literals or parameters with names, which may be written several times.
 
     Args:
         sql: the statement.
         tree: its tree.
         names: the names of the worlds.
         tokens: its tokens.
-        with_parameters: whether numbers may be parameters with names.
     """
     ends = _closing_brackets(tokens)
     for node in tree.find_all(exp.Anonymous, exp.Contains):
@@ -324,7 +340,7 @@ def _calls(
             continue
         if not all(
             (isinstance(number, exp.Literal) and not number.is_string)
-            or (with_parameters and isinstance(number, exp.Placeholder) and number.name)
+            or _parameter(number) is not None
             for number in numbers
         ):
             continue
@@ -342,6 +358,12 @@ def _calls(
         call = _Call(sql, outer, start, end, relation, tuple(sources), numbers, schema, scope)
         if relation.geometry is not None or call.join_place() is not None:
             yield call
+
+
+def _parameter(number: exp.Expr) -> str | None:
+    """Returns the name of a parameter, which may be written several times; None for another."""
+    is_named = isinstance(number, exp.Placeholder) and number.name not in ("", "?")
+    return number.name if is_named else None
 
 
 def _entity(argument: exp.Expr, scope: Scope) -> Source | None:

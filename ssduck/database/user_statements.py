@@ -8,9 +8,10 @@ the same. A statement that cannot be rewritten or prepared runs as it is.
 
 from __future__ import annotations
 
+import math
 import re
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ from ssduck.database.referenced_tables import ReadData
 from ssduck.database.relation_rewriting import (
     lookup_of,
     mentions_relations,
+    number_parameters,
+    numbered,
     parsed,
     rewritten,
 )
@@ -53,6 +56,7 @@ class UserStatement:
         tables: the tables that its plan reads, as far as their buffers may be replaced.
         query: the statement that runs in its place; None if it is not known yet.
         columns: the names of its columns, if another query runs in its place.
+        numbers: the parameters that are distances of relations in that query.
         lookup: the look-up that has its rows without a statement, if there is one.
         has_plain_types: whether its columns are fetched as Python's values; None if unknown.
         may_be_kept: whether its plan may be kept; None if that is not known yet.
@@ -67,6 +71,7 @@ class UserStatement:
     tables: frozenset[str]
     query: str | None = None
     columns: tuple[str, ...] | None = None
+    numbers: frozenset[str] = frozenset()
     lookup: PairLookup | None = None
     has_plain_types: bool | None = None
     may_be_kept: bool | None = None
@@ -157,6 +162,11 @@ class UserStatements:
         if statement.query is None:
             statement.query = self._query(statement, parameters, names)
         is_rewritten = statement.query != statement.text
+        if statement.numbers and not _are_distances(statement.numbers, parameters):
+            found = self._looked_up(statement, parameters)
+            if found is not None:
+                return found
+            return self._connection.table(statement.text, parameters)
         if is_rewritten or statement.has_plain_types is not None:
             try:
                 return self._run(statement, parameters, names)
@@ -166,7 +176,7 @@ class UserStatements:
                     raise
                 # DuckDB's message about the user's own text is the one that helps.
                 statement.query, statement.may_be_kept = statement.text, False
-                statement.columns = None
+                statement.columns, statement.numbers = None, frozenset()
             except SelectScriptError:
                 self._release(statement)
                 raise
@@ -184,33 +194,36 @@ class UserStatements:
 
         DuckDB names a column that has no name of its own after its expression.
         """
-        sql = statement.text
-        tree = parsed(sql) if mentions_relations(sql) else None
+        text = statement.text
+        if not mentions_relations(text):
+            return text
+        # A rewritten statement has its parameters in another order, and some of them twice.
+        sql = numbered(text) if isinstance(parameters, Sequence) and parameters else text
+        tree = parsed(sql)
         if tree is None:
-            return sql
+            return text
         columns = None
         for only_joins in (False, True):
             query = rewritten(sql, tree, names, only_joins=only_joins)
-            if query is None and not (parameters and lookup_of(sql, tree, names)):
-                return sql
+            if query is None:
+                return text
             try:
-                columns = columns or self._connection.columns(sql, parameters)
+                columns = columns or self._connection.columns(text, parameters)
                 types = [kind for _, kind in columns]
-                if query is None or types == [
-                    kind for _, kind in self._connection.columns(query, parameters)
-                ]:
+                if types == [kind for _, kind in self._connection.columns(query, parameters)]:
                     statement.has_plain_types = are_plain(types)
                     statement.columns = tuple(name for name, _ in columns)
+                    statement.numbers = number_parameters(sql, tree, names)
                     if reads_only_live_tables(tree, names):
                         statement.unread = unread_columns(tree, sql)
                     if statement.has_plain_types:
                         statement.lookup = lookup_of(sql, tree, names)
                         statement.last_header = Header(statement.columns, tuple(types))
-                    return query or sql
+                    return query
             except SqlError:
                 if columns is None:
-                    return sql
-        return sql
+                    return text
+        return text
 
     def _run(
         self, statement: UserStatement, parameters: Parameters, names: WorldNames
@@ -265,6 +278,21 @@ class UserStatements:
         self._plans.add(statement.name, statement.tables)
         statement.is_planned_next, statement.last_header = False, None
         return True
+
+
+def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:
+    """Checks whether parameters are numbers that are finite and not negative."""
+    if isinstance(parameters, Mapping):
+        values = dict(parameters)
+    else:
+        values = {str(place): value for place, value in enumerate(parameters or (), 1)}
+    return all(_is_distance(values.get(name)) for name in names)
+
+
+def _is_distance(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return 0 <= value < math.inf
 
 
 def _lookup_values(lookup: PairLookup, parameters: Parameters) -> Mapping[str, float] | None:

@@ -218,6 +218,68 @@ def test_pairs_by_a_parameter_need_no_statement(traced):
     assert len(ss.sql(text, {"d": "0.05"}).fetchall()) == len(ss.sql(text, {"d": 0.05}).fetchall())
 
 
+# Statements with a parameter as a distance, {d}, and others before and after it.
+WITH_PARAMETERS = (
+    "SELECT a.name, b.name FROM entities a, entities b WHERE b.z > {z} AND {r} AND a.z < {n}",
+    "SELECT *, {z} + a.z AS more FROM entities a JOIN entities b ON {r} WHERE b.z < {n}",
+    "SELECT a.name, b.z > {z} FROM entities a, entities b WHERE NOT {r} OR a.z > {n}",
+    "SELECT a.name FROM entities a WHERE a.z > {z} AND EXISTS (FROM entities b WHERE {r}) LIMIT {n}",
+    "SELECT count(*) FILTER ({r}), count(*) FILTER (a.z > {z}) FROM entities a, entities b LIMIT {n}",
+)
+
+
+def with_values(sql, style):
+    """A statement with the parameters z, d and n of a style, and a function of their values."""
+    names = sorted("zdn", key=lambda name: sql.index(f"<{name}>")) if style == "?" else list("zdn")
+    places = {name: f"${place}" for place, name in enumerate(names, 1)}
+    marks = {"?": dict.fromkeys(names, "?"), "$1": places, "$d": {n: f"${n}" for n in names}}[style]
+    for name in names:
+        sql = sql.replace(f"<{name}>", marks[name])
+    if style == "$d":
+        return sql, dict
+    return sql, lambda values: [values[name] for name in names]
+
+
+@pytest.mark.parametrize(
+    ("sql", "style", "relation"),
+    [
+        (sql, ("?", "$1", "$d")[n % 3], ("near", "touching")[n % 2])
+        for n, sql in enumerate((*WITH_PARAMETERS, *WITH_PARAMETERS))
+    ],
+)
+def test_a_distance_may_be_a_parameter(ss, sql, relation, style):
+    sql = sql.format(r=f"{relation}(a, b, <d>)", z="<z>", n="<n>")
+    text, arguments = with_values(sql, style)
+    for distance in (0.011, 0, math.nan, None):
+        values = {"z": 0.05, "d": distance, "n": 3}
+        literals = sql
+        for name, value in values.items():
+            literal = "NULL" if value is None else f"'{value}'::DOUBLE"
+            literals = literals.replace(f"<{name}>", "3" if name == "n" else literal)
+        assert rows(ss.sql(text, arguments(values))) == rows(row_by_row(ss, literals)), distance
+    assert "ALL_" in query(ss, text)
+    with pytest.raises(SqlError):
+        ss.sql(text, arguments(values)[:2] if style != "$d" else {"z": 1})
+
+
+def test_a_distance_that_is_a_parameter_is_searched_once_a_tick(traced):
+    ss, _, _ = traced
+    world = ss.call_variable("sim")
+    counts = []
+    for distance, parameters in (("0.05", None), ("?", [0.05])):
+        sql = (
+            "SELECT a.name, a.z + b.z FROM entities a, entities b "
+            f"WHERE a.id < b.id AND near(a, b, {distance})"
+        )
+        for _ in range(2):
+            world.tick()
+            before = ss.statistics()["sim"]
+            ss.sql(sql, parameters)
+            after = ss.statistics()["sim"]
+            counts.append((after.pairs - before.pairs, after.calls - before.calls))
+    assert len(set(counts)) == 1
+
+
 @pytest.mark.slow
 def test_views_of_an_earlier_session(client, tmp_path):
     """They need tables that the text of a later statement does not name."""
