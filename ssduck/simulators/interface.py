@@ -278,6 +278,9 @@ class Simulator(Protocol):
     def episode(self) -> int:
         """A number that changes when the user is known to have reset the simulation."""
 
+    def begin_episode(self) -> None:
+        """Changes `episode`, since the user has reset an external simulation; time may fall."""
+
     def set_clock(self, clock: Clock) -> None:
         """Replaces the clock of an external simulation that does not keep its time."""
 

@@ -28,6 +28,7 @@ class PartialSimulator:
     keeps_time = False
     episode = 0
 
+    begin_episode = _unsupported("begin an episode")
     set_clock = _unsupported("follow the clock of an external simulation")
     cast_rays = _unsupported("cast the rays of sensors")
     photograph = render = segment = _unsupported("draw images")

@@ -62,6 +62,29 @@ def parts_of(simulation: Any) -> tuple[Any, Any] | None:
     return next(_pairs(simulation, _MAX_DEPTH), None)
 
 
+def client_of(simulation: Any) -> int | None:
+    """Returns the number of the PyBullet client of an environment; None if it has none.
+
+    Args:
+        simulation: an object that has a client as an attribute, itself or in one of its parts.
+    """
+    return next(_clients(simulation, _MAX_DEPTH), None)
+
+
+def _clients(simulation: Any, depth: int) -> Iterator[int]:
+    """Yields the numbers of the clients of an object, the outermost first."""
+    for name in _CLIENTS:
+        client = getattr(simulation, name, None)
+        for number in (client, getattr(client, _CLIENTS[0], None)):
+            if number is not None and validation.is_integer(number):
+                yield int(number)
+    if depth:
+        for name in _INNER:
+            inner = getattr(simulation, name, None)
+            if inner is not None and inner is not simulation:
+                yield from _clients(inner, depth - 1)
+
+
 def simulator_of_scene(scene: Scene) -> str:
     """Returns the name of the simulator that loads a scene by default.
 

@@ -86,7 +86,7 @@ class StaticSimulator:
             "world.what_if({name: pose}, joints={name: {joint: value}})"
         )
 
-    set_clock = place = set_joints = drive = enable = show = remove = _refuse_change
+    begin_episode = set_clock = place = set_joints = drive = enable = show = remove = _refuse_change
     has_constraint = add_constraint = remove_constraint = _refuse_change
 
     def _refuse_rays(self, *_: Any) -> NoReturn:

@@ -184,6 +184,30 @@ class SteppedSimulation(Observable):
         self.notify_observers()
         return self
 
+    def begin_episode(self) -> Self:
+        """Takes a tick that begins a new episode: you have reset the simulation.
+
+        `tick` sees a reset by itself where the time of MuJoCo has fallen, or its model is another
+        one. PyBullet has no time; it is 0 again at this tick.
+
+        Returns:
+            The world itself.
+
+        Raises:
+            ArgumentError: the world is not attached: ssduck itself runs its simulation.
+            SimulatorError: the simulator does not answer.
+        """
+        with self.lock:
+            self._check_not_pinned()
+            if not self._simulator.is_external:
+                raise ArgumentError(
+                    f"begin_episode: {self.name!r} is not attached: load the scene again"
+                )
+            self._simulator.begin_episode()
+            self._take_first_or_next()
+        self.notify_observers()
+        return self
+
     def _clock_of_tick(self, steps: int | None, time: float | None) -> Clock:
         """Returns the clock of an attached world at the next tick."""
         clock, timestep = self._simulator.clock, self._simulator.timestep

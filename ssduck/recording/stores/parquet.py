@@ -289,6 +289,11 @@ class ParquetRecording:
         self._start()
 
     @property
+    def number(self) -> int:
+        """The number of the present episode."""
+        return self._folder.run.number
+
+    @property
     def episode(self) -> Episode:
         """The episode as it is on the disk so far."""
         return self._folder.run.episode

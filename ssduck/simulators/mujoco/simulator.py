@@ -6,6 +6,7 @@ stated at the subtree's centre of mass in MuJoCo (`cvel`); ssduck moves them to 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -171,6 +172,10 @@ class MuJoCoSimulator(PartialSimulator):
         mujoco.mj_copyData(self._copy, self.model, self.data)
         mujoco.mj_forward(self.model, self._copy)
         self._state = self._copy
+
+    def begin_episode(self) -> None:
+        """Lets the next tick begin an episode, whatever its time."""
+        self._last_time = math.inf
 
     def _warn_of_boxes(self, bodies: Sequence[Body]) -> None:
         names = [name for name in inexact(bodies) if name not in self._warned]

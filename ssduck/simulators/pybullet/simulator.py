@@ -237,6 +237,11 @@ class PyBulletSimulator:
         """The length of the next step, simulated seconds, as the client is set now."""
         return self._client_timestep()
 
+    def begin_episode(self) -> None:
+        """Changes `episode`; the time is 0 again."""
+        self.episode += 1
+        self.clock = Clock(self.timestep)
+
     def set_clock(self, clock: Clock) -> None:
         """Replaces the clock."""
         self.clock = clock

@@ -1,0 +1,191 @@
+"""The steps of an episode of a wrapped environment, and the files that keep them.
+
+A record in a folder gets a file for each episode, `gym/sim-0.json` beside `episodes/sim-0.json`. It
+has what the ticks do not: the seed and options of the reset, the terms, the values of variables,
+and the reward of each step.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, RecordError
+from ssduck.formatting import short_repr
+from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.checksums import write_json
+from ssduck.recording.stores.descriptions import Value, check_description, read_description
+from ssduck.recording.stores.parquet_layout import check_inside
+
+# The folder of these files in a record.
+FOLDER = "gym"
+VERSION = 1
+_FILE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, list)
+
+
+def _is_numbers(value: Any) -> bool:
+    return isinstance(value, list) and all(validation.is_number(number) for number in value)
+
+
+# What a file has of an episode.
+_DESCRIPTION = {
+    "version": Value("a number", lambda value: type(value) is int and value >= 1),
+    "terms": Value("an object", lambda value: isinstance(value, dict)),
+    "times": Value("a list of numbers", _is_numbers),
+    "variables": Value(
+        "an object of lists",
+        lambda value: isinstance(value, dict) and all(map(_is_list, value.values())),
+    ),
+    "rewards": Value("a list of numbers", _is_numbers),
+    "return": Value("a number", validation.is_number),
+    "success": Value("true, false or null", lambda value: value in (True, False, None)),
+}
+
+
+@dataclass
+class EpisodeSteps:
+    """The steps of an episode.
+
+    Attributes:
+        terms: the texts of the terms.
+        seed: the seed of the reset.
+        options: the options of the reset, as values of JSON; None if they are none.
+        times: the simulated time of the tick at the reset and after each step, s.
+        variables: the values of each variable at those ticks.
+        rewards: the reward of each step.
+        success: whether the task was done after the last step; None without such a term.
+    """
+
+    terms: Mapping[str, Any]
+    seed: int | None = None
+    options: Any = None
+    times: list[float] = field(default_factory=list)
+    variables: dict[str, list[Any]] = field(default_factory=dict)
+    rewards: list[float] = field(default_factory=list)
+    success: bool | None = None
+
+    def add_tick(self, time: float, variables: Mapping[str, Any]) -> None:
+        """Adds a tick at a simulated time, s, with the values of the variables."""
+        self.times.append(time)
+        for name, value in variables.items():
+            self.variables.setdefault(name, []).append(value)
+
+    @property
+    def total(self) -> float:
+        """The return: the sum of the rewards, in the order of the steps."""
+        return float(sum(self.rewards))
+
+    def write(self, folder: Path, world: str, number: int) -> None:
+        """Writes the file of the episode.
+
+        Raises:
+            RecordError: it cannot be written.
+        """
+        content = {
+            "version": VERSION,
+            "seed": self.seed,
+            "options": self.options,
+            "success": self.success,
+            "return": self.total,
+            "terms": dict(self.terms),
+            "times": self.times,
+            "variables": self.variables,
+            "rewards": self.rewards,
+        }
+        file = folder / FOLDER / f"{world}-{number}.json"
+        try:
+            file.parent.mkdir(exist_ok=True)
+            write_atomically(file, lambda place: write_json(content, place))
+        except OSError as error:
+            raise RecordError(f"{file} cannot be written: {error.strerror}") from error
+
+    @classmethod
+    def read(cls, folder: Path, world: str, number: int) -> EpisodeSteps:
+        """Returns the steps that a file keeps.
+
+        Raises:
+            RecordError: it is damaged, or of a later version.
+        """
+        file = folder / FOLDER / f"{world}-{number}.json"
+        check_inside(folder, file)
+        content = read_description(file)
+        check_description(content, _DESCRIPTION, str(file), "the steps of the episode")
+        if content["version"] > VERSION:
+            raise RecordError(
+                f"{file} is of version {content['version']}; this ssduck reads those up to "
+                f"{VERSION}: install a newer one"
+            )
+        times, variables, rewards = content["times"], content["variables"], content["rewards"]
+        lengths = {len(times), len(rewards) + 1, *map(len, variables.values())}
+        if len(lengths) != 1:
+            raise RecordError(f"{file} is damaged: its lists have different lengths")
+        return cls(
+            content["terms"],
+            content.get("seed"),
+            content.get("options"),
+            times,
+            variables,
+            rewards,
+            content["success"],
+        )
+
+
+def recorded_steps(folder: Path) -> list[tuple[str, int]]:
+    """Returns the worlds and numbers of the episodes of which a record keeps the steps."""
+    place = folder / FOLDER
+    check_inside(folder, place)
+    names = [entry.name for entry in place.iterdir()] if place.is_dir() else []
+    matches = filter(None, map(_FILE.fullmatch, names))
+    return sorted((match.group(1), int(match.group(2))) for match in matches)
+
+
+def plain(value: Any, key: str) -> Any:
+    """Returns the value of a variable as one of SelectScript and JSON.
+
+    Args:
+        value: True, False, a number, a text, or a list or an array of such.
+        key: what has the value, to begin the message.
+
+    Raises:
+        ArgumentError: it is another value.
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bool | str) or (isinstance(value, int) and abs(value) < 1 << 53):
+        return value
+    if isinstance(value, float):
+        return value
+    if isinstance(value, list | tuple):
+        return [plain(item, key) for item in value]
+    raise ArgumentError(
+        f"{key} is {short_repr(value)}: a variable is True, False, a number, a text, or a list or "
+        "an array of such"
+    )
+
+
+def recordable(value: Any) -> Any:
+    """Returns options of a reset as JSON can keep them: what it has no type for, as a text."""
+    match value:
+        case None | bool() | str() | int():
+            return value
+        case float():
+            return value if math.isfinite(value) else str(value)
+        case dict():
+            return {str(key): recordable(item) for key, item in value.items()}
+        case list() | tuple():
+            return [recordable(item) for item in value]
+        case np.ndarray() | np.generic():
+            return recordable(value.tolist())
+        case _:
+            return short_repr(value)

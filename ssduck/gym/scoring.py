@@ -1,0 +1,133 @@
+"""Scores recorded episodes as `QueryWrapper` would have scored them live."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ssduck.errors import RecordError
+from ssduck.gym.episodes import EpisodeSteps, recorded_steps
+from ssduck.gym.terms import Judge, Judgement, Reward, Terms
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import open_record
+from ssduck.limits import Limits
+from ssduck.recording.paths import expand_path
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+
+
+@dataclass(frozen=True)
+class EpisodeScore:
+    """The score of an episode.
+
+    Attributes:
+        episode: the number of the episode.
+        seed: the seed of its reset; None for none.
+        options: the options of its reset.
+        rewards: the reward of each step; that of the environment if no reward is given.
+        success: whether the task was done, after each step; None without such a term.
+        failure: whether it had failed, likewise.
+        stop: whether `stop_when` held, likewise.
+        parts: the parts of the reward by name, of each step.
+    """
+
+    episode: int
+    seed: int | None
+    options: Any
+    rewards: tuple[float, ...]
+    success: tuple[bool, ...] | None
+    failure: tuple[bool, ...] | None
+    stop: tuple[bool, ...] | None
+    parts: Mapping[str, tuple[float, ...]]
+
+    @property
+    def total(self) -> float:
+        """The return: the sum of the rewards, in the order of the steps."""
+        return float(sum(self.rewards))
+
+    @property
+    def succeeded(self) -> bool | None:
+        """Whether the task was done after the last step; None without such a term."""
+        return None if self.success is None else bool(self.success and self.success[-1])
+
+
+def score(
+    record: str | Path,
+    success: str | None = None,
+    failure: str | None = None,
+    reward: Reward | None = None,
+    stop_when: str | None = None,
+    *,
+    world: str = "sim",
+    limits: Limits | None = None,
+) -> Iterator[EpisodeScore]:
+    """Yields the scores of recorded episodes, the same to the last digit as live.
+
+    The simulator is not needed. Terms may use the variables that were recorded.
+
+    Args:
+        record: a folder that `QueryWrapper(…, record_to=…)` wrote.
+        success: a condition: whether the task is done.
+        failure: a condition: whether it has failed.
+        reward: a number, or numbers by name, which are added.
+        stop_when: a condition that would end an episode.
+        world: the name of the world in the record.
+        limits: the limits of terms and of the record.
+
+    Raises:
+        RecordError: there is no such record, it is damaged, or it has no steps of environments.
+        SelectScriptError: a term is wrong.
+    """
+    terms = Terms.of(success, failure, reward, stop_when)
+    folder = expand_path(record).absolute()
+    numbers = [number for name, number in recorded_steps(folder) if name == world]
+    if not numbers:
+        raise RecordError(
+            f"{folder} has no episode of an environment with the world {world!r}: record it by "
+            "QueryWrapper(…, record_to=…)"
+        )
+    return (_score(folder, world, number, terms, limits) for number in numbers)
+
+
+def _score(
+    folder: Path, world: str, number: int, terms: Terms, limits: Limits | None
+) -> EpisodeScore:
+    steps = EpisodeSteps.read(folder, world, number)
+    with open_record(folder, world, number, limits=limits) as interpreter:
+        interpreter.strict = True
+        judge = Judge(terms, interpreter, world, tuple(steps.variables))
+        judgements = list(_judgements(interpreter, world, judge, steps))
+
+    def series(name: str) -> tuple[Any, ...]:
+        return tuple(getattr(one, name) for one in judgements)
+
+    return EpisodeScore(
+        number,
+        steps.seed,
+        steps.options,
+        series("reward") if terms.parts else tuple(steps.rewards),
+        series("success") if terms.success else None,
+        series("failure") if terms.failure else None,
+        series("stop") if terms.stop_when else None,
+        {name: tuple(one.parts[name] for one in judgements) for name in terms.parts},
+    )
+
+
+def _judgements(
+    interpreter: Interpreter, world: str, judge: Judge, steps: EpisodeSteps
+) -> Iterator[Judgement]:
+    """Yields what the terms say after each step."""
+    replayed = interpreter[world]
+    assert isinstance(replayed, ReplayedWorld)
+    for index, time in enumerate(steps.times):
+        replayed.seek(time)
+        if replayed.time != time:
+            raise RecordError(
+                f"{replayed.name!r} has no tick at {time:g} s: ticks of the episode are missing"
+            )
+        judge.set_variables({name: values[index] for name, values in steps.variables.items()})
+        if index == 0:
+            judge.check()
+        else:
+            yield judge.judgement()

@@ -1,0 +1,355 @@
+"""The terms of a task: conditions and numbers in SelectScript, in one statement for a step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.formatting import short_repr
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.program import CompiledProgram
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
+from ssduck.language.tree import (
+    Call,
+    Index,
+    Literal,
+    Name,
+    Node,
+    QualifiedName,
+    Query,
+    TimeIndex,
+)
+from ssduck.world.world import World
+
+# A reward: one term, or several by name, which are added.
+Reward: TypeAlias = str | Mapping[str, str]
+# The terms that others can use by their names.
+CONDITIONS = ("success", "failure")
+# The name of a reward that is one term.
+WHOLE = "reward"
+# The name of an element of a list that a variable has: the name of the variable, and the index.
+_ELEMENT = "{name}__{index}"
+
+
+@dataclass(frozen=True)
+class Term:
+    """An expression of SelectScript.
+
+    Attributes:
+        key: the argument that has it, such as `success` or `reward['height']`.
+        text: the expression.
+        is_condition: whether its value is True or False; else it is a number.
+    """
+
+    key: str
+    text: str
+    is_condition: bool
+
+    def check(self, value: Any) -> Any:
+        """Returns the value of the term.
+
+        Raises:
+            ArgumentError: it is of the wrong type.
+        """
+        is_right = isinstance(value, bool) if self.is_condition else validation.is_number(value)
+        if is_right:
+            return value if self.is_condition else float(value)
+        if value is None:
+            hint = "an entity, a joint or a past that it names is not there at this step"
+        elif self.is_condition:
+            hint = "compare it with something, as in z(sim.cup) > 0.5"
+        elif isinstance(value, bool):
+            hint = "int(…) makes 1 of True and 0 of False"
+        else:
+            hint = "a reward is a number"
+        expected = "True or False" if self.is_condition else "a number"
+        raise ArgumentError(
+            f"{self.key}: {self.text!r} is {short_repr(value)}, not {expected}: {hint}"
+        )
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The values of the terms at a step.
+
+    Attributes:
+        success: whether the task is done; None without such a term.
+        failure: whether it has failed; None without such a term.
+        stop: whether the episode ends; None without such a term.
+        reward: the sum of the parts; None without a reward.
+        parts: the parts of the reward by name.
+    """
+
+    success: bool | None
+    failure: bool | None
+    stop: bool | None
+    reward: float | None
+    parts: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The terms of a task.
+
+    Attributes:
+        success: whether the task is done.
+        failure: whether it has failed.
+        stop_when: whether the episode ends.
+        parts: the parts of the reward by name.
+    """
+
+    success: Term | None
+    failure: Term | None
+    stop_when: Term | None
+    parts: Mapping[str, Term]
+
+    @classmethod
+    def of(
+        cls,
+        success: str | None,
+        failure: str | None,
+        reward: Reward | None,
+        stop_when: str | None,
+    ) -> Terms:
+        """Returns the terms that texts describe.
+
+        Raises:
+            ArgumentError: a term is no text, or there is none.
+        """
+        rewards: Mapping[Any, Any] = (
+            {} if reward is None else (reward if isinstance(reward, Mapping) else {WHOLE: reward})
+        )
+        keys = {name: WHOLE if name == WHOLE else f"reward[{name!r}]" for name in rewards}
+        conditions = {"success": success, "failure": failure, "stop_when": stop_when}
+        if not rewards and all(text is None for text in conditions.values()):
+            raise ArgumentError("give a term: success, failure, reward or stop_when")
+        for key, text in (*conditions.items(), *((keys[name], rewards[name]) for name in rewards)):
+            if text is not None and not (isinstance(text, str) and text.strip(" \n\t;")):
+                raise ArgumentError(
+                    f"{key}: a term is a text of SelectScript, not {short_repr(text)}"
+                )
+        texts = {key: _stripped(text) for key, text in conditions.items() if text is not None}
+        terms = {key: Term(key, text, is_condition=True) for key, text in texts.items()}
+        return cls(
+            terms.get("success"),
+            terms.get("failure"),
+            terms.get("stop_when"),
+            {
+                str(name): Term(keys[name], _stripped(text), is_condition=False)
+                for name, text in rewards.items()
+            },
+        )
+
+    def __iter__(self) -> Iterator[Term]:
+        for term in (self.success, self.failure, self.stop_when):
+            if term is not None:
+                yield term
+        yield from self.parts.values()
+
+    @property
+    def texts(self) -> dict[str, Any]:
+        """The texts of the terms, as they are stored with an episode."""
+        conditions = {
+            name: None if term is None else term.text
+            for name, term in (
+                ("success", self.success),
+                ("failure", self.failure),
+                ("stop_when", self.stop_when),
+            )
+        }
+        return conditions | {"reward": {name: term.text for name, term in self.parts.items()}}
+
+    def judgement(self, values: Sequence[Any]) -> Judgement:
+        """Returns what the values of all terms, in their order, mean.
+
+        Raises:
+            ArgumentError: a value is of the wrong type.
+        """
+        checked = iter([term.check(value) for term, value in zip(self, values, strict=True)])
+        success, failure, stop = (
+            None if term is None else next(checked)
+            for term in (self.success, self.failure, self.stop_when)
+        )
+        parts = dict(zip(self.parts, checked, strict=True))
+        return Judgement(success, failure, stop, sum(parts.values()) if parts else None, parts)
+
+
+class Judge:
+    """Evaluates the terms of a task at the present tick of a world, with one statement.
+
+    Args:
+        terms: the terms.
+        interpreter: runs them; it has the world.
+        world: the name of the world.
+        variables: the names of the variables that are set at each step.
+
+    Attributes:
+        terms: the terms.
+    """
+
+    def __init__(
+        self, terms: Terms, interpreter: Interpreter, world: str, variables: Sequence[str]
+    ) -> None:
+        self.terms = terms
+        self._interpreter, self._world = interpreter, world
+        self._elements: dict[str, set[int]] = {name: set() for name in variables}
+        self._whole: set[str] = set()
+        self._texts = [self._expanded(term) for term in terms]
+        columns = ", ".join(f"({text})" for text in self._texts)
+        # Each was compiled by itself, so that none is more than an expression.
+        self._program = interpreter.compile("SELECT " + columns + " FROM [0] AS list;")  # noqa: S608
+        self.is_temporal = any(_is_temporal(self._tree(term.text)) for term in terms)
+
+    def set_variables(self, values: Mapping[str, Any]) -> None:
+        """Sets the variables.
+
+        Raises:
+            ArgumentError: a list is too short.
+        """
+        for name, value in values.items():
+            for index in self._elements[name]:
+                try:
+                    element = value[index]
+                except (TypeError, IndexError, KeyError):
+                    raise ArgumentError(
+                        f"variables[{name!r}]: a term uses {name}[{index}], and the value is "
+                        f"{short_repr(value)}"
+                    ) from None
+                self._interpreter.add_variable(_ELEMENT.format(name=name, index=index), element)
+            if name in self._whole:
+                self._interpreter.add_variable(name, value)
+
+    def judgement(self) -> Judgement:
+        """Returns the values of the terms at the present tick.
+
+        Raises:
+            SelectScriptError: a term failed, or its value is of the wrong type.
+        """
+        return self.terms.judgement(self._interpreter.eval(self._program))
+
+    def check(self) -> None:
+        """Checks each term by itself at the present tick.
+
+        Raises:
+            SelectScriptError: a term fails, can never change, or is of the wrong type; the message
+                begins with its key.
+        """
+        for term, text in zip(self.terms, self._texts, strict=True):
+            program = self._compiled(term.key, text)
+            try:
+                value = self._interpreter.eval(program)
+            except SelectScriptError as error:
+                error.message = f"{term.key}: {error.message}"
+                raise
+            term.check(value)
+            self._check_changes(term, program)
+
+    def _compiled(self, key: str, text: str) -> CompiledProgram:
+        try:
+            program = self._interpreter.compile(f"{text};")
+        except SelectScriptError as error:
+            error.message = f"{key}: {error.message}"
+            raise
+        if len(program.tree.statements) != 1 or program.tree.explain:
+            raise ArgumentError(f"{key}: {text!r} is to be one expression")
+        return program
+
+    def _tree(self, text: str) -> Node:
+        return self._compiled("term", text).tree.statements[0]
+
+    def _expanded(self, term: Term) -> str:
+        """Returns the text of a term with the conditions that it names, and elements of lists.
+
+        A list that changes at each step would have to be planned at each step; numbers are not.
+        """
+        text, known = term.text, self.terms
+        replacements: list[tuple[int, int, str]] = []
+
+        def visit(node: Node) -> Node | None:
+            match node:
+                case Index(base=Name(name=name), indices=(Literal(value=int() as index),)) if (
+                    name in self._elements and index >= 0 and not isinstance(index, bool)
+                ):
+                    self._elements[name].add(index)
+                    replacement = _ELEMENT.format(name=name, index=index)
+                case Name(name=name) if name in self._elements:
+                    self._whole.add(name)
+                    return node
+                case Name(name=name) if name in CONDITIONS and name != term.key:
+                    condition = getattr(known, name)
+                    if condition is None:
+                        raise ArgumentError(f"{term.key} uses {name}, and there is no such term")
+                    if term.key in CONDITIONS:
+                        raise ArgumentError(f"{term.key} cannot use {name}: write its term out")
+                    replacement = f"({self._expanded(condition)})"
+                case _:
+                    return None
+            replacements.append((node.span.start, node.span.end, replacement))
+            return node
+
+        self._compiled(term.key, text).tree.statements[0].replaced(visit)
+        for start, end, replacement in sorted(replacements, reverse=True):
+            text = text[:start] + replacement + text[end:]
+        return text
+
+    def _check_changes(self, term: Term, program: CompiledProgram) -> None:
+        """Checks that the value of a term may differ from step to step.
+
+        Raises:
+            ArgumentError: it cannot.
+        """
+        names: set[str] = set()
+        is_open = False
+        entities: set[str] = set()
+
+        def visit(node: Node) -> Node | None:
+            nonlocal is_open
+            match node:
+                case Index(base=Name(name=self._world), indices=(Literal(value=str() as name),)):
+                    entities.add(name)
+                    return node
+                case QualifiedName(alias=self._world, key=name):
+                    entities.add(name)
+                case Name(name=name) | TimeIndex(name=name):
+                    names.add(name)
+                case Query():
+                    is_open = True
+            return None
+
+        program.tree.statements[0].replaced(visit)
+        variables = {*self._whole} | {
+            _ELEMENT.format(name=name, index=index)
+            for name, indices in self._elements.items()
+            for index in indices
+        }
+        if is_open or self._world in names or names & variables:
+            return
+        if not entities:
+            raise ArgumentError(
+                f"{term.key}: {term.text!r} can never change: it has no entity of {self._world!r}, "
+                f"such as {self._world}.cup, and no variable"
+            )
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        bodies = {entity.name: entity.body for entity in world.snapshot.entities}
+        known = [bodies.get(name) for name in sorted(entities)]
+        if all(body is not None and not body.movable for body in known):
+            raise ArgumentError(
+                f"{term.key}: {term.text!r} can never change: no joint moves "
+                f"{' or '.join(sorted(entities))}"
+            )
+
+
+def _stripped(text: str) -> str:
+    return text.strip().removesuffix(";").rstrip()
+
+
+def _is_temporal(node: Node) -> bool:
+    """Checks whether an expression reads the past."""
+    return any(
+        isinstance(part, TimeIndex) or (isinstance(part, Call) and part.name in TEMPORAL_FUNCTIONS)
+        for part in node.walk()
+    )

@@ -1,0 +1,277 @@
+"""Computes success, failure and reward of an environment by queries: `QueryWrapper`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, SupportsFloat, TypeAlias
+
+import gymnasium
+
+from ssduck import validation
+from ssduck.errors import ArgumentError, SimulatorError
+from ssduck.formatting import short_repr
+from ssduck.gym.episodes import EpisodeSteps, plain, recordable
+from ssduck.gym.terms import Judge, Judgement, Reward, Terms
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.namespace import check_name
+from ssduck.limits import Limits
+from ssduck.recording.paths import expand_path
+from ssduck.recording.spec import Recording
+from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.simulators.recognition import client_of, parts_of
+from ssduck.world.world import World
+
+# The key of a step's `info`.
+INFO = "ssduck"
+# Returns what only Python knows: the value of a variable, from the environment.
+VariableReader: TypeAlias = Callable[[gymnasium.Env[Any, Any]], Any]
+
+
+class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
+    """An environment whose success, failure and reward are queries on its simulation.
+
+    A tick is taken at each reset and after each step, and one statement gives the values of all
+    terms: `info["ssduck"]` has `success`, `failure`, `reward` and `parts`. Terms name entities as
+    `sim.cup`. Their past begins at the last reset.
+
+    Args:
+        env: the environment; its unwrapped one has a MuJoCo model with its data, or a PyBullet
+            client.
+        success: a condition: whether the task is done.
+        failure: a condition: whether it has failed.
+        reward: a number that replaces the reward of the environment, or numbers by name, which are
+            added.
+        stop_when: a condition that ends an episode (`terminated`), as the environment's own does.
+            It may use `success` and `failure` by name, as a reward may.
+        world: the name of the world in terms.
+        variables: functions of the unwrapped environment, by the name of the variable that has
+            their value. They are called after each reset and step.
+        record_to: a folder for the record of all episodes; it may have others.
+        recording: the tables and entities that are recorded; all by default.
+        forward: for MuJoCo, whether terms see the poses that belong to the joint positions of the
+            step, in place of those at the beginning of the simulator's last step, as the
+            environment's own code does.
+        step_time: for PyBullet, the simulated time of a step of the environment, s; None for one
+            step of the client.
+        limits: the limits of terms; `Limits.strict()` for terms from elsewhere.
+
+    Raises:
+        SimulatorError: the environment has no simulation that is known.
+        UnknownNameError: a term has a name that nothing has; with the nearest names.
+        ArgumentError: a term is of the wrong type, or can never change.
+        SelectScriptError: a term is wrong otherwise.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env[Any, Any],
+        success: str | None = None,
+        failure: str | None = None,
+        reward: Reward | None = None,
+        stop_when: str | None = None,
+        *,
+        world: str = "sim",
+        variables: Mapping[str, VariableReader] | None = None,
+        record_to: str | Path | None = None,
+        recording: Recording | None = None,
+        forward: bool = False,
+        step_time: float | None = None,
+        limits: Limits | None = None,
+    ) -> None:
+        gymnasium.utils.RecordConstructorArgs.__init__(
+            self,
+            success=success,
+            failure=failure,
+            reward=reward,
+            stop_when=stop_when,
+            world=world,
+            variables=variables,
+            record_to=record_to,
+            recording=recording,
+            forward=forward,
+            step_time=step_time,
+            limits=limits,
+        )
+        gymnasium.Wrapper.__init__(self, env)
+        check_name(world, "a world")
+        self._terms = Terms.of(success, failure, reward, stop_when)
+        self._variables = _checked_variables(variables, world)
+        self._step_time = None if step_time is None else validation.seconds(step_time, "step_time")
+        self._folder = None if record_to is None else expand_path(record_to).absolute()
+        self._recording, self._forward, self._world = recording, forward, world
+        self._steps: EpisodeSteps | None = None
+        self._record: ParquetRecording | None = None
+        self._is_saved = True
+        self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
+        try:
+            self._client = self._attach()
+            self._judge = Judge(self._terms, self._interpreter, world, tuple(self._variables))
+            # A simulation that is built by the first reset has no bodies before.
+            self._is_checked = False
+            if len(self._simulation):
+                self._check()
+        except BaseException:
+            self._interpreter.close()
+            raise
+
+    @property
+    def interpreter(self) -> Interpreter:
+        """The interpreter that has the world: for queries, triggers and records of your own."""
+        return self._interpreter
+
+    # -- gymnasium's methods --------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Resets the environment, and begins an episode of the record."""
+        self._save()
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._begin_episode()
+        self._steps = EpisodeSteps(self._terms.texts, seed, recordable(options))
+        values = self._set_variables()
+        self._steps.add_tick(self._simulation.time, values)
+        if not self._is_checked:
+            self._check()
+        if self._folder is not None and self._record is None:
+            self._record = self._interpreter.record_to(self._folder, self._world, self._recording)
+        return observation, info | {INFO: _described(self._judge.judgement())}
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Steps the environment, and evaluates the terms."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self._steps is None:
+            raise ArgumentError("step: call reset first")
+        if self._client is None:
+            self._simulation.tick()
+        else:
+            steps = len(self._steps.times)
+            time = None if self._step_time is None else steps * self._step_time
+            self._simulation.tick(time=time)
+        values = self._set_variables()
+        judgement = self._judge.judgement()
+        if judgement.reward is not None:
+            reward = judgement.reward
+        terminated = bool(terminated or judgement.stop)
+        self._steps.add_tick(self._simulation.time, values)
+        self._steps.rewards.append(float(reward))
+        self._steps.success = judgement.success
+        self._is_saved = False
+        if terminated or truncated:
+            self._save()
+        return observation, reward, terminated, truncated, info | {INFO: _described(judgement)}
+
+    def close(self) -> None:
+        """Completes the record, and closes the environment."""
+        try:
+            self._save()
+            if self._record is not None:
+                self._record.close()
+        finally:
+            self._interpreter.close()
+            super().close()
+
+    # -- the world --------------------------------------------------------------------------------
+
+    @property
+    def _simulation(self) -> World:
+        world = self._interpreter[self._world]
+        assert isinstance(world, World)
+        return world
+
+    def _attach(self) -> int | None:
+        """Attaches the simulation; returns the number of its client if it is PyBullet's.
+
+        Raises:
+            SimulatorError: there is none.
+        """
+        simulation = self.env.unwrapped
+        client = None if parts_of(simulation) is not None else client_of(simulation)
+        if client is None and parts_of(simulation) is None:
+            raise SimulatorError(
+                f"QueryWrapper: {short_repr(simulation)} has no simulation that ssduck knows: no "
+                "MuJoCo model with its data, neither itself nor as physics or sim, and no PyBullet "
+                "client (_client, physics_client)"
+            )
+        if client is None:
+            attached = World.attach(simulation, forward=self._forward)
+        else:
+            attached = World.attach(client, forward=self._forward)
+        self._interpreter.add_variable(self._world, attached)
+        return client
+
+    def _begin_episode(self) -> None:
+        """Takes the first tick after a reset."""
+        if self._client is not None and client_of(self.env.unwrapped) != self._client:
+            if self._record is not None:
+                self._record.close()
+                self._record = None
+            self._client = self._attach()
+            self._record_past()
+        else:
+            self._simulation.begin_episode()
+
+    def _check(self) -> None:
+        """Checks the terms, and records the past if they read it."""
+        self._record_past()
+        self._set_variables()
+        self._judge.check()
+        self._is_checked = True
+
+    def _record_past(self) -> None:
+        """Records the ticks of the world in memory if a term reads them."""
+        if self._judge.is_temporal:
+            self._interpreter.record(self._world, Recording())
+
+    def _set_variables(self) -> dict[str, Any]:
+        """Sets the variables to their values now, and returns these."""
+        environment = self.env.unwrapped
+        values = {}
+        for name, read in self._variables.items():
+            values[name] = plain(read(environment), f"variables[{name!r}]")
+        self._judge.set_variables(values)
+        return values
+
+    def _save(self) -> None:
+        """Writes the steps of the present episode."""
+        if self._is_saved or self._steps is None:
+            return
+        if self._record is not None and self._folder is not None:
+            self._record.flush()
+            self._steps.write(self._folder, self._world, self._record.number)
+        self._is_saved = True
+
+
+def _described(judgement: Judgement) -> dict[str, Any]:
+    """Returns the values of the terms that there are, by name."""
+    values = {
+        "success": judgement.success,
+        "failure": judgement.failure,
+        "reward": judgement.reward,
+    }
+    described: dict[str, Any] = {name: one for name, one in values.items() if one is not None}
+    if judgement.parts:
+        described["parts"] = dict(judgement.parts)
+    return described
+
+
+def _checked_variables(
+    variables: Mapping[str, VariableReader] | None, world: str
+) -> dict[str, VariableReader]:
+    """Returns the variables.
+
+    Raises:
+        ArgumentError: a name cannot be that of a variable, or has no function.
+    """
+    checked = validation.mapping(variables, "variables: give a dict of functions by name")
+    for name, read in checked.items():
+        check_name(name, "a variable")
+        if name == world:
+            raise ArgumentError(f"variables: {name!r} is the name of the world")
+        if not callable(read):
+            raise ArgumentError(
+                f"variables[{name!r}] is {short_repr(read)}: give a function of the environment, "
+                f"such as lambda env: env.{name}"
+            )
+    return dict(checked)

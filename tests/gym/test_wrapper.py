@@ -1,0 +1,231 @@
+"""`QueryWrapper`: success, failure, reward and episodes by queries on the simulation."""
+
+import itertools
+
+import gymnasium
+import numpy as np
+import pybullet
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import ssduck
+from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
+from ssduck.gym import QueryWrapper
+from tests.support.environments import Drop, Push
+
+GOAL = {"goal": lambda env: env.goal}
+REWARD = "-sqrt((x(sim.ball) - goal[0])^2 + (y(sim.ball) - goal[1])^2 + (z(sim.ball) - goal[2])^2)"
+
+
+@pytest.fixture
+def wrap():
+    """Wraps environments, and closes them in the end."""
+    wrapped = []
+
+    def make(env, *terms, **options):
+        wrapped.append(QueryWrapper(env, *terms, **options))
+        return wrapped[-1]
+
+    yield make
+    for env in wrapped:
+        env.close()
+
+
+def episode(env, seed, steps=20, action=1.0):
+    """Runs an episode; yields the reward and the `info` of each step."""
+    env.reset(seed=seed)
+    for _ in range(steps):
+        _, reward, terminated, truncated, info = env.step(np.array([action], np.float32))
+        yield reward, terminated, info["ssduck"]
+        if terminated or truncated:
+            return
+
+
+def test_agrees_with_the_environment(wrap):
+    env = wrap(
+        Push(),
+        success="on(sim.table, sim.ball) AND x(sim.ball) > goal[0]",
+        reward=REWARD,
+        variables=GOAL,
+    )
+    plain = Push()
+    successes = []
+    for seed in range(3):
+        plain.reset(seed=seed)
+        for reward, terminated, info in episode(env, seed, 60):
+            expected = plain.step(1.0)[1]
+            ball = plain.data.body("ball").xpos
+            assert reward == info["reward"] == pytest.approx(expected, abs=1e-12)
+            assert info["success"] == (ball[0] > plain.goal[0])
+            assert not terminated
+            successes.append(info["success"])
+    assert {True, False} == set(successes)
+
+
+def test_parts_are_summed_and_named(wrap):
+    parts = {"far": "-distance(sim.pusher, sim.ball)", "done": "10 * int(success)"}
+    env = wrap(Push(), success="x(sim.ball) > 0.001", reward=parts)
+    seen = list(episode(env, 0, 60))
+    for reward, _, info in seen:
+        assert reward == sum(info["parts"].values())
+        assert info["parts"]["done"] == 10 * info["success"]
+    assert {info["success"] for _, _, info in seen} == {True, False}
+
+
+def test_an_episode_ends_when_a_condition_holds(wrap):
+    env = wrap(
+        Push(),
+        success="x(sim.ball) > 0.02",
+        failure="z(sim.ball) < 0",
+        stop_when="success OR failure",
+    )
+    steps = list(episode(env, 0, 200))
+    assert [terminated for _, terminated, _ in steps] == [False] * (len(steps) - 1) + [True]
+    assert steps[-1][2] == {"success": True, "failure": False}
+
+
+def test_one_statement_a_step(wrap):
+    statements = []
+    env = wrap(
+        Push(),
+        success="on(sim.table, sim.ball) AND x(sim.ball) > goal[0]",
+        failure="z(sim.ball) < 0.2",
+        reward={"goal": REWARD, "near": "-distance(sim.pusher, sim.ball)"},
+        stop_when="success OR failure",
+        variables=GOAL,
+    )
+    list(episode(env, 0, 5))
+    env.interpreter._database.connection._tracer = statements.append
+    counts = []
+    env.reset(seed=1)
+    for _ in range(10):
+        statements.clear()
+        env.step([1.0])
+        counts.append(len(statements))
+    # The first one prepares the statement as well.
+    assert counts[1:] == [1] * 9
+
+
+def test_history_begins_at_a_reset(wrap):
+    env = wrap(Push(), success="heldFor(on(sim.table, sim.ball)) >= 0.1")
+    for seed in range(2):
+        seen = [info["success"] for _, _, info in episode(env, seed, 15)]
+        # A step takes 0.01 s.
+        first = seen.index(True)
+        assert first in (9, 10), seen
+        assert seen == [False] * first + [True] * (15 - first)
+
+
+def test_a_reset_without_steps_begins_an_episode(wrap, tmp_path):
+    env = wrap(Push(), success="x(sim.ball) > 0.02", record_to=tmp_path)
+    for _ in range(3):
+        env.reset()
+    list(episode(env, 0, 3))
+    env.close()
+    assert [(one.number, one.ticks) for one in ssduck.episodes(tmp_path)] == [
+        (0, 1),
+        (1, 1),
+        (2, 1),
+        (3, 4),
+    ]
+
+
+@pytest.mark.parametrize("reconnects", [False, True])
+def test_pybullet(wrap, reconnects):
+    env = wrap(
+        Drop(reconnects=reconnects),
+        success="heldFor(z(sim.body_1) < 0.11) >= 0.1",
+        reward="-z(sim.body_1)",
+        step_time=4 / 240,
+    )
+    for _ in range(2):
+        observation, info = env.reset()
+        assert info["ssduck"]["reward"] == -observation[2]
+        seen = []
+        for _ in range(60):
+            observation, reward, _, _, info = env.step(0)
+            assert reward == -observation[2]
+            seen.append((observation[2] < 0.11, info["ssduck"]["success"]))
+        low = [is_low for is_low, _ in seen].index(True)
+        done = [is_done for _, is_done in seen].index(True)
+        assert low + 6 <= done <= low + 7
+
+
+@pytest.mark.parametrize(
+    ("terms", "error", "message"),
+    [
+        ({"success": "on(sim.tabel, sim.ball)"}, UnknownNameError, "success: .*'tabel'.*'table'"),
+        ({"success": "onn(sim.table, sim.ball)"}, UnknownNameError, "success: .*'onn'"),
+        ({"success": "z(sim.ball)"}, ArgumentError, "success: .* not True or False"),
+        ({"reward": "z(sim.ball) > 1"}, ArgumentError, r"reward: .* not a number: int\("),
+        ({"reward": {"a": "z(sim.ball) > 1"}}, ArgumentError, r"reward\['a'\]: .* not a number"),
+        ({"success": "1 > 2"}, ArgumentError, "can never change: it has no entity"),
+        ({"success": "z(sim.table) > 2"}, ArgumentError, "can never change: no joint moves table"),
+        ({"success": "z(sim.ball) >"}, SelectScriptError, "success: "),
+        ({"success": "z(sim.ball) > 1; 2"}, ArgumentError, "one expression"),
+        ({"success": ""}, ArgumentError, "success: a term is a text"),
+        ({}, ArgumentError, "give a term"),
+        ({"success": "z(sim.ball) > hight"}, UnknownNameError, "hight"),
+        ({"stop_when": "success"}, ArgumentError, "no such term"),
+        ({"success": "goal[3] > x(sim.ball)", "variables": GOAL}, ArgumentError, r"goal\[3\]"),
+        ({"success": "x(sim.ball) > 1", "variables": {"sim": abs}}, ArgumentError, "the world"),
+        ({"success": "x(sim.ball) > 1", "variables": {"goal": 3}}, ArgumentError, "function"),
+        (
+            {"success": "x(sim.ball) > 1", "variables": {"goal": lambda env: env}},
+            ArgumentError,
+            r"variables\['goal'\]",
+        ),
+    ],
+)
+def test_errors_at_construction(terms, error, message):
+    with pytest.raises(error, match=message):
+        QueryWrapper(Push(), **terms)
+
+
+def test_an_environment_without_a_simulation():
+    env = gymnasium.make("CartPole-v1", disable_env_checker=True)
+    with pytest.raises(SimulatorError, match=r"no MuJoCo model .* PyBullet"):
+        QueryWrapper(env, success="z(sim.pole) > 1")
+
+
+def test_an_entity_that_is_gone_is_an_error(wrap):
+    env = wrap(Drop(), reward="-distance(sim.body_0, sim.body_1)")
+    env.reset()
+    pybullet.removeBody(0, env.unwrapped.physics_client)
+    with pytest.raises(UnknownNameError, match="'body_0'"):
+        env.step(0)
+
+
+def make_push(most=5):
+    return QueryWrapper(
+        Push(most=most), success="x(sim.ball) > goal[0]", reward=REWARD, variables=GOAL
+    )
+
+
+@pytest.mark.parametrize("kind", ["SyncVectorEnv", "AsyncVectorEnv"])
+def test_vector_environments(kind):
+    envs = getattr(gymnasium.vector, kind)([make_push, make_push])
+    try:
+        envs.reset(seed=3)
+        single = [make_push(), make_push()]
+        for number, env in enumerate(single):
+            env.reset(seed=3 + number)
+        for _ in range(4):
+            _, rewards, _, _, infos = envs.step(np.ones((2, 1), np.float32))
+            expected = [env.step(np.ones(1, np.float32))[1] for env in single]
+            assert list(rewards) == expected
+            assert list(infos["ssduck"]["success"]) == [False, False]
+    finally:
+        envs.close()
+
+
+def test_the_checker_of_gymnasium(wrap):
+    env = wrap(Push(), success="x(sim.ball) > 0.02", reward="-distance(sim.pusher, sim.ball)")
+    # It says that there is a wrapper.
+    with pytest.warns(UserWarning, match="different from the unwrapped version"):
+        check_env(env, skip_render_check=True)
+
+
+def test_a_wrapper_of_a_wrapper(wrap):
+    env = wrap(gymnasium.wrappers.TimeLimit(Push(), 3), success="x(sim.ball) > 0.02")
+    assert len(list(itertools.islice(episode(env, 0, 10), 10))) == 3
