@@ -151,6 +151,11 @@ def all_adapters() -> list[Adapter]:
             find(name)
         except ArgumentError:  # reported when a program uses the form
             continue
+    return loaded_adapters()
+
+
+def loaded_adapters() -> list[Adapter]:
+    """Returns the forms that are loaded, the built-in ones first, without looking for packages."""
     return list(dict.fromkeys(_ADAPTERS.values()))
 
 
@@ -173,4 +178,13 @@ def _load(name: str, point: Any) -> Adapter:
     return Adapter((name,), inspect.getdoc(loaded) or f"A form of {point.value}.", loaded)
 
 
-__all__ = ["Adapter", "Need", "Selection", "adapter", "all_adapters", "find", "tables_read_by"]
+__all__ = [
+    "Adapter",
+    "Need",
+    "Selection",
+    "adapter",
+    "all_adapters",
+    "find",
+    "loaded_adapters",
+    "tables_read_by",
+]

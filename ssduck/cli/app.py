@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import re
 import signal
 import sys
 import warnings
@@ -464,22 +463,15 @@ def functions(
     ] = None,
 ) -> None:
     """List the functions of the language with their usage, or describe one."""
+    from ssduck.interpreter.completion import usage_and_summary
     from ssduck.interpreter.interpreter import Interpreter
 
     with Interpreter() as ss:
         if name is not None:
             print_line(ss.help(name))
             return
-        listing = [_usage_and_summary(ss.help(known)) for known in ss.help()]
+        listing = [usage_and_summary(ss.help(known)) for known in ss.help()]
     print_table(DisplayTable(["function", "what it does"], listing))
-
-
-def _usage_and_summary(text: str) -> tuple[str, str]:
-    """Returns the usage and the first sentence of the help of a function."""
-    name, *lines = text.splitlines()
-    usage = next((line for line in lines if line.startswith("Usage: ")), name)
-    about = " ".join(line for line in lines if line != usage)
-    return usage.removeprefix("Usage: "), re.split(r"(?<=\.) ", about, maxsplit=1)[0]
 
 
 # -- the program --------------------------------------------------------------------------
