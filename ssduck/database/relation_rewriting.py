@@ -9,8 +9,9 @@ world's table unchanged; the rest of its text stays as it is. There are three fo
 - A call whose pairs cannot be found at once becomes its formula, without the check that the row
   belongs to the tick.
 
-Of a relation of a box and a position (`above`), only a join of two whole tables is rewritten: the
-macro is a formula, which DuckDB evaluates fast where other conditions leave few rows.
+Of a relation of a box and a position (`above`), only a join of two whole tables is rewritten, or of
+ranges of them: the macro is a formula, which DuckDB evaluates fast where other conditions leave few
+rows.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ _RELATIONS = {
     for relation in RELATIONS.values()
     if relation.geometry is not None or relation.candidate_pairs is not None
 }
+_RANGES = (exp.LT, exp.LTE, exp.GT, exp.GTE, exp.Between)
 _MENTIONED = re.compile(rf"\b({'|'.join(_RELATIONS)})\b", re.IGNORECASE | re.ASCII)
 
 
@@ -179,7 +181,10 @@ class _Call:
         return pairs.search
 
     def _is_of_whole_tables(self) -> bool:
-        """Checks whether only conditions on both rows restrict the two sources of its SELECT."""
+        """Checks whether no condition leaves only few rows of the two sources of its SELECT.
+
+        Conditions on both rows count as such, and ranges of one: they may leave most of them.
+        """
         sources = self.scope.sources
         if [*sources.values()] not in ([*self.entities], [*self.entities][::-1]):
             return False
@@ -188,7 +193,8 @@ class _Call:
         for part in self.scope.conditions():
             columns = list(part.find_all(exp.Column))
             names = {(column.table or column.name).lower() for column in columns}
-            if part.find(exp.Query) is not None or names != sources.keys():
+            is_range = isinstance(part, _RANGES) and names < sources.keys()
+            if part.find(exp.Query) is not None or not (names == sources.keys() or is_range):
                 return False
         return True
 

@@ -152,6 +152,24 @@ SPELLED = [
 ]
 
 
+@pytest.mark.parametrize("relation", ["above", "below", "within"])
+@pytest.mark.parametrize(
+    ("condition", "is_searched"),
+    [
+        ("b.z > 0.05", True),
+        ("a.z BETWEEN 0 AND 0.25 AND a.x < b.x", True),
+        ("b.kind = 'kinbody'", False),
+        ("a.name = 'floor'", False),
+        ("b.z > (SELECT avg(z) FROM entities)", False),
+    ],
+)
+def test_positions_in_a_range_are_searched_at_once(ss, relation, condition, is_searched):
+    sql = f"SELECT a.name, b.z FROM entities a, entities b WHERE {relation}(a, b) AND {condition}"
+    expected = rows(row_by_row(ss, sql))
+    assert [rows(ss.sql(sql)), rows(ss.sql(sql))] == [expected] * 2
+    assert ("ssduck pairs" in query(ss, sql)) is is_searched
+
+
 @sampled(("relation", "spelling"), SPELLED, every=3)
 def test_every_spelling_has_the_rows_of_the_macro(ss, relation, spelling):
     comparison = OTHERS.get(relation, "")
