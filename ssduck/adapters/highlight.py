@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 OUTLINE = (255, 90, 0)
 # The share of white in a faded pixel, and the width of an outline, pixels.
-_FADE = 0.72
+_FADE = 0.5
 _WIDTH = 2
 
 

@@ -37,11 +37,11 @@ def test_rows_of_ticks_begin_with_the_tick_and_its_time(name: str) -> None:
 
 @pytest.mark.parametrize("name", HISTORIES)
 def test_a_history_has_each_column_in_its_rows_or_in_its_model(name: str) -> None:
-    table = HISTORIES[name]
+    table = RECORDED[HISTORIES[name].source]
     stored = {*table.tick_columns.names, *(column.name for column in table.model)}
     assert set(table.names) <= stored
     if table.model:
-        assert set(table.key) <= {column.name for column in MODELS[name].model}
+        assert set(table.key) <= {column.name for column in MODELS[table.name].model}
 
 
 def test_the_poses_of_links_are_for_records_alone() -> None:

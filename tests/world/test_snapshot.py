@@ -11,7 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SimulatorError
-from ssduck.schema import TABLES
+from ssduck.schema import STORED_TABLES, TABLES
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.snapshot import FORGOTTEN_AFTER
@@ -50,14 +50,14 @@ def columns(world, *names):
 
 def test_a_tick_does_not_change_when_the_simulator_moves_on(attached, client):
     attached.request_tables(["links", "shapes", "joints", "contacts"])
-    before = columns(attached, *TABLES)
+    before = columns(attached, *STORED_TABLES)
     for _ in range(20):
         pybullet.stepSimulation(client)
     pybullet.resetBasePositionAndOrientation(0, [9, 9, 9], [0, 0, 0, 1], client)
-    assert columns(attached, *TABLES) == before
+    assert columns(attached, *STORED_TABLES) == before
     assert next(iter(attached)).position == pytest.approx([0, 0, 1])
     attached.tick()
-    after = columns(attached, *TABLES)
+    after = columns(attached, *STORED_TABLES)
     assert all(one != other for one, other in zip(after[:2], before[:2], strict=True))
 
 
@@ -313,12 +313,12 @@ def test_a_failed_read_leaves_the_last_tick_whole(client):
     scene(own)
     world = ssduck.World.attach(own)
     world.request_tables(["links", "contacts"])
-    before = columns(world, *TABLES)
+    before = columns(world, *STORED_TABLES)
     pybullet.disconnect(own)
     for act in (world.tick, world.step):
         with pytest.raises(SimulatorError, match="disconnected"):
             act()
-    assert columns(world, *TABLES) == before
+    assert columns(world, *STORED_TABLES) == before
 
 
 @pytest.mark.parametrize("broken", ["frames", "joints", "contacts"])
@@ -328,7 +328,7 @@ def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
     spy = Spy(PyBulletSimulator(client, owned=False))
     world = ssduck.World(spy)
     world.request_tables(["links", "joints", "shapes", "contacts"])
-    before, names = columns(world, *TABLES), [e.name for e in world]
+    before, names = columns(world, *STORED_TABLES), [e.name for e in world]
     pybullet.removeBody(0, client)
     pybullet.createMultiBody(1, basePosition=[5, 5, 5], physicsClientId=client)
     pybullet.createMultiBody(1, basePosition=[6, 6, 6], physicsClientId=client)
@@ -336,7 +336,7 @@ def test_a_read_that_fails_half_way_leaves_the_last_tick_whole(client, broken):
     for _ in range(2):
         with pytest.raises(SimulatorError, match="broken"):
             world.tick()
-        assert columns(world, *TABLES) == before
+        assert columns(world, *STORED_TABLES) == before
         assert [e.name for e in world] == names
     spy.broken = ()
     world.tick()

@@ -11,6 +11,7 @@ from ssduck.errors import UnsupportedError
 
 mujoco = pytest.importorskip("mujoco")
 
+LIGHT = '<light pos="0 0 5"/>'
 SCENE = """<mujoco><visual><global offwidth="10" offheight="10"/></visual><worldbody>
 <light pos="0 0 5"/><geom name="floor" type="plane" size="5 5 .1" rgba="0 0 1 1"/>
 <body name="red" pos="0 0 .5"><geom type="sphere" size=".3" rgba="1 0 0 1"/><site size=".2" pos="0 0 .5"/></body>
@@ -48,6 +49,11 @@ assert (ids == 0).any()  # above the horizon; the site is no entity
 assert (model.vis.global_.offwidth, model.vis.global_.offheight) == (10, 10)
 copy = world.excerpt(["world", "green"])
 assert set(np.unique(copy.segmentation(80, 60, camera))) == {{0, copy["world"].id, copy["green"].id}}
+# Without a light, the headlight shines from the camera: what faces it has its full colour.
+dark = mujoco.MjModel.from_xml_string({SCENE.replace(LIGHT, "")!r})
+lit = ssduck.World.attach(dark, mujoco.MjData(dark)).render(80, 60, camera, shadow=False)
+assert lit[30, 40, 0] > 240, lit[30, 40]
+assert lit[ids == ids_of["green"]][:, 1].max() > 200
 print("drawn")
 """
 
