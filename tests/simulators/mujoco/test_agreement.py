@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import pybullet
 import pytest
 
 import ssduck
 
-mujoco = pytest.importorskip("mujoco")
+mujoco, pybullet = pytest.importorskip("mujoco"), pytest.importorskip("pybullet")
 
 # MuJoCo keeps the corners of meshes in single precision, PyBullet those of links.
 TOLERANCE = 1e-6

@@ -107,6 +107,7 @@ def test_records_have_no_model_of_mujoco(lab, tmp_path):
         with ss.record_to(tmp_path / "run"):
             mujoco.mj_step(model, data)
             world.tick()
+    pytest.importorskip("pybullet")
     with ssduck.open(tmp_path / "run") as ss:
         past = ss.call_variable("lab")
         with (
