@@ -230,8 +230,12 @@ class Judge:
         """
         return self.terms.judgement(self._interpreter.eval(self._program))
 
-    def check(self) -> None:
+    def check(self, *, may_be_constant: bool = False, with_variables: bool = True) -> None:
         """Checks each term by itself at the present tick.
+
+        Args:
+            may_be_constant: whether a term may be one that can never change.
+            with_variables: whether terms that use variables are checked, too.
 
         Raises:
             SelectScriptError: a term fails, can never change, or is of the wrong type; the message
@@ -239,13 +243,16 @@ class Judge:
         """
         for term, text in zip(self.terms, self._texts, strict=True):
             program = self._compiled(term.key, text)
+            if not with_variables and self._uses_variables(program):
+                continue
             try:
                 value = self._interpreter.eval(program)
             except SelectScriptError as error:
                 error.message = f"{term.key}: {error.message}"
                 raise
             term.check(value)
-            self._check_changes(term, program)
+            if not may_be_constant:
+                self._check_changes(term, program)
 
     def _compiled(self, key: str, text: str) -> CompiledProgram:
         try:
@@ -295,6 +302,16 @@ class Judge:
             text = text[:start] + replacement + text[end:]
         return text
 
+    def _uses_variables(self, program: CompiledProgram) -> bool:
+        """Checks whether a program uses variables that are set at each step."""
+        variables = {*self._elements} | {
+            _ELEMENT.format(name=name, index=index)
+            for name, indices in self._elements.items()
+            for index in indices
+        }
+        nodes = program.tree.statements[0].walk()
+        return any(isinstance(node, Name) and node.name in variables for node in nodes)
+
     def _check_changes(self, term: Term, program: CompiledProgram) -> None:
         """Checks that the value of a term may differ from step to step.
 
@@ -320,12 +337,7 @@ class Judge:
             return None
 
         program.tree.statements[0].replaced(visit)
-        variables = {*self._whole} | {
-            _ELEMENT.format(name=name, index=index)
-            for name, indices in self._elements.items()
-            for index in indices
-        }
-        if is_open or self._world in names or names & variables:
+        if is_open or self._world in names or self._uses_variables(program):
             return
         if not entities:
             raise ArgumentError(

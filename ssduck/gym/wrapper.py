@@ -110,7 +110,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             # A simulation that is built by the first reset has no bodies before.
             self._is_checked = False
             if len(self._simulation):
-                self._check()
+                self._check_first()
         except BaseException:
             self._interpreter.close()
             raise
@@ -133,10 +133,12 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         values = self._set_variables()
         self._steps.add_tick(self._simulation.time, values)
         if not self._is_checked:
-            self._check()
+            self._record_past()
+            self._judge.check()
+            self._is_checked = True
         if self._folder is not None and self._record is None:
             self._record = self._interpreter.record_to(self._folder, self._world, self._recording)
-        return observation, info | {INFO: _described(self._judge.judgement())}
+        return observation, info | {INFO: described(self._judge.judgement())}
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Steps the environment, and evaluates the terms."""
@@ -160,7 +162,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._is_saved = False
         if terminated or truncated:
             self._save()
-        return observation, reward, terminated, truncated, info | {INFO: _described(judgement)}
+        return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
 
     def close(self) -> None:
         """Completes the record, and closes the environment."""
@@ -212,12 +214,16 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         else:
             self._simulation.begin_episode()
 
-    def _check(self) -> None:
-        """Checks the terms, and records the past if they read it."""
+    def _check_first(self) -> None:
+        """Checks the terms before the first reset, which may be what sets variables."""
         self._record_past()
-        self._set_variables()
-        self._judge.check()
-        self._is_checked = True
+        try:
+            self._set_variables()
+        except Exception:  # noqa: BLE001  # whatever it is, the first reset raises it
+            self._judge.check(with_variables=False)
+        else:
+            self._judge.check()
+            self._is_checked = True
 
     def _record_past(self) -> None:
         """Records the ticks of the world in memory if a term reads them."""
@@ -243,7 +249,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._is_saved = True
 
 
-def _described(judgement: Judgement) -> dict[str, Any]:
+def described(judgement: Judgement) -> dict[str, Any]:
     """Returns the values of the terms that there are, by name."""
     values = {
         "success": judgement.success,

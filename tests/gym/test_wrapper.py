@@ -167,19 +167,29 @@ def test_pybullet(wrap, reconnects):
         ({}, ArgumentError, "give a term"),
         ({"success": "z(sim.ball) > hight"}, UnknownNameError, "hight"),
         ({"stop_when": "success"}, ArgumentError, "no such term"),
-        ({"success": "goal[3] > x(sim.ball)", "variables": GOAL}, ArgumentError, r"goal\[3\]"),
         ({"success": "x(sim.ball) > 1", "variables": {"sim": abs}}, ArgumentError, "the world"),
         ({"success": "x(sim.ball) > 1", "variables": {"goal": 3}}, ArgumentError, "function"),
-        (
-            {"success": "x(sim.ball) > 1", "variables": {"goal": lambda env: env}},
-            ArgumentError,
-            r"variables\['goal'\]",
-        ),
     ],
 )
 def test_errors_at_construction(terms, error, message):
     with pytest.raises(error, match=message):
         QueryWrapper(Push(), **terms)
+
+
+@pytest.mark.parametrize(
+    ("read", "error", "message"),
+    [
+        (lambda env: env.goal[:2], ArgumentError, r"variables\['goal'\]: a term uses goal\[2\]"),
+        (lambda env: env, ArgumentError, r"variables\['goal'\] is .*: a variable is"),
+        (lambda env: env.gaol, AttributeError, "gaol"),
+    ],
+)
+def test_variables_are_checked_at_the_first_reset(wrap, read, error, message):
+    with pytest.raises(UnknownNameError, match="'bal'"):  # what needs no variable is, before
+        QueryWrapper(Push(), reward=REWARD, success="x(sim.bal) > 1", variables={"goal": read})
+    env = wrap(Push(), reward=REWARD, variables={"goal": read})
+    with pytest.raises(error, match=message):
+        env.reset()
 
 
 def test_an_environment_without_a_simulation():

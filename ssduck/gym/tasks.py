@@ -1,0 +1,319 @@
+"""Makes environments from tasks that are written as TOML: `make_task`."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.errors import ArgumentError, SceneError, SelectScriptError
+from ssduck.gym.episodes import plain
+from ssduck.gym.terms import Judge, Terms
+from ssduck.gym.wrapper import INFO, described
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.limits import Limits
+from ssduck.recording.paths import expand_path
+from ssduck.recording.spec import Recording
+from ssduck.simulators.scene_files import check_files_inside
+from ssduck.simulators.scenes import Scene, find_scene
+from ssduck.simulators.toml_reader import TomlTable, Vector
+from ssduck.world.world import World
+
+WORLD = "sim"
+
+
+@dataclass(frozen=True)
+class Action:
+    """A joint that the action drives.
+
+    Attributes:
+        entity: the entity.
+        joint: the joint.
+        control: `position` or `velocity`.
+        low: the least target, rad or m, or per second.
+        high: the greatest.
+    """
+
+    entity: str
+    joint: str
+    control: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Start:
+    """A box in which an entity begins, drawn evenly at each reset.
+
+    Attributes:
+        entity: the entity.
+        low: the least position x y z, m.
+        high: the greatest.
+    """
+
+    entity: str
+    low: Vector
+    high: Vector
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task as a file describes it.
+
+    Attributes:
+        path: the file.
+        scene: the scene.
+        terms: success, failure, reward and end.
+        observation: the numbers of an observation, by name.
+        variables: constants of the terms.
+        actions: the joints that an action drives, in its order.
+        starts: where entities begin.
+        seeds: the seeds with which the task is to be evaluated.
+        steps: the number of steps after which an episode is over.
+        step_time: the simulated time of a step, s.
+    """
+
+    path: Path
+    scene: Scene
+    terms: Terms
+    observation: Terms
+    variables: Mapping[str, Any]
+    actions: tuple[Action, ...]
+    starts: tuple[Start, ...]
+    seeds: tuple[int, ...]
+    steps: int
+    step_time: float
+
+
+class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
+    """The environment of a task; each reset loads its scene anew.
+
+    Args:
+        task: the task.
+        limits: the limits of its terms.
+
+    Attributes:
+        task: the task.
+    """
+
+    def __init__(self, task: Task, limits: Limits) -> None:
+        self.task = task
+        self._steps = 0
+        self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
+        try:
+            self._load()
+            for name, value in task.variables.items():
+                self._interpreter.add_variable(name, value)
+            self._judge = Judge(task.terms, self._interpreter, WORLD, ())
+            self._observer = Judge(task.observation, self._interpreter, WORLD, ())
+            self._record_past()
+            self._judge.check()
+            self._observer.check(may_be_constant=True)
+            for number, action in enumerate(task.actions):
+                self._check_joint(f"actions[{number}]", action)
+            for number, start in enumerate(task.starts):
+                self._entity(f"starts[{number}].entity", start.entity)
+        except SelectScriptError as error:
+            self.close()
+            if not isinstance(error, SceneError):
+                error.message = f"{task.path}: {error.message}"
+            raise
+        low = np.array([action.low for action in task.actions], np.float32)
+        high = np.array([action.high for action in task.actions], np.float32)
+        self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
+        shape = (len(task.observation.parts),)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, shape, np.float64)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[npt.NDArray[np.float64], dict[str, Any]]:
+        """Loads the scene, and puts entities where they begin."""
+        super().reset(seed=seed, options=options)
+        self._load()
+        self._record_past()
+        for start in self.task.starts:
+            position = self.np_random.uniform(start.low, start.high)
+            self._world[start.entity].move(position.tolist())
+        self._steps = 0
+        return self._observation(), {INFO: described(self._judge.judgement())}
+
+    def step(
+        self, action: npt.NDArray[np.float32]
+    ) -> tuple[npt.NDArray[np.float64], float, bool, bool, dict[str, Any]]:
+        """Sets the targets of joints, runs the scene, and evaluates the terms."""
+        targets = np.clip(action, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
+        for one, target in zip(self.task.actions, targets.tolist(), strict=True):
+            entity = self._world[one.entity]
+            if one.control == "position":
+                entity.drive(positions={one.joint: target})
+            else:
+                entity.drive(velocities={one.joint: target})
+        self._world.run(self.task.step_time, every=None)
+        self._steps += 1
+        judgement = self._judge.judgement()
+        reward = 0.0 if judgement.reward is None else judgement.reward
+        is_over = self._steps >= self.task.steps
+        info = {INFO: described(judgement)}
+        return self._observation(), reward, bool(judgement.stop), is_over, info
+
+    def close(self) -> None:
+        """Closes the simulation."""
+        if WORLD in self._interpreter:
+            self._world.close()
+        self._interpreter.close()
+
+    @property
+    def _world(self) -> World:
+        world = self._interpreter[WORLD]
+        assert isinstance(world, World)
+        return world
+
+    def _load(self) -> None:
+        """Loads the scene in place of the one before."""
+        before = self._world if WORLD in self._interpreter else None
+        self._interpreter.add_variable(WORLD, World.load(self.task.scene))
+        if before is not None:
+            before.close()
+
+    def _record_past(self) -> None:
+        """Records the ticks in memory if a term reads them."""
+        if self._judge.is_temporal or self._observer.is_temporal:
+            self._interpreter.record(WORLD, Recording())
+
+    def _observation(self) -> npt.NDArray[np.float64]:
+        return np.array(list(self._observer.judgement().parts.values()))
+
+    def _entity(self, key: str, name: str) -> Any:
+        """Returns an entity.
+
+        Raises:
+            SceneError: there is none; the message has the key.
+        """
+        try:
+            return self._world[name]
+        except SelectScriptError as error:
+            message = f"{self.task.path}: {key}: {error.message}"
+            raise SceneError(message, suggestions=error.suggestions) from error
+
+    def _check_joint(self, key: str, action: Action) -> None:
+        """Checks that a joint takes both ends of its range.
+
+        Raises:
+            SceneError: there is no such joint, or it does not.
+        """
+        entity = self._entity(f"{key}.entity", action.entity)
+        for target in (action.low, action.high):
+            try:
+                if action.control == "position":
+                    entity.drive(positions={action.joint: target})
+                else:
+                    entity.drive(velocities={action.joint: target})
+            except SelectScriptError as error:
+                message = f"{self.task.path}: {key}: {error.message}"
+                raise SceneError(message, suggestions=error.suggestions) from error
+
+
+def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv:
+    """Returns the environment of a task that a TOML file describes.
+
+    A task may come from a stranger: it has no code, its scene and the files of that are in the
+    folder of the task, and its terms have `Limits.strict()`.
+
+    Args:
+        path: the file.
+        limits: other limits of the terms; with `files=True`, files may be anywhere.
+
+    Raises:
+        SceneError: the file cannot be read, or the scene; the message has file and key.
+        SelectScriptError: a term is wrong; the message has the file and the key.
+    """
+    file = expand_path(path).absolute()
+    limits = limits or Limits.strict()
+    try:
+        values = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:  # a TOMLDecodeError is a ValueError
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise SceneError(f"{file}: {reason}") from error
+    except RecursionError:
+        raise SceneError(f"{file}: it is nested too deeply") from None
+    return TaskEnv(_task(TomlTable(file, "", values), file, limits), limits)
+
+
+def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
+    scene = _scene(table, file, limits)
+    text = partial(table.text, default=None)  # type: ignore[arg-type]
+    reward = table.values.get("reward")
+    table.read_keys.update(("reward", "observation", "variables"))
+    try:
+        terms = Terms.of(text("success"), text("failure"), reward, text("stop_when"))
+        observation = Terms.of(None, None, _texts(table, "observation"), None)
+        variables = {
+            name: plain(value, f"variables.{name}")
+            for name, value in table.table("variables").values.items()
+        }
+    except ArgumentError as error:
+        raise SceneError(f"{file}: {error.message}") from error
+    seeds = table.values.get("seeds", [0])
+    table.read_keys.add("seeds")
+    if not isinstance(seeds, list) or not all(type(one) is int and one >= 0 for one in seeds):
+        table.fail("seeds", f"expected a list of whole numbers from 0, found {seeds!r}")
+    task = Task(
+        file,
+        scene,
+        terms,
+        observation,
+        variables,
+        tuple(map(_action, table.tables("actions"))),
+        tuple(map(_start, table.tables("starts"))),
+        tuple(seeds),
+        table.whole("steps", at_least=1) or 1000,
+        table.number("step_time", 0.02, above=0.0, at_most=60.0),
+    )
+    table.end()
+    return task
+
+
+def _scene(table: TomlTable, file: Path, limits: Limits) -> Scene:
+    """Returns the scene, whose files are in the folder of the task."""
+    place = (file.parent / table.text("scene")).resolve()
+    if not limits.files and not place.is_relative_to(file.parent.resolve()):
+        table.fail("scene", f"{place} is not in the folder of the task")
+    scene = find_scene(place)
+    if not limits.files:
+        check_files_inside(scene)
+    return scene
+
+
+def _texts(table: TomlTable, key: str) -> Mapping[str, str]:
+    """Returns terms by name."""
+    value = table.values.get(key)
+    if not isinstance(value, dict) or not value:
+        table.fail(key, f"expected a table of terms, the numbers of an observation, not {value!r}")
+    return value
+
+
+def _action(table: TomlTable) -> Action:
+    low, high = table.number("low"), table.number("high")
+    if low >= high:
+        table.fail("high", f"{high:g} is not above low, {low:g}")
+    control = table.text("control", "position")
+    if control not in ("position", "velocity"):
+        table.fail("control", f"expected 'position' or 'velocity', found {control!r}")
+    action = Action(table.text("entity"), table.text("joint"), control, low, high)
+    table.end()
+    return action
+
+
+def _start(table: TomlTable) -> Start:
+    start = Start(table.text("entity"), table.vector("low"), table.vector("high"))
+    if any(low > high for low, high in zip(start.low, start.high, strict=True)):
+        table.fail("high", "a number is less than that of low")
+    table.end()
+    return start

@@ -1,0 +1,138 @@
+"""`score` gives for recorded episodes what `QueryWrapper` gave live, to the last digit."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ssduck.errors import RecordError, UnknownNameError
+from ssduck.gym import QueryWrapper, score
+from tests.support.environments import Push
+
+VARIABLES = {"goal": lambda env: env.goal}
+TERMS = {
+    "success": "on(sim.table, sim.ball) AND x(sim.ball) > goal[0]",
+    "failure": "z(sim.ball) < 0.3",
+    "reward": {
+        "goal": "-sqrt((x(sim.ball) - goal[0])^2 + (z(sim.ball) - goal[2])^2)",
+        "near": "-clearance(sim.pusher, sim.ball)",
+        "push": "contactForce(sim.pusher, sim.ball)",
+        "done": "10 * int(success)",
+        "hold": "heldFor(on(sim.table, sim.ball))",
+    },
+    "stop_when": "success",
+}
+# Terms of today, for the episodes of yesterday.
+OTHER = {"success": "heldFor(x(sim.ball) > goal[0] / 2) >= 0.02", "reward": "-z(sim.pusher)"}
+EPISODES = 60
+
+
+def run(env, generator, number):
+    """Runs an episode; returns its rewards and what `info` says after each step."""
+    env.reset(seed=number, options={"number": number})
+    rewards, infos = [], []
+    for _ in range(6):
+        _, reward, terminated, _, info = env.step(generator.uniform(-1, 1, 1))
+        rewards.append(reward)
+        infos.append(info["ssduck"])
+        if terminated:
+            break
+    return rewards, infos
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A record of episodes, and what two wrappers around each other gave for them."""
+    folder = tmp_path_factory.mktemp("episodes")
+    inner = QueryWrapper(Push(), **OTHER, variables=VARIABLES)
+    env = QueryWrapper(inner, **TERMS, variables=VARIABLES, record_to=folder)
+    generator = np.random.default_rng(7)
+    others = []
+    step = inner.step
+
+    def noted(action):
+        result = step(action)
+        others[-1].append((result[1], result[4]["ssduck"]["success"]))
+        return result
+
+    inner.step = noted
+    live = []
+    for number in range(EPISODES):
+        others.append([])
+        live.append(run(env, generator, number))
+    env.close()
+    return folder, live, others
+
+
+@pytest.mark.slow
+def test_scores_are_those_of_the_wrapper(recorded):
+    folder, live, _ = recorded
+    scores = list(score(folder, **TERMS))
+    assert [(one.episode, one.seed) for one in scores] == [(n, n) for n in range(EPISODES)]
+    for one, (rewards, infos) in zip(scores, live, strict=True):
+        assert one.options == {"number": one.episode}
+        assert list(one.rewards) == rewards
+        assert one.total == sum(rewards)
+        assert list(one.success) == [info["success"] for info in infos] == list(one.stop)
+        assert list(one.failure) == [info["failure"] for info in infos]
+        for name, values in one.parts.items():
+            assert list(values) == [info["parts"][name] for info in infos]
+
+
+@pytest.mark.slow
+def test_other_terms_score_as_they_would_have_live(recorded):
+    folder, _, others = recorded
+    for one, expected in zip(score(folder, **OTHER), others, strict=True):
+        assert list(zip(one.rewards, one.success, strict=True)) == expected
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory):
+    """A record of two episodes."""
+    folder = tmp_path_factory.mktemp("few")
+    env = QueryWrapper(Push(), **TERMS, variables=VARIABLES, record_to=folder)
+    for number in range(2):
+        run(env, np.random.default_rng(number), number)
+    env.close()
+    return folder
+
+
+def test_without_a_reward_it_is_that_of_the_steps(few):
+    first = next(score(few, success="x(sim.ball) > 0"))
+    stored = json.loads((few / "gym/sim-0.json").read_text())
+    assert list(first.rewards) == stored["rewards"]
+    assert first.total == stored["return"]
+    assert stored["seed"] == 0
+    assert stored["options"] == {"number": 0}
+
+
+def test_a_wrong_name_is_an_error(few):
+    with pytest.raises(UnknownNameError, match=r"success: .*'bal'.*'ball'"):
+        next(score(few, success="x(sim.bal) > 0"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 2}, "later|newer"),
+        ({"rewards": [1.0]}, "different lengths"),
+        ({"times": "now"}, "'times'"),
+        ({"variables": {"goal": 3}}, "'variables'"),
+    ],
+)
+def test_damaged_steps_are_errors(few, change, message):
+    file = few / "gym/sim-0.json"
+    before = file.read_text()
+    content = json.loads(before) | change
+    del content["crc32"]
+    file.write_text(json.dumps(content))
+    try:
+        with pytest.raises(RecordError, match=message):
+            next(score(few, reward="x(sim.ball)"))
+    finally:
+        file.write_text(before)
+
+
+def test_a_record_without_steps_is_an_error(few):
+    with pytest.raises(RecordError, match=r"no episode of an environment with the world 'other'"):
+        score(few, reward="x(other.ball)", world="other")

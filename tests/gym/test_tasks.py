@@ -1,0 +1,113 @@
+"""`make_task`: an environment from a file, which may come from a stranger."""
+
+import numpy as np
+import pytest
+
+from ssduck.errors import SelectScriptError
+from ssduck.gym import make_task
+from tests.support.environments import PUSH
+
+TASK = """
+scene = "push.xml"
+success = "x(sim.ball) > goal"
+failure = "z(sim.ball) < 0.3"
+stop_when = "success OR failure"
+seeds = [1, 2]
+steps = 8
+step_time = 0.02
+
+[reward]
+near = "-distance(sim.pusher, sim.ball)"
+done = "10 * int(success)"
+
+[variables]
+goal = 0.05
+
+[observation]
+pusher = "x(sim.pusher)"
+ball = "x(sim.ball)"
+
+[[actions]]
+entity = "pusher"
+joint = "push"
+control = "velocity"
+low = -1
+high = 1
+
+[[starts]]
+entity = "ball"
+low = [0, -0.1, 0.45]
+high = [0.04, 0.1, 0.45]
+"""
+MODEL = PUSH.replace('<motor joint="push" gear="10"', '<velocity joint="push" kv="50"')
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a task and its scene."""
+    (tmp_path / "push.xml").write_text(MODEL)
+    (tmp_path / "task.toml").write_text(TASK)
+    return tmp_path
+
+
+def test_a_task_runs(folder):
+    env = make_task(folder / "task.toml")
+    assert env.task.seeds == (1, 2)
+    starts = []
+    for seed in (*env.task.seeds, 1):
+        observation, info = env.reset(seed=seed)
+        starts.append(observation[1])
+        assert 0 <= observation[1] <= 0.04
+        assert info["ssduck"]["success"] is False
+        ends = []
+        for _ in range(8):
+            observation, reward, terminated, truncated, info = env.step(np.ones(1, np.float32))
+            assert reward == sum(info["ssduck"]["parts"].values())
+            assert info["ssduck"]["success"] == (observation[1] > 0.05)
+            ends.append(terminated or truncated)
+        assert observation[0] > -0.25
+        assert ends[-1]
+    assert starts[0] == starts[2] != starts[1]
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ('"push.xml"', '"../push.xml"', r"task.toml: scene: .* not in the folder"),
+        ('"push.xml"', '"gone.xml"', "gone.xml"),
+        ('joint = "push"', 'joint = "pusch"', r"task.toml: actions\[0\].*'pusch'.*'push'"),
+        ('entity = "pusher"', 'entity = "pushr"', r"actions\[0\].entity.*'pushr'.*'pusher'"),
+        ('entity = "ball"', 'entity = "bal"', r"starts\[0\].entity.*'bal'.*'ball'"),
+        ("steps = 8", "step = 8", r"task.toml: step: there is no such key.*'steps'"),
+        ("steps = 8", "steps = 0.5", "task.toml: steps"),
+        ("high = 1\n", "high = -1\n", r"actions\[0\].high: -1 is not above"),
+        ("seeds = [1, 2]", "seeds = [-1]", "task.toml: seeds"),
+        ('"x(sim.ball) > goal"', '"x(sim.ball) > gaol"', "task.toml: success: .*'gaol'"),
+        ('"x(sim.ball) > goal"', '"x(sim.ball)"', "task.toml: success: .* not True or False"),
+        ('"x(sim.ball) > goal"', "3", "task.toml: success: expected a text"),
+        ('"-distance(sim.pusher, sim.ball)"', "3", r"task.toml: reward\['near'\]"),
+        ("[observation]\npusher", "[observations]\npusher", "task.toml: observation"),
+        ('control = "velocity"', 'control = "torque"', r"actions\[0\].control"),
+    ],
+)
+def test_errors_name_file_and_key(folder, before, after, message):
+    assert before in TASK
+    (folder / "task.toml").write_text(TASK.replace(before, after))
+    with pytest.raises(SelectScriptError, match=message):
+        make_task(folder / "task.toml")
+
+
+def test_files_of_the_scene_stay_in_the_folder(folder):
+    asset = '<asset><mesh name="m" file="/etc/hostname.stl"/></asset><worldbody>'
+    (folder / "push.xml").write_text(MODEL.replace("<worldbody>", asset, 1))
+    with pytest.raises(SelectScriptError, match="hostname"):
+        make_task(folder / "task.toml")
+
+
+def test_terms_have_strict_limits(folder):
+    (folder / "task.toml").write_text(
+        TASK.replace('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"")
+    )
+    with pytest.raises(SelectScriptError, match="eval is switched off"):
+        make_task(folder / "task.toml")
