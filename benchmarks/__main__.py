@@ -2,7 +2,8 @@
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so do `python -m benchmarks raw` and
-`python -m benchmarks strict`. `python -m benchmarks mujoco` needs MuJoCo.
+`python -m benchmarks strict`. `python -m benchmarks mujoco` needs MuJoCo, and
+`python -m benchmarks gym` gymnasium as well.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """
@@ -14,6 +15,7 @@ import sys
 
 from benchmarks import (
     adapters,
+    gym_steps,
     language,
     mujoco_ticks,
     pair_relations,
@@ -37,7 +39,7 @@ TABLES = {
 # Tables that take minutes.
 LONG_TABLES = {"raw": raw, "strict": strict}
 # Tables that need an extra.
-EXTRA_TABLES = {"mujoco": mujoco_ticks}
+EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 
