@@ -107,7 +107,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         try:
             self._client = self._attach()
             self._judge = Judge(self._terms, self._interpreter, world, tuple(self._variables))
-            # A simulation that is built by the first reset has no bodies before.
+            # The first reset may build the simulation, or give variables their values.
             self._is_checked = False
             if len(self._simulation):
                 self._check_first()
@@ -218,12 +218,11 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         """Checks the terms before the first reset, which may be what sets variables."""
         self._record_past()
         try:
-            self._set_variables()
+            has_values = [] not in self._set_variables().values()
         except Exception:  # noqa: BLE001  # whatever it is, the first reset raises it
-            self._judge.check(with_variables=False)
-        else:
-            self._judge.check()
-            self._is_checked = True
+            has_values = False
+        self._judge.check(with_variables=has_values)
+        self._is_checked = has_values
 
     def _record_past(self) -> None:
         """Records the ticks of the world in memory if a term reads them."""

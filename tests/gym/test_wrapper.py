@@ -239,3 +239,32 @@ def test_the_checker_of_gymnasium(wrap):
 def test_a_wrapper_of_a_wrapper(wrap):
     env = wrap(gymnasium.wrappers.TimeLimit(Push(), 3), success="x(sim.ball) > 0.02")
     assert len(list(itertools.islice(episode(env, 0, 10), 10))) == 3
+
+
+@pytest.mark.parametrize("before", [None, np.zeros(0), "missing"])
+def test_variables_may_have_no_value_before_the_first_reset(wrap, before):
+    class Later(Push):
+        def __init__(self):
+            super().__init__()
+            self.later = before
+            if isinstance(before, str):
+                del self.later
+
+        def reset(self, *, seed=None, options=None):
+            result = super().reset(seed=seed, options=options)
+            self.later = np.array(self.goal)
+            return result
+
+    env = wrap(
+        Later(),
+        success="distance(sim.ball, later) < 0.05",
+        variables={"later": lambda env: env.later},
+    )
+    _, info = env.reset(seed=0)
+    ball, goal = env.unwrapped.data.body("ball").xpos, env.unwrapped.goal
+    assert info["ssduck"]["success"] == (np.linalg.norm(ball - goal) < 0.05)
+    misspelt = wrap(
+        Later(), success="distance(sim.bal, later) < 1", variables={"later": lambda env: env.later}
+    )
+    with pytest.raises(UnknownNameError, match="bal"):
+        misspelt.reset(seed=0)
