@@ -22,6 +22,7 @@ import mujoco
 import numpy as np
 
 from ssduck.gym import QueryWrapper
+from ssduck.simulators.recognition import parts_of
 
 TASKS = Path(__file__).with_suffix(".toml")
 # The distances from a threshold at which an object is put, as a share of the threshold.
@@ -113,7 +114,48 @@ class MetaWorld:
         return act
 
 
-SUITES: dict[str, Suite] = {"fetch": Fetch(), "metaworld": MetaWorld()}
+class Robosuite:
+    """The tasks of robosuite, with a Panda."""
+
+    def make(self, name: str, steps: int) -> gymnasium.Env[Any, Any]:
+        """Makes the environment of a task."""
+        import robosuite
+        from robosuite.wrappers import GymWrapper
+
+        env = robosuite.make(
+            name,
+            robots="Panda",
+            has_renderer=False,
+            has_offscreen_renderer=False,
+            use_camera_obs=False,
+            horizon=steps,
+            hard_reset=False,
+        )
+        return _Flagged(GymWrapper(env))
+
+    def flag(self, info: dict[str, Any]) -> bool:
+        """Returns the success that a step has reported."""
+        return bool(info["success"])
+
+    def flag_now(self, env: Any) -> bool:
+        """Returns the success of the present state."""
+        return bool(env._check_success())  # noqa: SLF001
+
+    def policy(self, name: str) -> Callable[[Any], Any] | None:  # noqa: ARG002
+        """Returns None: the package has no scripted policies."""
+        return None
+
+
+class _Flagged(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """An environment of robosuite whose steps report success."""
+
+    def step(self, action: Any) -> Any:
+        """Steps the environment."""
+        *result, info = self.env.step(action)
+        return *result, info | {"success": bool(self.env.unwrapped._check_success())}  # type: ignore[attr-defined]  # noqa: SLF001
+
+
+SUITES: dict[str, Suite] = {"fetch": Fetch(), "metaworld": MetaWorld(), "robosuite": Robosuite()}
 
 
 @dataclass
@@ -193,7 +235,7 @@ def _by_query(env: QueryWrapper, task: dict[str, Any]) -> bool:
 
 def _states(env: Any, task: dict[str, Any]) -> Iterator[str]:
     """Puts an environment into states on both sides of the threshold; yields what each is."""
-    model, data = env.model, env.data
+    model, data = parts_of(env)
     rng = np.random.default_rng(0)
     if (place := task.get("place")) is not None:
         joint = data.joint(place["joint"])
@@ -201,7 +243,8 @@ def _states(env: Any, task: dict[str, Any]) -> Iterator[str]:
             for _ in range(DIRECTIONS):
                 way = rng.normal(size=3)
                 way *= place["radius"] * (1 + share) / np.linalg.norm(way)
-                joint.qpos[:3] = getattr(env, place["around"]) + way
+                around = place["at"] if "at" in place else getattr(env, place["around"])
+                joint.qpos[:3] = around + way
                 mujoco.mj_forward(model, data)
                 yield f"at {1 + share} of the threshold"
     if (slide := task.get("slide")) is not None:
