@@ -235,7 +235,9 @@ def _by_query(env: QueryWrapper, task: dict[str, Any]) -> bool:
 
 def _states(env: Any, task: dict[str, Any]) -> Iterator[str]:
     """Puts an environment into states on both sides of the threshold; yields what each is."""
-    model, data = parts_of(env)
+    parts = parts_of(env)
+    assert parts is not None
+    model, data = parts
     rng = np.random.default_rng(0)
     if (place := task.get("place")) is not None:
         joint = data.joint(place["joint"])
