@@ -39,13 +39,25 @@ _MUTABLE = (
     "jnt_pos",
     "jnt_axis",
     "qpos0",
-    "hfield_data",
     "site_size",
 )
 
 
-def fingerprint(model: Any) -> list[bytes]:
-    """Returns the content of a model's arrays that describe shapes and joints."""
+class ModelContent:
+    """The content of a model's arrays that describe shapes and joints, as it was."""
+
+    def __init__(self, model: Any) -> None:
+        self._arrays = _contents(model)
+        self._heights = model.hfield_data.copy()
+
+    def is_that_of(self, model: Any) -> bool:
+        """Checks whether a model has this content now; copies no heights, which may be many."""
+        return _contents(model) == self._arrays and (
+            not model.nhfield or np.array_equal(model.hfield_data, self._heights)
+        )
+
+
+def _contents(model: Any) -> list[bytes]:
     return [getattr(model, name).tobytes() for name in _MUTABLE]
 
 
@@ -176,7 +188,10 @@ class ModelReader:
 
 def link_masses(model: Any) -> Array:
     """Returns the masses of all bodies, kg; 0 for those that are fixed to the world."""
-    masses: Array = np.where(model.body_weldid == 0, 0.0, model.body_mass)
+    # To MuJoCo before 3.4, bodies that move as mocap bodies are fixed to the world.
+    is_driven = model.body_mocapid[model.body_rootid] >= 0
+    is_fixed = (model.body_weldid == 0) & ~is_driven
+    masses: Array = np.where(is_fixed, 0.0, model.body_mass)
     return masses
 
 

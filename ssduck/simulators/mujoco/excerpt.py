@@ -18,7 +18,7 @@ from ssduck.formatting import joined_names
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
-from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 
 # A margin at which no two shapes meet.
@@ -43,8 +43,7 @@ def excerpt(
             "as it was"
         )
     model = copy.copy(source.model)
-    data = mujoco.MjData(model)
-    mujoco.mj_copyData(data, source.model, source.data)
+    data = copied_data(source.model, source.data, mujoco.MjData(model))
     chosen = {one.body.handle for one in originals}
     _remove(model, data, chosen)
     if not _is_present(source, originals, tick):

@@ -1,6 +1,9 @@
-"""Imports MuJoCo, which is optional."""
+"""Imports MuJoCo, which is optional, and evens out its versions."""
 
 from __future__ import annotations
+
+import copy
+from typing import Any
 
 from ssduck.errors import UnsupportedError
 
@@ -11,4 +14,18 @@ except ImportError as error:
         "MuJoCo is not installed: pip install 'ssduck[mujoco]' installs it"
     ) from error
 
-__all__ = ["mujoco"]
+__all__ = ["copied_data", "mujoco"]
+
+
+def copied_data(model: Any, data: Any, target: Any) -> Any:
+    """Returns data with the whole state of other data: the target, or new data in old versions.
+
+    Args:
+        model: the model of the other data.
+        data: the other data.
+        target: data of the same model, or of a copy of it.
+    """
+    if not hasattr(mujoco, "mj_copyData"):  # MuJoCo 3.3.0
+        return copy.copy(data)
+    mujoco.mj_copyData(target, model, data)
+    return target

@@ -26,6 +26,8 @@ _HIT, _PASSED = 0, 5
 _GROUPS = np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
 # Versions of MuJoCo differ in whether rays also return the normals of what they hit.
 _HAS_NORMALS = "normal:" in (mujoco.mj_multiRay.__doc__ or "")
+# Those that do not leave planes out whose centre is beyond the cutoff.
+_NO_CUTOFF = 1e10
 
 
 class RayCaster:
@@ -81,7 +83,7 @@ class RayCaster:
                 geomid=hit,
                 dist=distances,
                 nray=count,
-                cutoff=float(lengths.max()) * 1.01,
+                cutoff=float(lengths.max()) * 1.01 if _HAS_NORMALS else _NO_CUTOFF,
                 **normals,
             )
         geoms, fractions = np.full(len(vectors), -1, np.intp), np.ones(len(vectors))

@@ -31,8 +31,8 @@ from ssduck.simulators.interface import (
 )
 from ssduck.simulators.mujoco.actuators import drive, hold_positions
 from ssduck.simulators.mujoco.bodies import (
+    ModelContent,
     ModelReader,
-    fingerprint,
     geoms_of,
     inexact,
     is_same,
@@ -41,7 +41,7 @@ from ssduck.simulators.mujoco.bodies import (
     sites_on,
 )
 from ssduck.simulators.mujoco.contacts import read_contacts
-from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
@@ -113,7 +113,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._copy: Any = None
         self._state: Any = self.data
         # What the bodies were described from, and the bodies.
-        self._described: tuple[Any, list[bytes]] | None = None
+        self._described: tuple[Any, ModelContent] | None = None
         self._bodies: list[Body] = []
         self._rows: list[_Rows] = []
         self._ray_caster: RayCaster | None = None
@@ -130,9 +130,8 @@ class MuJoCoSimulator(PartialSimulator):
         A body of a new model stays the same if nothing about it changed.
         """
         self._refresh()
-        model, content = self.model, fingerprint(self.model)
-        known = self._described
-        if known is not None and known[0] is model and known[1] == content:
+        model, known = self.model, self._described
+        if known is not None and known[0] is model and known[1].is_that_of(model):
             return None
         reader = ModelReader(model, self._names, self._kinds, self._only)
         before = {body.handle: body for body in self._bodies}
@@ -143,7 +142,7 @@ class MuJoCoSimulator(PartialSimulator):
         added = [body for body in bodies if before.get(body.handle) is not body]
         kept = set(bodies).difference(added)
         gone = [body for body in self._bodies if body not in kept]
-        self._described, self._bodies = (model, content), bodies
+        self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
         self._rows, self._joint_rows = [], None
         self._warn_of_boxes(added)
@@ -169,7 +168,7 @@ class MuJoCoSimulator(PartialSimulator):
         if self._copy is None or self._copy.model is not self.model:
             self._copy = mujoco.MjData(self.model)
         # The user's data remains as it is, to the last bit.
-        mujoco.mj_copyData(self._copy, self.model, self.data)
+        self._copy = copied_data(self.model, self.data, self._copy)
         mujoco.mj_forward(self.model, self._copy)
         self._state = self._copy
 
