@@ -1,4 +1,4 @@
-"""Defines the command `ssduck`: demo, query, record, export, episodes, check, scenes, functions.
+"""Defines the command `ssduck` and its commands, as `demo`, `query`, `record` and `shell`.
 
 Standard output carries results only; warnings, errors and the output of programs go to standard
 error. Modules that are slow to import (the simulator, the database) are imported by the
@@ -60,7 +60,6 @@ class _Commands(TyperGroup):
 
 app = typer.Typer(
     cls=_Commands,
-    add_completion=False,
     invoke_without_command=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -444,6 +443,50 @@ def mcp(
     source = Source(location, seconds, episode, Limits.strict(progress=False))
     with contextlib.closing(WorkerAnswers(source)) as answers:
         create_server(answers, record).run("stdio")
+
+
+@app.command()
+def shell(
+    location: Annotated[
+        str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
+    ] = "kitchen",
+    seconds: _Seconds = None,
+    episode: _Episode = None,
+    sql: Annotated[bool, typer.Option("--sql", help="Begin with SQL, not SelectScript.")] = False,
+    history: Annotated[
+        bool,
+        typer.Option("--history/--no-history", help="Whether to keep what is typed for later."),
+    ] = True,
+    strict: _Strict = False,
+) -> None:
+    """Ask a scene or a record at a prompt, in SelectScript or SQL.
+
+    Standard input may also be a file or a pipe; the exit code is 1 if a statement fails. The
+    prompt needs an extra: pip install 'ssduck[shell]'
+    """
+    from ssduck.adapters.optional import library
+    from ssduck.limits import Limits
+    from ssduck.shell.running import greet, run_lines
+    from ssduck.shell.session import Session
+
+    is_terminal = sys.stdin is not None and sys.stdin.isatty()
+    if is_terminal:
+        library("prompt_toolkit", "shell")
+    if seconds is not None and is_record(location):
+        raise typer.BadParameter("--seconds: a record cannot be simulated further")
+    with open_or_load(location, episode, Limits.strict() if strict else None) as ss:
+        ss.strict = strict
+        if seconds is not None:
+            ss.run(seconds)
+        session = Session(ss)
+        session.language = "sql" if sql else "selectscript"
+        if is_terminal:
+            from ssduck.shell.terminal import prompt_session, run_terminal
+
+            greet(session)
+            run_terminal(session, prompt_session(session, with_history=history))
+        elif not run_lines(session, sys.stdin or ()):
+            raise typer.Exit(1)
 
 
 @app.command()

@@ -132,7 +132,7 @@ def complete(
     validation.integer(len(text) - cursor, "complete: characters after the cursor", minimum=0)
     if language not in KEYWORDS:
         raise ArgumentError(f"complete: there is no language {language!r}: selectscript or sql")
-    parts = list(_delimited(text, language))
+    parts = list(delimited_parts(text, language))
     inside = next((p for p in parts if p.start < cursor and _reaches(p, cursor)), None)
     if inside is not None:
         if inside.opening not in ("'", '"') or (language == "sql" and inside.opening == '"'):
@@ -160,8 +160,8 @@ def usage_and_summary(text: str) -> tuple[str, str]:
 _usage_and_summary = cache(usage_and_summary)
 
 
-def _delimited(text: str, language: Language) -> Iterator[DelimitedText]:
-    """Yields the texts and comments of a program."""
+def delimited_parts(text: str, language: Language) -> Iterator[DelimitedText]:
+    """Yields the texts and comments of a program, and the quoted identifiers of SQL."""
     if language == "selectscript":
         yield from delimited(text)
         return

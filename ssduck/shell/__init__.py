@@ -1,0 +1,1 @@
+"""A prompt for SelectScript and SQL in a terminal: `ssduck shell`."""
