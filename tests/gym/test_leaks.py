@@ -50,6 +50,9 @@ def resets(env, action, number):
     ],
 )
 def test_resets_leave_nothing(environment, options, success, action):
+    with QueryWrapper(environment(**options), success=success) as first:
+        resets(first, action, 1)  # starts the thread that all interpreters share
+    del first
     outside = counts()
     env = QueryWrapper(environment(**options), success=success)
 

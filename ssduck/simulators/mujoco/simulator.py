@@ -118,6 +118,8 @@ class MuJoCoSimulator(PartialSimulator):
         self._rows: list[_Rows] = []
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
+        # The geoms of the present bodies whose margins were read.
+        self._geoms: dict[Body, Indices] = {}
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode, self._last_time = 0, float(self.data.time)
@@ -144,7 +146,7 @@ class MuJoCoSimulator(PartialSimulator):
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
-        self._rows, self._joint_rows = [], None
+        self._rows, self._joint_rows, self._geoms = [], None, {}
         self._warn_of_boxes(added)
         return (added, gone) if added or gone else None
 
@@ -293,10 +295,11 @@ class MuJoCoSimulator(PartialSimulator):
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
         present = set(self._bodies)
+        for body in present.difference(self._geoms):
+            self._geoms[body] = geoms_of(self.model, body)
+        margins = self.model.geom_margin
         return [
-            self.model.geom_margin[geoms_of(self.model, body)].tolist()
-            if body in present
-            else body.margins
+            margins[self._geoms[body]].tolist() if body in present else body.margins
             for body in bodies
         ]
 
