@@ -8,9 +8,17 @@ from typing import Any, NoReturn
 from ssduck.errors import UnsupportedError
 
 
-def _unsupported(action: str) -> Callable[..., Any]:
+def unsupported(action: str, instead: str = "") -> Callable[..., Any]:
+    """Returns a method that raises `UnsupportedError`.
+
+    Args:
+        action: what the simulator cannot do, to follow "cannot".
+        instead: what the user can do instead, for the end of the message.
+    """
+
     def refuse(self: object, *_: Any, **__: Any) -> NoReturn:
-        raise UnsupportedError(f"{type(self).__name__} cannot {action}")
+        advice = f"; {instead}" if instead else ""
+        raise UnsupportedError(f"{type(self).__name__} cannot {action}{advice}")
 
     return refuse
 
@@ -28,14 +36,14 @@ class PartialSimulator:
     keeps_time = False
     episode = 0
 
-    begin_episode = _unsupported("begin an episode")
-    set_clock = _unsupported("follow the clock of an external simulation")
-    cast_rays = _unsupported("cast the rays of sensors")
-    photograph = render = segment = _unsupported("draw images")
-    place = _unsupported("move bodies")
-    set_joints = _unsupported("set joints")
-    drive = _unsupported("drive joints")
-    has_constraint = add_constraint = remove_constraint = _unsupported("connect bodies")
-    enable = _unsupported("switch collisions on or off")
-    show = _unsupported("show or hide bodies")
-    remove = _unsupported("remove bodies")
+    begin_episode = unsupported("begin an episode")
+    set_clock = unsupported("follow the clock of an external simulation")
+    cast_rays = unsupported("cast the rays of sensors")
+    photograph = render = segment = unsupported("draw images")
+    place = unsupported("move bodies")
+    set_joints = unsupported("set joints")
+    drive = unsupported("drive joints")
+    has_constraint = add_constraint = remove_constraint = unsupported("connect bodies")
+    enable = unsupported("switch collisions on or off")
+    show = unsupported("show or hide bodies")
+    remove = unsupported("remove bodies")

@@ -124,4 +124,7 @@ def scene_of(
     folder: Path,  # noqa: ARG001
 ) -> Scene:
     """Raises `UnsupportedError`: a scene has no place for a MuJoCo model."""
-    raise UnsupportedError("a MuJoCo world cannot be saved as a scene yet")
+    raise UnsupportedError(
+        "a MuJoCo world cannot be saved as a scene: mujoco.mj_saveLastXML(path, model) saves the "
+        "model that was loaded last, mujoco.mj_saveModel any; Interpreter.record_to keeps the ticks"
+    )

@@ -45,7 +45,7 @@ from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
-from ssduck.simulators.partial import PartialSimulator
+from ssduck.simulators.partial import PartialSimulator, unsupported
 from ssduck.simulators.scenes import Camera
 
 # The number of lists of bodies whose rows stay prepared.
@@ -322,6 +322,20 @@ class MuJoCoSimulator(PartialSimulator):
         if self._ray_caster is None:
             self._ray_caster = RayCaster(self.model, self._only)
         return self._ray_caster.cast(self._state, starts, ends, through)
+
+    # -- what MuJoCo's models cannot be asked for ------------------------------------------
+
+    has_constraint = add_constraint = remove_constraint = unsupported(
+        "connect bodies",
+        "declare a weld with active='false' in the model, and set data.eq_active where it holds",
+    )
+    enable = unsupported(
+        "switch collisions on or off", "set model.geom_contype and geom_conaffinity to 0"
+    )
+    show = unsupported("show or hide bodies", "set the alpha of model.geom_rgba")
+    remove = unsupported(
+        "remove bodies", "World.excerpt(names) copies the world with the entities that you name"
+    )
 
     # -- pictures -------------------------------------------------------------------------
 
