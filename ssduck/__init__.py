@@ -90,5 +90,10 @@ def __getattr__(name: str) -> Any:
     return value
 
 
+def load_ipython_extension(shell: Any) -> None:
+    """Registers the magics `%%selectscript` and `%%sql`: `%load_ext ssduck` calls it."""
+    import_module(f"{__name__}.shell.magics").register_magics(shell)
+
+
 def __dir__() -> list[str]:
     return sorted(__all__)

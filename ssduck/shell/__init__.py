@@ -1,1 +1,1 @@
-"""A prompt for SelectScript and SQL in a terminal: `ssduck shell`."""
+"""A prompt for SelectScript and SQL in a terminal, `ssduck shell`, and magics in notebooks."""
