@@ -11,6 +11,9 @@ setup: ## make .venv with everything that development needs
 	python3 -m venv .venv
 	$(PYTHON) -m pip install --quiet -e '.[dev]'
 
+# What pytest makes of the tests' assertions is kept for the next run: 15 s in each process.
+test check: export PYTHONDONTWRITEBYTECODE =
+
 test: ## run the tests but for the slow ones
 	$(PYTHON) -m pytest -m "not slow"
 

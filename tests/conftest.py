@@ -53,8 +53,18 @@ def _keep_temporary_files_in_memory():
         tempfile.tempdir = None  # it is read anew
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Keep the garbage collector from going through what is being collected."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 def pytest_collection_finish():
-    """Keep the garbage collector from going through what was collected: it stays to the end."""
+    """Keep it from going through that later: it stays to the end."""
     gc.collect()
     gc.freeze()
 

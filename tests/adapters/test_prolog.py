@@ -270,6 +270,7 @@ letters = st.text(st.characters(codec="utf-8")) | st.text("aZ_9'\\\"\n\t\r .[]{}
 numbers = st.integers(-(2**80), 2**80) | st.floats()
 
 
+@pytest.mark.slow
 @needs_swipl
 def test_swi_prolog_reads_what_was_meant(tmp_path):
     """Many texts and numbers at once, told as the numbers of their letters, and exactly."""

@@ -184,6 +184,7 @@ def test_columns_of_one_name(kitchen, form):
         )
 
 
+@pytest.mark.slow
 @sampled("form", TABLES, every=2)
 @given(
     st.lists(

@@ -52,6 +52,7 @@ def test_a_picture_comes_from_the_worker(worker):
     assert picture.startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_worker_that_is_stuck_is_ended_and_started_again(worker):
     rows(worker, "kept = 1;")
@@ -97,6 +98,7 @@ def query(*arguments, **options):
     )
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_strict_query_has_its_result_and_its_errors():
     process = query("-F", "json", "[1, 2];")

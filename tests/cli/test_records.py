@@ -108,6 +108,7 @@ ENDS = [
 ]
 
 
+@pytest.mark.slow
 @LINUX
 @sampled(
     ("output", "number", "told"),

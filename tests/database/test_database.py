@@ -286,6 +286,7 @@ def test_plans_follow_bodies_that_come_and_go(sim):
     assert interpreter.eval(program) == [7.0]
 
 
+@pytest.mark.slow
 def test_a_users_prepared_statement_never_reads_old_buffers(sim):
     interpreter, client, shape = sim
     interpreter.sql("PREPARE mine AS SELECT count(*) FROM entities")

@@ -16,6 +16,7 @@ from ssduck.database.instances import MAX_WAITING, InstancePool
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
+from tests.support.cases import sampled
 
 BODIES = 5
 TICKS = 20
@@ -168,7 +169,7 @@ CATALOG = [
 ]
 
 
-@pytest.mark.parametrize("sql", CATALOG)
+@sampled("sql", CATALOG, every=3)
 def test_the_catalog_has_everything(run: Path, sql: str) -> None:
     with ssduck.open(run) as ss:
         names = {*TABLES, *(t.history_view for t in HISTORIES.values())}
@@ -269,6 +270,7 @@ def test_a_database_is_used_again(run: Path, pool: InstancePool) -> None:
     pool.close()
 
 
+@pytest.mark.slow
 def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -> None:
     with ssduck.open(run) as ss:
         ss.sql("CREATE TABLE main.mine AS SELECT 1")

@@ -8,6 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import SqlError
+from tests.support.cases import sampled
 
 ROOM = Path(__file__).parents[1] / "data" / "room.toml"
 
@@ -75,7 +76,7 @@ def lasting():
         yield ss, answers(ss)
 
 
-@pytest.mark.parametrize(("text", "words"), MISTAKES)
+@sampled(("text", "words"), MISTAKES, every=4)
 def test_a_mistake_is_an_error_and_all_else_goes_on(lasting, text, words):
     ss, before = lasting
     with pytest.raises(SqlError, match=words):
@@ -86,6 +87,7 @@ def test_a_mistake_is_an_error_and_all_else_goes_on(lasting, text, words):
     ss.sql("DROP TABLE IF EXISTS mine")
 
 
+@pytest.mark.slow
 def test_what_users_create_is_theirs(ss, tmp_path):
     ss.sql("BEGIN; CREATE TABLE mine AS SELECT 1 AS a; INSERT INTO mine VALUES (2); COMMIT")
     assert ss.sql("SELECT sum(a) FROM mine").fetchall() == [(3,)]
@@ -106,6 +108,7 @@ def test_a_failing_transaction_is_undone(ss):
         ss.sql("SELECT * FROM mine")
 
 
+@pytest.mark.slow
 def test_a_file_keeps_its_record(tmp_path):
     path = tmp_path / "run.db"
     with ssduck.load(ROOM, path) as ss:

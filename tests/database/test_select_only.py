@@ -192,7 +192,7 @@ ENDED = [
 ]
 
 
-@sampled(("text", "words"), ENDED, every=3)
+@sampled(("text", "words"), ENDED, every=6)
 def test_a_statement_ends_in_time_and_memory(text, words):
     limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY)
     with ssduck.load("kitchen", limits=limits) as ss:
@@ -224,6 +224,7 @@ def test_a_refusal_has_its_place_and_the_nearest_name(strict):
     assert "round" in caught.value.suggestions
 
 
+@pytest.mark.slow
 def test_duckdb_tells_of_texts_that_it_cannot_parse(strict):
     with pytest.raises(SqlError, match="syntax error"):
         strict.sql("SELEC 1")

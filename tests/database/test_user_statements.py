@@ -170,7 +170,7 @@ def test_positions_in_a_range_are_searched_at_once(ss, relation, condition, is_s
     assert ("ssduck pairs" in query(ss, sql)) is is_searched
 
 
-@sampled(("relation", "spelling"), SPELLED, every=3)
+@sampled(("relation", "spelling"), SPELLED, every=7)
 def test_every_spelling_has_the_rows_of_the_macro(ss, relation, spelling):
     comparison = OTHERS.get(relation, "")
     arguments = f"(a, b{SEARCHED.get(relation, '')})"
@@ -438,6 +438,7 @@ def test_the_search_for_pairs_is_that_of_selectscript(traced):
     assert len(set(counts)) == 1
 
 
+@pytest.mark.slow
 def test_a_second_world_requires_its_name(traced):
     ss, _, _ = traced
     for _ in range(3):
@@ -470,6 +471,7 @@ def test_what_users_define_comes_first(traced):
     assert [ss.sql(FILTER).fetchall() for _ in range(3)] == [[("b1",)]] * 3
 
 
+@pytest.mark.slow
 def test_what_a_simulator_is_asked_for(traced):
     ss, client, _ = traced
     whole = "SELECT sum(e.m.mass) FROM (SELECT e AS m FROM entities e) e"
@@ -538,7 +540,7 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
         assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
 
 
-@pytest.mark.parametrize(
+@sampled(
     "sql",
     [
         "SELECT a.name, b.name FROM entities a, entities b WHERE collides(a, b)",
@@ -550,6 +552,7 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
         "SELECT a.name FROM entities a, entities b WHERE collides(b, a) AND a.id < b.id",
         "SELECT a.z, b.name FROM entities a, entities b WHERE onTop(b, a) AND a.name <> b.name",
     ],
+    every=3,
 )
 def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
     ss, _, statements = traced
@@ -562,7 +565,7 @@ def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
     assert statements == []
 
 
-@pytest.mark.parametrize(
+@sampled(
     "sql",
     [
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) LIMIT 2",
@@ -577,6 +580,7 @@ def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
         "SELECT a.name FROM entities a, entities b WHERE collides(a, b) AND b.name < a.kind",
         "SELECT a.name FROM entities a, entities b WHERE above(a, b) AND b.kind = 'kinbody'",
     ],
+    every=4,
 )
 def test_a_query_that_does_more_runs_as_a_statement(traced, sql):
     ss, _, statements = traced

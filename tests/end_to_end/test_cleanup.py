@@ -104,9 +104,12 @@ def test_what_is_out_of_reach_is_not_solved(chain, barrett):
 # -- keeping clear -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("apart", [0.0, 0.02, 0.1])
-def test_clear_is_what_clearances_say(few, barrett, chain, apart):
-    """Of the narrow phase, body by body, in what-if worlds: an oracle one posture at a time."""
+@pytest.fixture(scope="module")
+def bent(few, barrett, chain):
+    """Postures near the table: the base, the joints, the obstacles, and the least clearances.
+
+    Those are of the narrow phase, body by body, in what-if worlds: one posture at a time.
+    """
     ss, world = few
     others = [world[name] for name in ("table", "sink", "chair_12d0", "cup_58a2")]
     near_the_table = np.eye(4)
@@ -116,8 +119,7 @@ def test_clear_is_what_clearances_say(few, barrett, chain, apart):
     all_of[:, chain.columns(["j1"])] = rng.uniform(-2.2, -0.8, (20, 1))
     all_of[:, chain.columns(["j2"])] = rng.uniform(0.6, 1.5, (20, 1))
     around = Obstacles(chain, barrett, [wall for other in others for wall in walls_of(other)])
-    found = around.clear(np.tile(near_the_table, (20, 1, 1)), all_of, apart)
-    expected = []
+    clearances = []
     for posture in all_of:
         joints = dict(zip(chain.names, posture, strict=True))
         pose = [1, 0, 0, 0, *near_the_table[:3, 3]]
@@ -128,7 +130,15 @@ def test_clear_is_what_clearances_say(few, barrett, chain, apart):
             "WHERE a.name = 'barrett_4918' AND list_contains(?, b.name)",
             [[other.name for other in others]],
         ).fetchall()[0][0]
-        expected.append(least > apart)
+        clearances.append(least)
+    return np.tile(near_the_table, (20, 1, 1)), all_of, around, clearances
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.02, 0.1])
+def test_clear_is_what_clearances_say(bent, apart):
+    bases, all_of, around, clearances = bent
+    found = around.clear(bases, all_of, apart)
+    expected = [least > apart for least in clearances]
     assert found.tolist() == expected
     assert 0 < sum(expected) < 20, "some are, and some are not"
 

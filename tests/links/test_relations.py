@@ -8,7 +8,7 @@ import pytest
 
 from ssduck.errors import SelectScriptError
 from ssduck.sql.relations.registry import RELATIONS
-from tests.support.cases import sampled
+from tests.support.cases import generated, sampled
 
 ARGUMENTS = {"double": "0.05", "place": "[0.5, 0, 0]", "integer": "0", "string": "'panda_joint1'"}
 PLACE_IN_SQL = "{'x': 0.5, 'y': 0, 'z': 0}"
@@ -101,7 +101,9 @@ def test_of_one_link(cell, relation, name):
 
 @sampled("relation", TWO, every=6, ids=lambda r: r.name)
 def test_of_a_link_and_another(cell, relation):
-    for a, b in PAIRS:
+    # Every relation with half of the pairs, and every pair with half of the relations.
+    half = PAIRS[TWO.index(relation) % 2 :: 2]
+    for a, b in PAIRS if generated(1) > 1 else half:
         handles = call(relation, f"sim.{a}", f"sim.{b}")
         expected = outcome(lambda handles=handles: cell.ss.eval(f"{handles};"))
         own = a.split(".")[0] == b or b.split(".")[0] == a or a == b

@@ -206,6 +206,7 @@ def test_the_valid_one_is_none(file: Path) -> None:
     use(file)
 
 
+@pytest.mark.slow
 def test_a_view_of_the_file_is_not_read(file: Path) -> None:
     """Views, macros and own tables in the schemas of the file are not ours."""
     secret = file.with_name("secret.txt")
@@ -260,7 +261,7 @@ def test_a_table_that_does_not_fit_is_not_read(file: Path, monkeypatch: pytest.M
         ssduck.open(file)
 
 
-@pytest.mark.parametrize("until", [10**15, 2**62, -5])
+@sampled("until", [10**15, 2**62, -5], every=3)
 def test_rows_that_hold_for_ages(file: Path, until: int) -> None:
     """A row that holds for 10**15 ticks would be repeated as often."""
     with duckdb.connect(file) as plain:
@@ -276,6 +277,7 @@ def test_rows_that_hold_for_ages(file: Path, until: int) -> None:
         use(file)
 
 
+@pytest.mark.slow
 def test_the_users_own_database_keeps_its_views(tmp_path: Path) -> None:
     path = tmp_path / "own.duckdb"
     with ssduck.load("kitchen", str(path)) as ss:

@@ -191,6 +191,7 @@ def test_a_damaged_log_ends_earlier(records: Path, tmp_path: Path) -> None:
     assert after == before[: len(after)] != before
 
 
+@pytest.mark.slow
 def test_the_log_of_a_file_is_set_aside(records: Path, tmp_path: Path) -> None:
     file = flip.copy_of(records / "unfinished.duckdb", tmp_path)
     before = _rows(file)
@@ -258,6 +259,7 @@ with ssduck.load("kitchen") as ss:
 """
 
 
+@pytest.mark.slow
 def test_a_killed_export_is_no_episode(tmp_path: Path) -> None:
     path = tmp_path / "run"
     python(KILLED_EXPORT.format(path=str(path)), code_expected=9)
@@ -301,6 +303,7 @@ def test_a_forked_process_opens_a_record_anew(records: Path, name: str) -> None:
     assert anew == parent
 
 
+@pytest.mark.slow
 def test_recorders_begin_in_one_new_folder_at_once(tmp_path: Path) -> None:
     """The folder, its description and the numbers of episodes are made by one of them each."""
     for attempt in range(5):

@@ -258,6 +258,7 @@ def test_a_tick_that_waited_until_ctrl_c_is_kept(
     assert _counts(recorded) == _whole(3 * RING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", ["flush", "close"])
 def test_flush_and_close_wait(
     recorded: ssduck.Interpreter, world: ssduck.World, gate: Gate, tmp_path: Path, call: str

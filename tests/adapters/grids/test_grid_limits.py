@@ -17,6 +17,7 @@ LARGE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", LARGE)
 def test_a_large_grid_stops_at_the_next_check(program, monkeypatch):
     """A step of the work between two checks is small: the time is up at the fifth check."""

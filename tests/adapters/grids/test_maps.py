@@ -256,6 +256,7 @@ def test_a_plane_without_numbers_is_an_error(row_by_row):
     world.close()
 
 
+@pytest.mark.slow
 @sampled("row_by_row", [False, True], every=2)
 def test_an_opened_record_has_the_same_grids(tmp_path, row_by_row):
     queries = [

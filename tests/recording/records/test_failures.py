@@ -109,6 +109,7 @@ def test_half_an_export_is_taken_back(tmp_path):
 # -- killed --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @POSIX
 @sampled("seed", range(generated(3)), every=3)
 def test_killed_recorders_leave_whole_records(seed):
