@@ -106,3 +106,9 @@ finally:
     returned, out, err = run(module=("-c", code), cwd=tmp_path)
     assert (returned, err) == (0, "")
     assert out.splitlines()[-1] == ""
+
+
+@pytest.mark.slow
+def test_the_command_line_completes():
+    env = {"_SSDUCK_COMPLETE": "complete_bash", "COMP_WORDS": "ssduck sce", "COMP_CWORD": "1"}
+    assert run(env=env) == (0, "scenes\n", "")
