@@ -21,7 +21,7 @@ from ssduck.database import interrupts as ctrl_c
 from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
-from ssduck.database.instances import MEMORY, POOL, create_file
+from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file
 from ssduck.database.limited_fetch import limited_rows, limited_table
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
@@ -84,10 +84,8 @@ class Connection:
     ) -> None:
         self._path = path if path == MEMORY else absolute_path(path, is_written=True)
         try:
-            if self.is_file:
-                create_file(self._path)
-            self._instance = duckdb.connect(self._path) if self.is_file else POOL.take()
-            self._connection = self._instance.cursor()
+            self._instance = open_file(self._path) if self.is_file else POOL.take()
+            self._connection = self._cursor()
         except duckdb.Error as error:
             raise SqlError(open_error_text(path, error)) from error
         # A connection that is open when Python ends prints errors.
@@ -154,6 +152,13 @@ class Connection:
         """
         self.run("SET merge_join_threshold = 1000000000")
 
+    def _cursor(self) -> duckdb.DuckDBPyConnection:
+        """Returns another connection to the database."""
+        cursor = self._instance.cursor()
+        if self.is_file:
+            cursor.execute(f"USE {FILE_NAME}")
+        return cursor
+
     @cached_property
     def name(self) -> str:
         """The name of the database in SQL."""
@@ -217,7 +222,7 @@ class Connection:
         file = Path(self._path) if self.is_file else None
         if record is not None:
             self._opened = OpenedRecord(record)
-        return WriterConnection(self._connection, file, record)
+        return WriterConnection(self._cursor(), self._cursor(), file, record)
 
     def attach(self, path: Path) -> str:
         """Attaches a DuckDB file to be read, and returns its name.

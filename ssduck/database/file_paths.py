@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import duckdb
@@ -43,13 +44,17 @@ def open_error_text(path: str, error: Exception) -> str:
     if "already attached" in str(error):
         return f"{path} is open in this process: close it first, or use the interpreter that has it"
     if "lock" in str(error).lower():
+        process = _PROCESS.search(str(error))
+        number = f" ({process.group()})" if process else ""
         return (
-            f"{path} is in use by another process, and DuckDB allows one at a time: close it "
-            f"there, or export it there as Parquet, which any number can read: {str(error).strip()}"
+            f"{path} is in use by another process{number}, and DuckDB allows one at a time: close "
+            "it there; or write to a folder, which any number can read: record_to(…) and "
+            "export(…) there, `ssduck record -o FOLDER`"
         )
     return f"{path} cannot be opened: {str(error).strip()}"
 
 
+_PROCESS = re.compile(r"PID \d+")
 _DAMAGES = (duckdb.SerializationException, duckdb.InternalException, duckdb.FatalException)
 
 

@@ -19,7 +19,9 @@ MEMORY = ":memory:"
 # The format of files: the one of DuckDB's version with long-term support, which later versions read
 # too; and small blocks, since each column of each table of an episode takes one at least.
 _FORMAT = "STORAGE_VERSION 'v1.4.0', BLOCK_SIZE 16384"
-_NEW_FILE = '"new file"'
+# The name of a file's database in SQL. DuckDB would name it after the file, and then no world can
+# have that name; no world can have this one.
+FILE_NAME = '"ssduck file"'
 # The largest number of databases that wait for an interpreter.
 MAX_WAITING = 2
 
@@ -62,19 +64,28 @@ class InstancePool:
             connection.close()
 
 
-def create_file(path: str) -> None:
-    """Creates a DuckDB file unless there is one, in the format of this module."""
-    file = Path(path)
-    with suppress(OSError, duckdb.Error):  # connecting to it fails, too, and says why
-        if file.exists() and file.stat().st_size:
-            return
-        literal = exp.Literal.string(path).sql("duckdb")
-        connection = POOL.take()
-        try:
-            connection.execute(f"ATTACH {literal} AS {_NEW_FILE} ({_FORMAT})")
-            connection.execute(f"DETACH {_NEW_FILE}")
-        finally:
-            POOL.give_back(connection)
+def open_file(path: str) -> duckdb.DuckDBPyConnection:
+    """Returns a connection to a DuckDB file, which is created if there is none.
+
+    Its database has the name `FILE_NAME`; each other connection has to `USE` it.
+
+    Raises:
+        duckdb.Error: the file cannot be opened.
+    """
+    literal = exp.Literal.string(path).sql("duckdb")
+    is_new = True
+    with suppress(OSError):  # attaching it says what is wrong
+        is_new = not Path(path).stat().st_size
+    connection = duckdb.connect(MEMORY)
+    try:
+        options = f"TYPE duckdb, {_FORMAT}" if is_new else "TYPE duckdb"
+        connection.execute(f"ATTACH {literal} AS {FILE_NAME} ({options})")
+        spill = exp.Literal.string(f"{path}.tmp").sql("duckdb")
+        connection.execute(f"SET temp_directory = {spill}")
+    except BaseException:
+        connection.close()
+        raise
+    return connection
 
 
 POOL = InstancePool()

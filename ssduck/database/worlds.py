@@ -22,8 +22,10 @@ from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
 
-# Schemas that DuckDB has already.
-_RESERVED_NAMES = frozenset(("main", "temp", "system", "pg_catalog", "information_schema"))
+# The schemas and databases that DuckDB has already.
+_RESERVED_NAMES = frozenset(
+    ("main", "memory", "temp", "system", "pg_catalog", "information_schema")
+)
 
 
 class WorldRegistry:
@@ -137,10 +139,10 @@ class WorldRegistry:
             ArgumentError: DuckDB has a schema or database of that name, or another world has one
                 that differs in case only.
         """
-        database = self._connection.name.casefold()
-        if name.casefold() in _RESERVED_NAMES or name.casefold() == database:
+        if name.casefold() in _RESERVED_NAMES:
             raise ArgumentError(
-                f"a world cannot have the name {name!r}: DuckDB has a schema or database so named"
+                f"a world cannot have the name {name!r}: DuckDB has a schema or database so named, "
+                "and a world's tables are a schema; choose another name"
             )
         run_schemas: Sequence[tuple[str]] = ()
         if self._connection.has_records and RUN_SCHEMA in name.casefold():

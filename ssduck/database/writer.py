@@ -29,7 +29,8 @@ class WriterConnection:
     transaction only after its end.
 
     Args:
-        connection: the connection to the database.
+        connection: the connection that writes.
+        reading: the connection that reads.
         file: the file of the database; None for memory.
         record: the record that it reads; None for the database itself.
     """
@@ -37,13 +38,14 @@ class WriterConnection:
     def __init__(
         self,
         connection: duckdb.DuckDBPyConnection,
+        reading: duckdb.DuckDBPyConnection,
         file: Path | None = None,
         record: Path | None = None,
     ) -> None:
         self._record = record
         self._opened = None if record is None else OpenedRecord(record)
-        self._connection = connection.cursor()
-        self._reading = connection.cursor()
+        self._connection = connection
+        self._reading = reading
         self._file = file
         self._lock = threading.RLock()
         self._reading_lock = threading.RLock()

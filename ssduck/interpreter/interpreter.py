@@ -131,12 +131,16 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     def close(self) -> None:
         """Removes the triggers, and closes the database and the world that `load` made.
 
-        Worlds that you made stay open.
+        Worlds that you made stay open. One that a program made (`AS environment`) is closed when
+        no variable of yours has it.
         """
         self._triggers.close()
         for world in self._owned_worlds:
             world.close()
-        self._database.close()
+        try:
+            self._database.close()
+        finally:
+            self._execution.release_worlds()
 
     def __enter__(self) -> Self:
         return self

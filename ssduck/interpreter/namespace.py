@@ -196,6 +196,12 @@ class Namespace:
         self.variables[name] = with_assignment(before, value, horizon, now)
         self._assigned.add(name)
 
+    def release_worlds(self) -> None:
+        """Forgets the worlds that programs have bound: each is closed if nothing else has it."""
+        for name in self._assigned:
+            if isinstance(self.variables.get(name), World):
+                self.variables.pop(name)
+
     def _check_kept(self, name: str) -> None:
         """Checks that a program of a stranger leaves a world of the user's as it is.
 

@@ -302,17 +302,6 @@ def test_what_is_no_function_is_refused(ss):
         ss.add_function("three", 3)
 
 
-@pytest.mark.parametrize("name", ["main", "temp", "information_schema"])
-def test_worlds_cannot_take_duckdbs_schemas(ss, name):
-    world = ssduck.load("kitchen").call_variable("kitchen")
-    with (
-        ssduck.Interpreter() as fresh,
-        pytest.raises(ArgumentError, match="DuckDB has a schema"),
-    ):
-        fresh.add_variable(name, world)
-    world.close()
-
-
 # (sql, words)
 SQL_MISTAKES = [
     ("SELECT nme FROM entities", "name"),

@@ -118,3 +118,14 @@ def test_what_somebody_has_stays(lab) -> None:
     assert len(past.times) == 1
     lab.add_variable("entity", kept[0])
     assert lab.eval("id(entity);") == "body_0"
+
+
+def test_closing_lets_go_what_programs_have_bound(lab) -> None:
+    lab.eval("e = SELECT this FROM lab AS environment; f = e; mine = 1;")
+    lab.add_variable("kept", lab.eval("SELECT this FROM lab AS environment;"))
+    bound = weakref.ref(lab.call_variable("e"))
+    lab.close()
+    gc.collect()
+    assert bound() is None
+    assert lab.call_variable("kept").simulator
+    assert lab.call_variable("mine") == 1

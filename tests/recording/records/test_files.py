@@ -90,7 +90,7 @@ def test_a_file_in_use_is_told_of(tmp_path):
             process.stdout.readline()
             for use in (ssduck.open, ssduck.episodes):
                 with pytest.raises(
-                    RecordError, match=r"in use by another process.*export it there"
+                    RecordError, match=rf"another process \(PID {process.pid}\).*write to a folder"
                 ):
                     use(path)
             with pytest.raises(SqlError, match="in use by another process"):
