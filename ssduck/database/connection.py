@@ -336,7 +336,7 @@ class Connection:
 
         def fetch() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
-            if self._has_limited_rows:
+            if self.has_limited_rows:
                 return limited_rows(result, self._max_rows, self.meter.charge)
             return _all_rows(result)
 
@@ -353,7 +353,7 @@ class Connection:
             relation = self._connection.sql(sql, params=parameters)
             if relation is None:
                 return pa.table({})
-            if self._has_limited_rows:
+            if self.has_limited_rows:
                 return limited_table(relation, self._max_rows, self.meter.charge)
             return relation.to_arrow_table()
 
@@ -374,11 +374,11 @@ class Connection:
         Returns:
             The rows; None if the types of the columns require an Arrow table, or it is faster.
         """
+        limited = None
+        if self.has_limited_rows:
+            limited = partial(limited_rows, max_rows=self._max_rows, charge=self.meter.charge)
         if not sql.startswith(_EXECUTE):
             self.on_demand.provide(sql, self)
-        limited = None
-        if self._has_limited_rows:
-            limited = partial(limited_rows, max_rows=self._max_rows, charge=self.meter.charge)
 
         def fetch() -> FetchedRows | None:
             return fetched(self._connection.execute(sql, parameters), limited, header)
@@ -389,7 +389,8 @@ class Connection:
         return rows
 
     @property
-    def _has_limited_rows(self) -> bool:
+    def has_limited_rows(self) -> bool:
+        """Whether the rows of statements are counted and measured."""
         limits = self.meter.limits
         return limits.rows is not None or limits.memory is not None
 

@@ -140,9 +140,6 @@ def fetched(
             result.abort()
             return None
     if limited is not None:
-        if header.is_long:  # an Arrow table is made and measured in a quarter of the time
-            result.abort()
-            return None
         return FetchedRows(header, limited(result))
     if header.is_long is False:
         return FetchedRows(header, result.fetchall())

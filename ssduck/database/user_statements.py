@@ -236,6 +236,10 @@ class UserStatements:
         header = None
         if not parameters and self._is_prepared(statement, sql, names):
             sql, parameters, header = statement.execute, None, statement.last_header
+        was_long = statement.last_header is not None and bool(statement.last_header.is_long)
+        # The batches of an Arrow table are measured at once, tuples one by one.
+        if was_long and self._connection.has_limited_rows:
+            statement.has_plain_types = False
         if statement.has_plain_types:
             rows = self._connection.fetched(sql, parameters, header)
             if rows is not None:

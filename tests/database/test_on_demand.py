@@ -84,9 +84,9 @@ def _functions(ss: ssduck.Interpreter) -> set[str]:
 def test_a_program_makes_what_it_names(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     count = Count(monkeypatch)
     with ssduck.open(run) as ss:
-        # The name of the database and the schema, beside the settings.
+        # The schema, beside the settings.
         settings = ("SET ", "SELECT current_setting")
-        assert len([sql for sql in count.take() if not sql.startswith(settings)]) == 2
+        assert len([sql for sql in count.take() if not sql.startswith(settings)]) == 1
         assert (_views(ss), _functions(ss)) == (set(), set())
         count.take()
         assert len(ss.eval("SELECT id FROM lab{} WHERE z > 2.5 AS list;")) == 3 * TICKS
