@@ -7,6 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.adapters.result import Result
+from ssduck.database import connection
 from ssduck.database.referenced_tables import words_of
 from ssduck.errors import EvaluationError, LimitError, SqlError
 from tests.support.cases import generated, sampled
@@ -538,6 +539,28 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
                 ss.sql("SELECT name FROM entities")
         ss.call_variable("sim").tick()
         assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
+
+
+def test_limits_of_many_texts_hold_at_each_run_and_are_measured_by_batch(monkeypatch):
+    fetched = []
+    measured = connection.limited_rows
+    monkeypatch.setattr(
+        connection, "limited_rows", lambda *a, **k: fetched.append(1) or measured(*a, **k)
+    )
+    limits = ssduck.Limits(rows=2000, memory=1_000_000)
+    with ssduck.Interpreter(limits=limits, recording=None) as ss:
+        text = "SELECT range, 'row ' || range AS name FROM range(2000)"
+        expected = [(number, f"row {number}") for number in range(2000)]
+        for _ in range(3):
+            assert ss.sql(text).fetchall() == expected
+        assert len(fetched) == 1  # the later ones are Arrow tables
+        text = "SELECT repeat('x', $size) AS x FROM range(1500)"
+        for size, error in ((10, None), (10, None), (10_000, "values of more than"), (10, None)):
+            if error is None:
+                assert ss.sql(text, {"size": size}).fetchall() == [("x" * size,)] * 1500
+            else:
+                with pytest.raises(LimitError, match=error):
+                    ss.sql(text, {"size": size})
 
 
 @sampled(
