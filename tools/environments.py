@@ -243,10 +243,10 @@ def _states(env: Any, task: dict[str, Any]) -> Iterator[str]:
         joint = data.joint(place["joint"])
         for share in SHARES:
             for _ in range(DIRECTIONS):
-                way = rng.normal(size=3)
+                way = np.array(place.get("direction", rng.normal(size=3)), float)
                 way *= place["radius"] * (1 + share) / np.linalg.norm(way)
-                around = place["at"] if "at" in place else getattr(env, place["around"])
-                joint.qpos[:3] = around + way
+                joint.qpos[:3] = _centre(env, place, data) + way
+                joint.qpos[3:] = [1, 0, 0, 0]
                 mujoco.mj_forward(model, data)
                 yield f"at {1 + share} of the threshold"
     if (slide := task.get("slide")) is not None:
@@ -255,6 +255,13 @@ def _states(env: Any, task: dict[str, Any]) -> Iterator[str]:
             data.joint(slide).qpos[0] = position
             mujoco.mj_forward(model, data)
             yield f"{slide} at {position:.6g}"
+
+
+def _centre(env: Any, place: dict[str, Any], data: Any) -> Any:
+    """Returns the position around which an object is put, m."""
+    if "body" in place:
+        return data.body(place["body"]).xpos.copy()
+    return np.array(place["at"] if "at" in place else getattr(env, place["around"]))
 
 
 def main() -> int:

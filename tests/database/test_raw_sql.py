@@ -206,7 +206,9 @@ VIEWS = {
 def test_every_column_has_a_name_that_needs_no_quotes(one, view):
     table = VIEWS[view]
     seconds = TABLES[table].second_names
-    names = [seconds.get(column.name, column.name) for column in TABLES[table].columns]
+    # A view of links lacks what only sites have.
+    columns = [c for c in TABLES[table].columns if TABLES[table].part_of or not c.is_of_sites]
+    names = [seconds.get(column.name, column.name) for column in columns]
     for form in (
         "SELECT {list} FROM {view}",
         "SELECT {each} FROM {view}",
