@@ -19,6 +19,10 @@ from ssduck.errors import LimitError
 from ssduck.limits import GRACE, Limits, limit_process_memory
 
 _BEGINS, _ENDS = b"b", b"e"
+# The signals that end both processes; Windows, which has no fork, lacks the last one.
+_ENDING = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
 
 
 def supervised(limits: Limits) -> AbstractContextManager[None]:
@@ -38,10 +42,13 @@ def supervised(limits: Limits) -> AbstractContextManager[None]:
     sys.stdout.flush()
     sys.stderr.flush()
     reading, writing = os.pipe()
+    # A signal that comes before the parent can handle it would leave the child alone.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDING)
     child = os.fork()
     if child:
         os.close(writing)
-        _wait(child, reading, limits)
+        _wait(child, reading, limits, mask)
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     os.close(reading)
     return _program_time(writing, limits)
 
@@ -59,8 +66,14 @@ def _program_time(pipe: int, limits: Limits) -> Iterator[None]:
         os.write(pipe, _ENDS)
 
 
-def _wait(child: int, pipe: int, limits: Limits) -> NoReturn:
+def _wait(child: int, pipe: int, limits: Limits, mask: set[signal.Signals]) -> NoReturn:
     """Waits for the child, and ends this process as the child ends.
+
+    Args:
+        child: the number of its process.
+        pipe: the pipe on which it tells when the program begins and ends.
+        limits: the limits of the program.
+        mask: the signals to block meanwhile.
 
     Raises:
         LimitError: the program took too long, or its process ended by a signal.
@@ -71,8 +84,9 @@ def _wait(child: int, pipe: int, limits: Limits) -> NoReturn:
             os.kill(child, signal.SIGKILL)
         os._exit(128 + number)
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in _ENDING:
         signal.signal(number, interrupted)
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     timeout = None
     while True:
         ready, _, _ = select.select([pipe], [], [], timeout)

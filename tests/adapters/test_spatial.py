@@ -244,7 +244,7 @@ def test_a_picture_shows_what_is_selected(kitchen):
     plain = world.render(240, 180)
     assert np.array_equal(np.asarray(picture)[robots], plain[robots])
     faded = ~robots & ~outlined(picture)
-    assert np.asarray(picture)[faded].min() > 180
+    assert np.asarray(picture)[faded].min() > 125  # half way to white
     # grey: red, green and blue are equal
     assert np.ptp(np.asarray(picture)[faded].astype(int), axis=1).max() == 0
     assert outlined(picture).any()

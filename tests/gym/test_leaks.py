@@ -9,7 +9,7 @@ import pytest
 
 from ssduck.gym import QueryWrapper
 from ssduck.world.world import World
-from tests.support.environments import Drop, Push
+from tests.support.gym_environments import Drop, Push
 
 RESETS = 100
 

@@ -7,7 +7,7 @@ import pytest
 
 from ssduck.errors import RecordError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
-from tests.support.environments import Push
+from tests.support.gym_environments import Push
 
 VARIABLES = {"goal": lambda env: env.goal}
 TERMS = {

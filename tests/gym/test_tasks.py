@@ -5,7 +5,7 @@ import pytest
 
 from ssduck.errors import SelectScriptError
 from ssduck.gym import make_task
-from tests.support.environments import PUSH
+from tests.support.gym_environments import PUSH
 
 TASK = """
 scene = "push.xml"

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
 from ssduck.gym import QueryWrapper
-from tests.support.environments import Drop, Push
+from tests.support.gym_environments import Drop, Push
 
 GOAL = {"goal": lambda env: env.goal}
 REWARD = "-sqrt((x(sim.ball) - goal[0])^2 + (y(sim.ball) - goal[1])^2 + (z(sim.ball) - goal[2])^2)"

@@ -1,103 +1,118 @@
-"""Small environments of gymnasium: one on MuJoCo, one on PyBullet."""
+"""Worlds for the tests of copies."""
 
-import gymnasium
-import mujoco
+from __future__ import annotations
+
 import numpy as np
 import pybullet
 
-PUSH = """
-<mujoco>
-  <option timestep="0.002"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="0 0 .1"/>
-    <body name="table" pos="0 0 .2"><geom type="box" size=".5 .5 .2"/></body>
-    <body name="pusher" pos="-.3 0 .45">
-      <joint name="push" type="slide" axis="1 0 0" damping="5"/>
-      <geom type="box" size=".05 .05 .04" mass="1"/>
-    </body>
-    <body name="ball" pos="0 0 .45"><freejoint/><geom type="sphere" size=".05" mass=".1"/></body>
-  </worldbody>
-  <actuator><motor joint="push" gear="10" ctrlrange="-1 1"/></actuator>
-</mujoco>
-"""
+import ssduck
+from ssduck.sql.relations.registry import RELATIONS
 
 
-class Push(gymnasium.Env):
-    """A slide pushes a ball along a table, to a goal that only Python knows.
-
-    Args:
-        rebuilds: whether each reset makes a new model.
-        most: the number of steps after which an episode is over.
-    """
-
-    def __init__(self, *, rebuilds=False, most=1000):
-        self.rebuilds, self.most, self.steps = rebuilds, most, 0
-        self._build()
-        low, high = -100, 100
-        self.observation_space = gymnasium.spaces.Box(low, high, (self.model.nq,), np.float64)
-        self.action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
-        self.goal = np.zeros(3)
-
-    def _build(self):
-        self.model = mujoco.MjModel.from_xml_string(PUSH)
-        self.data = mujoco.MjData(self.model)
-
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        if self.rebuilds:
-            self._build()
-        mujoco.mj_resetData(self.model, self.data)
-        self.goal = np.array([self.np_random.uniform(0.02, 0.1), 0.0, 0.45])
-        mujoco.mj_forward(self.model, self.data)
-        self.steps = 0
-        return self.data.qpos.copy(), {}
-
-    def step(self, action):
-        self.data.ctrl[:] = action
-        mujoco.mj_step(self.model, self.data, 5)
-        self.steps += 1
-        reward = -float(np.linalg.norm(self.data.body("ball").xpos - self.goal))
-        return self.data.qpos.copy(), reward, False, self.steps >= self.most, {}
+def state(world):
+    """All numbers of all entities, by name."""
+    return {
+        entity.name: np.array(
+            [
+                *entity.pose,
+                *entity.velocity,
+                *np.ravel(entity.aabb),
+                entity.mass,
+                entity.enabled,
+                entity.visible,
+                *(number for j in entity.joints for number in (j.position, j.velocity)),
+                *(number for one in entity.links for number in (*one.position, one.mass)),
+            ]
+        )
+        for entity in world
+    }
 
 
-class Drop(gymnasium.Env):
-    """A cube falls onto the ground, in PyBullet; each reset builds the simulation.
+def farthest(first, second, names=None):
+    """By how much the worlds' numbers differ at most; of these entities only."""
+    a, b = state(first), state(second)
+    names = a.keys() if names is None else names
+    assert set(names) == b.keys()
+    return max((float(np.abs(a[name] - b[name]).max()) for name in names), default=0.0)
 
-    Args:
-        reconnects: whether each reset connects a new client.
-    """
 
-    def __init__(self, *, reconnects=False):
-        self.reconnects = reconnects
-        self.physics_client = pybullet.connect(pybullet.DIRECT)
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float64)
-        self.action_space = gymnasium.spaces.Discrete(2)
+def told_relations():
+    """Relations of one entity or two, as programs write them."""
+    for name, relation in RELATIONS.items():
+        needed = [p for p in relation.parameters if not p.optional]
+        if name != "tick" and all(p.type in ("entity", "place") for p in needed):
+            yield name, len(needed)
 
-    def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
-        if self.reconnects:
-            before = self.physics_client
-            self.physics_client = pybullet.connect(pybullet.DIRECT)
-            pybullet.disconnect(before)
-        client = self.physics_client
-        pybullet.resetSimulation(physicsClientId=client)
-        pybullet.setGravity(0, 0, -9.81, client)
-        for mass, half, height in ((0, (5, 5, 0.5), -0.5), (1, (0.1, 0.1, 0.1), 0.5)):
-            shape = pybullet.createCollisionShape(
-                pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
+
+ONE = sorted(name for name, count in told_relations() if count == 1)
+
+TWO = sorted(name for name, count in told_relations() if count == 2)
+
+
+def by_name(value):
+    """A value with names for entities, which are of different worlds."""
+    if isinstance(value, ssduck.Entity):
+        return value.name
+    if isinstance(value, list | tuple):
+        return [by_name(part) for part in value]
+    if isinstance(value, dict):
+        return {key: by_name(part) for key, part in value.items()}
+    return value
+
+
+def relations(world, names, *, skipped=frozenset()):
+    """What all relations tell of some entities."""
+    ss = ssduck.Interpreter()
+    ss.add_variable("w", world)
+    ss.add_variable("names", list(names))
+    told = {}
+    for name in ONE:
+        if name not in skipped:
+            program = f"SELECT id(this), {name}(this) FROM w WHERE id(this) IN names AS list;"
+            told[name] = by_name(ss.eval(program))
+    for name in TWO:
+        if name not in skipped:
+            told[name] = by_name(
+                ss.eval(
+                    f"SELECT id(a.this), id(b.this), {name}(a.this, b.this) FROM a = w, b = w "
+                    "WHERE id(a.this) IN names AND id(b.this) IN names AS list;"
+                )
             )
-            self.cube = pybullet.createMultiBody(
-                mass, shape, basePosition=(0, 0, height), physicsClientId=client
-            )
-        return self._observation(), {}
+    return told
 
-    def _observation(self):
-        return np.array(pybullet.getBasePositionAndOrientation(self.cube, self.physics_client)[0])
 
-    def step(self, action):
-        for _ in range(4):
-            pybullet.stepSimulation(self.physics_client)
-        return self._observation(), 0.0, False, False, {}
+def dynamics(world):
+    """What PyBullet tells of the links: masses, inertias, friction and so on; colours."""
+    client = world.simulator.client
+    return {
+        member.name: (
+            [
+                np.round([*told[:2], *told[2], *told[3], *told[4], *told[5:10]], 12).tolist()
+                for i in range(-1, len(member.body.joints))
+                for told in [pybullet.getDynamicsInfo(member.body.handle, i, client)]
+            ],
+            [
+                pybullet.getJointInfo(member.body.handle, i, client)[6]
+                for i in range(len(member.body.joints))
+            ],
+            [
+                entry[7]
+                for entry in pybullet.getVisualShapeData(member.body.handle, physicsClientId=client)
+            ],
+        )
+        for member in world.snapshot.load_order
+        if member.body is not None
+    }
 
-    def close(self):
-        pybullet.disconnect(self.physics_client)
+
+def constraints(world):
+    """What PyBullet tells of the constraints."""
+    client = world.simulator.client
+    numbers = [
+        pybullet.getConstraintUniqueId(i, physicsClientId=client)
+        for i in range(pybullet.getNumConstraints(client))
+    ]
+    return [pybullet.getConstraintInfo(number, client)[4:] for number in numbers]
+
+
+MOTORS = "arm: the motors are not known"

@@ -25,7 +25,12 @@ def test_a_model_of_gymnasium(name):
     tables = world.snapshot.tables
     roots = [info.body.handle for info in world.snapshot.entities]
     described = [n for n in range(model.nbody) if model.body_rootid[n] in roots]
-    assert np.array_equal(tables["links"].doubles("x", "z").T, data.xpos[described])
+    is_site = np.array(
+        [region is not None for region in tables["links"].arrow["region"].to_pylist()]
+    )
+    poses = tables["links"].doubles("x", "z").T
+    assert np.array_equal(poses[~is_site], data.xpos[described])
+    assert np.array_equal(np.sort(poses[is_site], axis=0), np.sort(data.site_xpos, axis=0))
     assert len(tables["joints"]["entity"]) == model.njnt
     forces = np.zeros((data.ncon, 6))
     for number, force in enumerate(forces):

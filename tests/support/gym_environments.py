@@ -1,0 +1,103 @@
+"""Small environments of gymnasium: one on MuJoCo, one on PyBullet."""
+
+import gymnasium
+import mujoco
+import numpy as np
+import pybullet
+
+PUSH = """
+<mujoco>
+  <option timestep="0.002"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 .1"/>
+    <body name="table" pos="0 0 .2"><geom type="box" size=".5 .5 .2"/></body>
+    <body name="pusher" pos="-.3 0 .45">
+      <joint name="push" type="slide" axis="1 0 0" damping="5"/>
+      <geom type="box" size=".05 .05 .04" mass="1"/>
+    </body>
+    <body name="ball" pos="0 0 .45"><freejoint/><geom type="sphere" size=".05" mass=".1"/></body>
+  </worldbody>
+  <actuator><motor joint="push" gear="10" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+
+
+class Push(gymnasium.Env):
+    """A slide pushes a ball along a table, to a goal that only Python knows.
+
+    Args:
+        rebuilds: whether each reset makes a new model.
+        most: the number of steps after which an episode is over.
+    """
+
+    def __init__(self, *, rebuilds=False, most=1000):
+        self.rebuilds, self.most, self.steps = rebuilds, most, 0
+        self._build()
+        low, high = -100, 100
+        self.observation_space = gymnasium.spaces.Box(low, high, (self.model.nq,), np.float64)
+        self.action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
+        self.goal = np.zeros(3)
+
+    def _build(self):
+        self.model = mujoco.MjModel.from_xml_string(PUSH)
+        self.data = mujoco.MjData(self.model)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        if self.rebuilds:
+            self._build()
+        mujoco.mj_resetData(self.model, self.data)
+        self.goal = np.array([self.np_random.uniform(0.02, 0.1), 0.0, 0.45])
+        mujoco.mj_forward(self.model, self.data)
+        self.steps = 0
+        return self.data.qpos.copy(), {}
+
+    def step(self, action):
+        self.data.ctrl[:] = action
+        mujoco.mj_step(self.model, self.data, 5)
+        self.steps += 1
+        reward = -float(np.linalg.norm(self.data.body("ball").xpos - self.goal))
+        return self.data.qpos.copy(), reward, False, self.steps >= self.most, {}
+
+
+class Drop(gymnasium.Env):
+    """A cube falls onto the ground, in PyBullet; each reset builds the simulation.
+
+    Args:
+        reconnects: whether each reset connects a new client.
+    """
+
+    def __init__(self, *, reconnects=False):
+        self.reconnects = reconnects
+        self.physics_client = pybullet.connect(pybullet.DIRECT)
+        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float64)
+        self.action_space = gymnasium.spaces.Discrete(2)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        if self.reconnects:
+            before = self.physics_client
+            self.physics_client = pybullet.connect(pybullet.DIRECT)
+            pybullet.disconnect(before)
+        client = self.physics_client
+        pybullet.resetSimulation(physicsClientId=client)
+        pybullet.setGravity(0, 0, -9.81, client)
+        for mass, half, height in ((0, (5, 5, 0.5), -0.5), (1, (0.1, 0.1, 0.1), 0.5)):
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client
+            )
+            self.cube = pybullet.createMultiBody(
+                mass, shape, basePosition=(0, 0, height), physicsClientId=client
+            )
+        return self._observation(), {}
+
+    def _observation(self):
+        return np.array(pybullet.getBasePositionAndOrientation(self.cube, self.physics_client)[0])
+
+    def step(self, action):
+        for _ in range(4):
+            pybullet.stepSimulation(self.physics_client)
+        return self._observation(), 0.0, False, False, {}
+
+    def close(self):
+        pybullet.disconnect(self.physics_client)
