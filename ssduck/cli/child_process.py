@@ -66,7 +66,7 @@ def _program_time(pipe: int, limits: Limits) -> Iterator[None]:
         os.write(pipe, _ENDS)
 
 
-def _wait(child: int, pipe: int, limits: Limits, mask: set[signal.Signals]) -> NoReturn:
+def _wait(child: int, pipe: int, limits: Limits, mask: set[int | signal.Signals]) -> NoReturn:
     """Waits for the child, and ends this process as the child ends.
 
     Args:

@@ -7,6 +7,7 @@ import pytest
 
 from ssduck.errors import RecordError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
+from tests.support.cases import generated
 from tests.support.gym_environments import Push
 
 VARIABLES = {"goal": lambda env: env.goal}
@@ -24,7 +25,7 @@ TERMS = {
 }
 # Terms of today, for the episodes of yesterday.
 OTHER = {"success": "heldFor(x(sim.ball) > goal[0] / 2) >= 0.02", "reward": "-z(sim.pusher)"}
-EPISODES = 60
+EPISODES = generated(8)
 
 
 def run(env, generator, number):
