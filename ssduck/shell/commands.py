@@ -160,22 +160,23 @@ def _time(session: Session, _: str) -> None:
     print_table(DisplayTable(["world", "time", "tick"], rows))
 
 
-@command("[LANGUAGE|FORMAT]")
-def _mode(session: Session, name: str) -> None:
+@command("[LANGUAGE] [FORMAT]")
+def _mode(session: Session, names: str) -> None:
     """Chooses selectscript or sql, or the format of results: table, csv, json, markdown."""
     formats = {key: format for key, format in FORMATS.items() if not format.is_binary}
-    if not name:
+    chosen = names.split()
+    known = (*KEYWORDS, *formats)
+    for name in chosen:
+        if name not in known:
+            message = f"there is no mode {name!r}: {', '.join(known)}"
+            raise UnknownNameError(message, suggestions=nearest(name, known))
+    for name in chosen:
+        if name in formats:
+            session.format = formats[name]
+        else:
+            session.language = "sql" if name == "sql" else "selectscript"
+    if not chosen:
         print_line(f"{session.language}, {session.format.name}")
-    elif name == "sql":
-        session.language = "sql"
-    elif name == "selectscript":
-        session.language = "selectscript"
-    elif name in formats:
-        session.format = formats[name]
-    else:
-        known = (*KEYWORDS, *formats)
-        message = f"there is no mode {name!r}: {', '.join(known)}"
-        raise UnknownNameError(message, suggestions=nearest(name, known))
 
 
 @command("FILE")

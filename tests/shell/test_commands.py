@@ -70,7 +70,7 @@ def test_a_last_statement_needs_no_semicolon(session, capsys):
 
 
 def test_modes(session, capsys):
-    lines = [".mode sql", ".mode json", "SELECT 6 * 7 AS n;", ".mode", ".mode selectscript", "[1];"]
+    lines = [".mode sql json", "SELECT 6 * 7 AS n;", ".mode", ".mode selectscript", "[1];"]
     assert typed(session, capsys, *lines) == (True, '[\n{"n": 42}\n]\nsql, json\n[1]\n', "")
 
 
@@ -106,6 +106,7 @@ ERRORS = [
     (".schema entites", "there is no table 'entites'; did you mean 'entities'"),
     (".entities hal", "there is no world 'hal'; did you mean 'hall'"),
     (".mode jsn", "did you mean 'json'"),
+    (".mode sql jsn", "did you mean 'json'"),
     (".mode parquet", "there is no mode 'parquet'"),
     (".help nearr", "did you mean 'near'"),
     (".export a.csv", "there is no result to write"),
