@@ -56,7 +56,7 @@ def fails(ss, program, kind, words):
         ss.eval(program)
     assert type(caught.value) is kind
     caught = None
-    assert time.process_time() - started < 5
+    assert time.process_time() - started < HANGS
     assert _memory("VmHWM") - before < MEMORY + SPARE
     assert ss.eval("SELECT id(this) FROM kitchen WHERE isRobot(this) LIMIT 1 AS list;") == [
         "fridge"
