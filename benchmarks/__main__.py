@@ -1,8 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
-language and adapters. All of them take some minutes, and so do `python -m benchmarks raw` and
-`python -m benchmarks strict`. `python -m benchmarks mujoco` needs MuJoCo, and
+language and adapters. All of them take some minutes, and so do the tables raw, strict and checksums.
+`python -m benchmarks mujoco` needs MuJoCo, and
 `python -m benchmarks gym` gymnasium as well.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
@@ -15,6 +15,7 @@ import sys
 
 from benchmarks import (
     adapters,
+    checksums,
     gym_steps,
     language,
     mujoco_ticks,
@@ -37,7 +38,7 @@ TABLES = {
     "adapters": adapters,
 }
 # Tables that take minutes.
-LONG_TABLES = {"raw": raw, "strict": strict}
+LONG_TABLES = {"raw": raw, "strict": strict, "checksums": checksums}
 # Tables that need an extra.
 EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import ssduck
-from benchmarks import adapters, pair_relations, pairs, recorded
+from benchmarks import adapters, checksums, pair_relations, pairs, recorded
 from benchmarks.random_scenes import FORMS, KINDS, NEIGHBOURS, Piece, RandomScene, random_scene
 from benchmarks.referee import bounds, may_touch, verdict
+from ssduck.recording.folder_check import check_folder
 
 pytestmark = pytest.mark.slow
 
@@ -119,6 +120,18 @@ def test_the_tables_of_recorded_time(capsys):
         == printed.count("| recording the kitchen at 240 Hz |")
         == 1
     )
+
+
+def test_what_checksums_cost_is_of_records_with_and_without_them(monkeypatch, tmp_path):
+    monkeypatch.setattr(checksums, "TICKS", 20)
+    with ssduck.load("kitchen", recording=None) as ss:
+        with checksums._no_checksums():
+            checksums._record(ss, tmp_path / "bare")
+            for text in checksums.STATEMENTS.values():
+                checksums._ask(tmp_path / "bare", "sql", text)
+        checksums._record(ss, tmp_path / "sealed")
+    assert not check_folder(tmp_path / "sealed")
+    assert check_folder(tmp_path / "bare")
 
 
 def test_grids_and_rays(monkeypatch):
