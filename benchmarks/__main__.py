@@ -1,9 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
-language and adapters. All of them take some minutes, and so do the tables raw, strict and checksums.
-`python -m benchmarks mujoco` needs MuJoCo, and
-`python -m benchmarks gym` gymnasium as well.
+language and adapters. All of them take some minutes, and so do the tables raw, strict and
+checksums. The table mujoco needs MuJoCo, and gym gymnasium as well.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """

@@ -1,10 +1,13 @@
-"""Exports the names of a package, and imports their modules on first use.
+"""Imports modules on first use: those of a package's names, and libraries.
 
 Importing a module also imports its parent packages; lazy exports keep this cheap.
 """
 
 from __future__ import annotations
 
+import signal
+import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from typing import Any
@@ -27,3 +30,27 @@ def exports(
         return getattr(import_module(f"{package}.{modules[name]}"), name)
 
     return get, lambda: sorted(modules)
+
+
+def import_whole(name: str) -> None:
+    """Imports a library; Ctrl-C waits until that is done.
+
+    trimesh catches every exception of what it imports itself, KeyboardInterrupt as well, and lacks
+    that part from then on.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed meanwhile; the library is imported.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    is_main = threading.current_thread() is threading.main_thread()
+    if name in sys.modules or not is_main or not callable(handler):
+        import_module(name)
+        return
+    pressed: list[tuple[int, Any]] = []
+    signal.signal(signal.SIGINT, lambda *given: pressed.append(given))
+    try:
+        import_module(name)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        if pressed:
+            handler(*pressed[0])

@@ -16,6 +16,7 @@ from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.solids import PlacedSolids, Solid
+from ssduck.lazy import import_whole
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -101,6 +102,7 @@ class PointCloud:
 
     def save(self, path: str | Path) -> Path:
         """Writes a file in the format of its suffix: `.ply`, `.xyz`, `.obj` or `.glb`."""
+        import_whole("trimesh")
         import trimesh
 
         path = Path(path)

@@ -16,6 +16,7 @@ from ssduck.adapters.point_cloud import PointCloud, sample_points
 from ssduck.adapters.shapes import SHAPES, shapes_of
 from ssduck.errors import ArgumentError
 from ssduck.geometry.solids import Solid
+from ssduck.lazy import import_whole
 
 if TYPE_CHECKING:
     import trimesh
@@ -49,6 +50,7 @@ def _points(selection: Selection, spacing: Any = 0.02, seed: Any = 0) -> PointCl
 
 
 def _mesh(selection: Selection) -> trimesh.Scene:
+    import_whole("trimesh")
     from ssduck.adapters.mesh_scene import MeshScene
 
     placed = shapes_of(selection)

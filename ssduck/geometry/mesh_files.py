@@ -11,6 +11,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Triangles
 from ssduck.geometry.shapes import Geometry
+from ssduck.lazy import import_whole
 
 # A scene has a few dozen mesh files at most, each in one or two sizes. Files that are no longer
 # used are dropped, so that big meshes do not add up.
@@ -106,6 +107,7 @@ def _read_obj(text: str) -> tuple[Array, list[Triangles]]:
 
 def _read_other(path: Path) -> tuple[Array, list[Triangles]]:
     """Reads a file with trimesh, as one object."""
+    import_whole("trimesh")
     import trimesh
 
     loaded: Any = trimesh.load_mesh(path, process=False)

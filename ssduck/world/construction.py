@@ -21,6 +21,9 @@ UNNAMED = "world"
 class ConstructibleWorld:
     """The constructors of worlds."""
 
+    # Closes the simulator of a world that owns it.
+    _finalizer: weakref.finalize[..., Self] | None = None
+
     if TYPE_CHECKING:
 
         def __init__(
@@ -68,7 +71,7 @@ class ConstructibleWorld:
             simulator.close()
             raise
         # A simulation takes tens of megabytes.
-        weakref.finalize(world, simulator.close)
+        world._finalizer = weakref.finalize(world, simulator.close)
         return world
 
     @classmethod

@@ -139,6 +139,8 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         """Closes the simulation; a client that you created stays connected."""
         with self.lock:
             self._simulator.close()
+            if self._finalizer is not None:
+                self._finalizer.detach()
 
     def render(
         self,

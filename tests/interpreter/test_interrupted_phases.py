@@ -1,0 +1,170 @@
+"""Ctrl-C ends whatever an interpreter does within seconds, and the next program runs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+
+import pytest
+
+import ssduck
+from ssduck.lazy import import_whole
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+# When the signal comes, and how long it may take on a busy machine, s.
+BEFORE, WITHIN = 0.15, 5.0
+ALL_ENTITIES = "SELECT obj FROM kitchen AS"
+SUM = " + ".join(["1"] * 200_000)
+
+# All of them take many times as long as the signal does.
+PROGRAMS = {
+    "parsing": f"{SUM};",
+    "parsing a list": f"x = [{', '.join(['[1, 2]'] * 100_000)}];",
+    "row by row": "SELECT round(a.this / 7 + b.this, 2) FROM a=numbers, b=numbers AS list;",
+    "a path search": (
+        "SELECT this FROM [1, 2, 3, 4, 5, 6, 7, 8, 9] START WITH s=0 CONNECT BY s = s + this "
+        "STOP WITH s > 60 AS list;"
+    ),
+    "the narrow phase": ("SELECT clearance(a.this, b.this) FROM a=kitchen{}, b=kitchen{} AS list;"),
+    "relations over time": (
+        "SELECT a.id, b.id FROM a=kitchen, b=kitchen "
+        "WHERE holds(clearance(a.this, b.this) > 0.01) AS list;"
+    ),
+    "voxels": f"{ALL_ENTITIES} voxelgrid(0.01);",
+    "rays": "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.5, 0.003);",
+    "facts": "SELECT above(a.this, b.this) FROM a=kitchen{}, b=kitchen AS prolog;",
+}
+STATEMENTS = {
+    "planning SQL": f"SELECT {SUM}",
+    "a join": "SELECT count(*) FROM range(1000000) a, range(1000000) b WHERE a.range * b.range % 7 = 3",
+    "fetching": "SELECT range, 'row ' || range, [range, range] FROM range(100000000)",
+}
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    with ssduck.load("kitchen") as ss:
+        ss.call_variable("kitchen").step(60, every=1)
+        ss.add_variable("numbers", list(range(3000)))
+        yield ss
+
+
+def is_interrupted(ss, call) -> None:
+    """Asserts that Ctrl-C ends a call, and that the interpreter answers as before.
+
+    It is pressed again if nothing happens: Python drops a KeyboardInterrupt that is raised while it
+    collects garbage.
+    """
+    ended = threading.Event()
+
+    def press() -> None:
+        while not ended.wait(BEFORE):
+            pressed.append(time.monotonic())
+            os.kill(os.getpid(), signal.SIGINT)
+            ended.wait(WITHIN / 2)
+
+    pressed: list[float] = []
+    before = ss.eval("SELECT id, z FROM kitchen AS list;")
+    presser = threading.Thread(target=press)
+    presser.start()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            call()
+    finally:
+        ended.set()
+        presser.join()
+    assert time.monotonic() - pressed[-1] < WITHIN
+    assert len(pressed) < 4
+    assert ss.eval("SELECT id, z FROM kitchen AS list;") == before
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_programs(kitchen, name):
+    is_interrupted(kitchen, lambda: kitchen.eval(PROGRAMS[name]))
+
+
+@pytest.mark.parametrize("name", STATEMENTS)
+def test_statements(kitchen, name):
+    is_interrupted(kitchen, lambda: kitchen.sql(STATEMENTS[name]).fetchall())
+
+
+@pytest.mark.parametrize("form", ["image(640, 480)", "environment", "mesh"])
+def test_result_forms(kitchen, form):
+    def again_and_again():
+        while True:
+            kitchen.eval(f"{ALL_ENTITIES} {form};")
+
+    is_interrupted(kitchen, again_and_again)
+
+
+def test_exporting(kitchen, tmp_path):
+    def again_and_again():
+        for number in range(10_000):
+            kitchen.export(tmp_path / str(number))
+
+    is_interrupted(kitchen, again_and_again)
+    found = [
+        episode
+        for path in tmp_path.iterdir()
+        if path.name.isdigit()
+        for episode in ssduck.episodes(path)
+    ]
+    assert found
+    kept = len(kitchen.eval("kitchen{};").times)
+    assert {(episode.complete, episode.ticks) for episode in found} == {(True, kept)}
+
+
+def test_opening(kitchen, tmp_path):
+    kitchen.export(tmp_path / "run")
+
+    def again_and_again():
+        while True:
+            with ssduck.open(tmp_path / "run") as ss:
+                ss.eval("SELECT id FROM kitchen{} WHERE z > 1 AS list;")
+
+    is_interrupted(kitchen, again_and_again)
+
+
+def test_loading(kitchen):
+    def again_and_again():
+        while True:
+            ssduck.load("kitchen").close()
+
+    is_interrupted(kitchen, again_and_again)
+
+
+def test_importing(tmp_path, monkeypatch):
+    """A library that catches every exception while it is imported is whole nevertheless."""
+    (tmp_path / "catching.py").write_text(
+        "import os, signal\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    part = 1\n"
+        "except BaseException:\n"
+        "    part = None\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        import_whole("catching")
+    assert sys.modules.pop("catching").part == 1
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_stepping():
+    with ssduck.load("kitchen") as ss:
+        world = ss.call_variable("kitchen")
+        timer = threading.Timer(BEFORE, os.kill, (os.getpid(), signal.SIGINT))
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            world.step(100_000)
+        timer.join()
+        steps = world.time * 240
+        assert 0 < steps < 100_000
+        assert ss.eval("SELECT max(z) > 0 FROM kitchen AS value;") is True
