@@ -26,8 +26,9 @@ interpreters.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Protocol, Self
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -68,6 +69,17 @@ from ssduck.recording.spec import Recording
 from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
 from ssduck.world.world import World
+
+
+class ServedPage(Protocol):
+    """A page of `Interpreter.view`."""
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with its token."""
+
+    def close(self) -> None:
+        """Stops serving."""
 
 
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
@@ -536,6 +548,33 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             except SqlError as error:
                 add_hint(error, self._database.worlds)
                 raise
+
+    def view(
+        self, world: str | None = None, *, host: str = "127.0.0.1", port: int = 0
+    ) -> ServedPage:
+        """Serves a page that shows a world in 3-D as it is stepped, with a box for queries.
+
+        The page asks a copy of each tick under `Limits.strict()`, so that it neither changes nor
+        delays the simulation. A notebook shows the page in place.
+
+        Args:
+            world: the variable of the world; by default the first one.
+            host: the address to listen at. Another one than 127.0.0.1 lets other computers ask.
+            port: the port to listen at; 0 for a free one.
+
+        Returns:
+            The page, with its `url`; `close()` stops it.
+
+        Raises:
+            UnsupportedError: websockets is not installed.
+            NumberError: the port is no such number.
+            UnknownNameError: there is no such world; the error suggests the nearest names.
+            SimulatorError: the address cannot be listened at.
+        """
+        port = validation.integer(port, "view: port", minimum=0, maximum=65535)
+        # The page is a layer above: it asks interpreters.
+        page: ServedPage = import_module("ssduck.view.view").view(self, world, host=host, port=port)
+        return page
 
     def statistics(self) -> dict[str, Statistics]:
         """Returns the numbers of shape comparisons so far, by the name of the world."""

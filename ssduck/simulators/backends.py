@@ -18,6 +18,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, LinkPoses, Simulator
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
+from ssduck.simulators.visuals import VisualShape
 
 BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
@@ -108,6 +109,13 @@ class Backend(Protocol):
         """Describes a simulation of this backend as a scene, without its sensors.
 
         Writes the models of the scene into a folder.
+        """
+
+    def visual_shapes(self, simulator: Simulator, body: Body) -> list[VisualShape]:
+        """Returns what a simulation of this backend draws of a body; the mesh files are read.
+
+        Raises:
+            SimulatorError: the simulation does not answer.
         """
 
 

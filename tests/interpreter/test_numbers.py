@@ -58,6 +58,7 @@ BAD["pose"] = _longer([1, 0, 0, 0], BAD["place"])
 BAD["one"] = BAD["above 0"]
 BAD["setting"] = BAD["seconds above 0"]
 BAD["bool"] = [*BAD["flag"], 0, 1]
+BAD["port"] = [*BAD["steps"], 65536]
 BAD["index"] = [*BAD["count"], 5, HUGE]
 BAD["id"] = [*BAD["count"], 10**6, HUGE]
 BAD["limit"] = [v for v in BAD["seconds above 0"] if v not in (math.inf, HUGE)]
@@ -82,6 +83,7 @@ GOOD = {
     "setting": [1, 0.5, np.float32(2)],
     "bool": [True, False],
     "index": [0, np.int64(0)],
+    "port": [0, np.int64(0)],
     "limit": [1, np.float32(0.5), math.inf],
     "speed": [True, 1000, np.float32(1000)],
     "inside": [0, 1.5, np.float32(0.5)],
@@ -177,6 +179,7 @@ CALLS = {
     "Interpreter.run(seconds)": ("seconds", False, lambda t, v: t.ss.run(v)),
     "Interpreter.run(realtime)": ("speed", False, lambda t, v: t.ss.run(0, realtime=v)),
     "Interpreter.run(progress)": ("flag", False, lambda t, v: t.ss.run(0, progress=v)),
+    "Interpreter.view(port)": ("port", False, lambda t, v: t.ss.view(port=v).close()),
     "Interpreter.run(every)": ("above 0", True, lambda t, v: t.ss.run(0, every=v)),
     "Interpreter.show(rows)": ("count", False, lambda t, v: t.ss.show("[1, 2];", v)),
     "Result.part(start)": ("count", False, lambda t, v: t.ss.sql("SELECT 1").part(v, 1)),

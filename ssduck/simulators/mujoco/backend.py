@@ -10,14 +10,15 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
-from ssduck.simulators.interface import Kind, Simulator
+from ssduck.simulators.interface import Body, Kind, Simulator
 from ssduck.simulators.mujoco.bodies import body_names, roots_of
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.mujoco.sources import source_of
 from ssduck.simulators.scenes import Scene
+from ssduck.simulators.visuals import VisualShape, collision_visuals
 
-__all__ = ["attach", "excerpt", "load", "scene_of"]
+__all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 
 
 def load(scene: Scene) -> MuJoCoSimulator:
@@ -128,3 +129,11 @@ def scene_of(
         "a MuJoCo world cannot be saved as a scene: mujoco.mj_saveLastXML(path, model) saves the "
         "model that was loaded last, mujoco.mj_saveModel any; Interpreter.record_to keeps the ticks"
     )
+
+
+def visual_shapes(
+    simulator: Simulator,  # noqa: ARG001
+    body: Body,
+) -> list[VisualShape]:
+    """Returns the collision shapes of a body; see `Backend.visual_shapes`."""
+    return collision_visuals(body)

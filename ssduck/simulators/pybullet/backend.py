@@ -10,15 +10,16 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
-from ssduck.simulators.interface import Kind, Simulator
+from ssduck.simulators.interface import Body, Kind, Simulator
 from ssduck.simulators.pybullet.clients import handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import load_models
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.user_shapes import user_shapes
 from ssduck.simulators.scenes import Scene
+from ssduck.simulators.visuals import VisualShape
 
-__all__ = ["attach", "excerpt", "load", "scene_of"]
+__all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 
 
 def load(scene: Scene) -> PyBulletSimulator:
@@ -92,3 +93,11 @@ def scene_of(
 
     assert isinstance(simulator, PyBulletSimulator)
     return scene_writer.scene_of(simulator, originals, tick, folder)
+
+
+def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+    """Returns what PyBullet draws of a body; see `Backend.visual_shapes`."""
+    from ssduck.simulators.pybullet import introspection
+
+    assert isinstance(simulator, PyBulletSimulator)
+    return introspection.visual_shapes(simulator, body)

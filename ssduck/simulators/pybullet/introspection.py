@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +13,8 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.mesh_files import load_mesh
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses
 from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet
@@ -19,6 +22,7 @@ from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, position_neares
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
 from ssduck.simulators.scenes import ConstraintSpec
+from ssduck.simulators.visuals import VisualShape, collision_visuals
 
 # The body and the link at an end of a constraint, by PyBullet's numbers; -1, -1 is the world.
 ConstraintEnd: TypeAlias = tuple[int, int]
@@ -123,6 +127,37 @@ def _visuals(simulator: PyBulletSimulator, body: Body) -> Iterator[Visual]:
             wxyz(np.array([entry[6]]))[0],
             colour,
         )
+
+
+def visual_shapes(simulator: PyBulletSimulator, body: Body) -> list[VisualShape]:
+    """Returns the visual shapes of a body; a link with a plane or an unreadable mesh collides so.
+
+    PyBullet's visual planes have no normal, and soft bodies have a mesh without a file.
+    """
+    shapes: dict[int, list[VisualShape] | None] = {}
+    for visual in _visuals(simulator, body):
+        link, geometry = visual.link, visual.geometry
+        if geometry is None:
+            geometry = _mesh_of(visual)
+        known = shapes.setdefault(link, [])
+        if known is None or geometry is None or geometry.type == "plane":
+            shapes[link] = None
+            continue
+        red, green, blue, alpha = visual.colour
+        colour = (red, green, blue, alpha)
+        known.append(VisualShape(link, geometry, visual.position, visual.orientation, colour))
+    drawn = [shape for known in shapes.values() for shape in known or ()]
+    lacking = {link for link, known in shapes.items() if known is None}
+    collision = collision_visuals(body)
+    return drawn + [each for each in collision if each.link in lacking or not shapes]
+
+
+def _mesh_of(visual: Visual) -> Geometry | None:
+    """Returns the mesh of a visual shape; None if its file cannot be read."""
+    try:
+        return load_mesh(Path(visual.file), tuple(map(float, visual.scale)))
+    except ValueError:
+        return None
 
 
 def constraints_of(client: int) -> Iterator[tuple[ConstraintSpec, ConstraintEnd, ConstraintEnd]]:

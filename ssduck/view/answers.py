@@ -1,0 +1,263 @@
+"""Answers what a page asks: queries, completions, and facts about an entity.
+
+All methods run in the one thread of a page's queries.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import time
+import warnings
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from ssduck import validation
+from ssduck.adapters.display import DisplayTable, RowsOfColumns, as_json, display_table
+from ssduck.adapters.formats import FORMATS
+from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError, nearest
+from ssduck.interpreter.completion import KEYWORDS, complete
+from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.schema import LINK_FACTOR, entity_of, link_of
+from ssduck.view.sources import Source
+from ssduck.world.entities import Sensor
+from ssduck.world.handles import Handle
+from ssduck.world.world import World
+
+# The rows that a page gets; downloads have all.
+MAX_ROWS = 1000
+MAX_COMPLETIONS = 60
+MAX_LINES = 100
+# The formats of downloads.
+_DOWNLOADS = ("csv", "json", "parquet")
+# What is told of an entity: the names that a query with the entity's id as its parameter selects.
+_PAIRS = (
+    "SELECT b.name FROM entities a, entities b WHERE a.id = ? AND a.id <> b.id "
+    "AND b.kind <> 'sensor' AND "
+)
+_RELATIONS = {
+    "on it": _PAIRS + """a.kind <> 'sensor' AND "on"(a, b) ORDER BY b.name""",
+    "it is on": _PAIRS + """a.kind <> 'sensor' AND "on"(b, a) ORDER BY b.name""",
+    "touching it": _PAIRS + "a.kind <> 'sensor' AND touching(a, b) ORDER BY b.name",
+    "nearest": _PAIRS + "true ORDER BY distance(a, b) LIMIT 5",
+}
+
+# The number of an entity and of its link; -1 for the whole entity.
+Mark = tuple[int, int]
+
+
+class Answers:
+    """Answers the questions of one page.
+
+    Args:
+        source: what is shown.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._result: Any = None
+
+    def answer(self, question: dict[str, Any]) -> dict[str, Any]:
+        """Returns the answer to a question; an error has its place and suggestions."""
+        kinds = {
+            "ask": self._ask,
+            "complete": self._complete,
+            "pick": self._pick,
+            "download": self._download,
+        }
+        try:
+            kind = question.get("type")
+            if not isinstance(kind, str) or kind not in kinds:
+                raise ArgumentError(f"a page cannot ask {str(kind)[:40]!r}")
+            return kinds[kind](question)
+        except SelectScriptError as error:
+            return {"error": _error(error)}
+
+    # -- queries ------------------------------------------------------------------------------
+
+    def _ask(self, question: dict[str, Any]) -> dict[str, Any]:
+        text, language = _text(question, "text"), _language(question)
+        started = time.perf_counter()
+        world = self._source.mirror(_time(question))
+        ss = self._source.interpreter
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            if language == "sql":
+                value: Any = ss.sql(text)
+            else:
+                value = rows_to_show(ss.compile(text), ss.eval)
+        self._result = value
+        picture = _picture(value)
+        table = DisplayTable([], []) if picture else display_table(value)
+        marks = _Marks(world)
+        rows = table.rows[:MAX_ROWS]
+        row_marks = [marks.of(row) for row in rows]
+        everything = [*row_marks, *map(marks.of, table.rows[MAX_ROWS:])]
+        return {
+            "columns": list(table.columns),
+            "rows": [[as_json(cell) for cell in row] for row in rows],
+            "marks": row_marks,
+            "all": sorted({mark for each in everything for mark in each}),
+            "lines": list(_lines(world, everything)),
+            "boxes": list(_boxes(world, everything)),
+            "count": len(table.rows),
+            "picture": picture,
+            "warnings": [str(each.message) for each in caught],
+            "time": world.time,
+            "ms": (time.perf_counter() - started) * 1e3,
+        }
+
+    def _complete(self, question: dict[str, Any]) -> dict[str, Any]:
+        text, language = _text(question, "text"), _language(question)
+        cursor = validation.integer(question.get("cursor"), "complete: cursor", minimum=0)
+        if not self._source.interpreter.worlds:
+            self._source.mirror(None)
+        found = complete(self._source.interpreter, text, cursor, language)
+        return {
+            "completions": [
+                [each.text, each.start, each.kind, each.usage, each.about]
+                for each in found[:MAX_COMPLETIONS]
+            ]
+        }
+
+    def _download(self, question: dict[str, Any]) -> dict[str, Any]:
+        name = question.get("format")
+        if name not in _DOWNLOADS:
+            raise UnknownNameError(
+                f"there is no download {name!r}", suggestions=nearest(name, _DOWNLOADS)
+            )
+        format = FORMATS[name]
+        if format.is_binary:
+            stream = io.BytesIO()
+            format.write(self._result, stream)
+            content = stream.getvalue()
+        else:
+            text = io.StringIO()
+            format.write(self._result, text)
+            content = text.getvalue().encode()
+        return {"content": base64.b64encode(content).decode(), "name": f"result.{name}"}
+
+    # -- an entity ----------------------------------------------------------------------------
+
+    def _pick(self, question: dict[str, Any]) -> dict[str, Any]:
+        id = validation.integer(question.get("entity"), "pick: entity", minimum=0)
+        world = self._source.mirror(_time(question))
+        entity = world.entity(id)
+        facts: dict[str, Any] = {"kind": entity.kind, "id": entity.id}
+        facts["position (m)"] = _rounded(entity.position)
+        facts["orientation (w, x, y, z)"] = _rounded(entity.orientation)
+        if not isinstance(entity, Sensor):
+            facts["velocity (m/s)"] = _rounded(entity.velocity)
+            facts["mass (kg)"] = round(entity.mass, 4)
+            facts["links"] = [link.name for link in entity.links]
+        relations = {title: self._names(query, id) for title, query in _RELATIONS.items()}
+        return {"name": entity.name, "facts": facts, "relations": relations}
+
+    def _names(self, statement: str, id: int) -> list[str]:
+        return [name for (name,) in self._source.interpreter.sql(statement, [id])]
+
+
+class _Marks:
+    """Finds the entities and links in the rows of a result.
+
+    Args:
+        world: the world that was asked.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._ids = {info.name: info.id for info in world.snapshot.entities}
+
+    def of(self, row: Sequence[Any]) -> list[Mark]:
+        """Returns what a row has: handles, and texts that are names of entities."""
+        return list(dict.fromkeys(mark for cell in row for mark in self._in(cell)))
+
+    def _in(self, value: Any) -> Iterator[Mark]:
+        if isinstance(value, Handle):
+            is_link = value.id >= LINK_FACTOR
+            yield (entity_of(value.id), link_of(value.id)) if is_link else (value.id, -1)
+        elif isinstance(value, str):
+            if value in self._ids:
+                yield self._ids[value], -1
+        elif isinstance(value, dict):
+            for part in value.values():
+                yield from self._in(part)
+        elif isinstance(value, list | tuple) and not isinstance(value, RowsOfColumns):
+            for part in value:
+                yield from self._in(part)
+
+
+def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float]]]:
+    """Yields the nearest points of the two entities of each row that has two."""
+    bodies = {info.id for info in world.snapshot.entities if info.body is not None}
+    pairs = [
+        (row[0][0], row[1][0])
+        for row in rows
+        if len(row) == 2 and row[0][0] != row[1][0] and {row[0][0], row[1][0]} <= bodies
+    ]
+    if not pairs:
+        return
+    world.request_tables(("shapes",))
+    shapes = world.snapshot.shapes()
+    for first, second in pairs[:MAX_LINES]:
+        points = shapes.points(first, second)
+        if points is not None:
+            yield points
+
+
+def _boxes(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[float]]:
+    """Yields the boxes of the bodies in a result, lower and upper corner, unless they are many."""
+    ids = dict.fromkeys(entity for row in rows for entity, _ in row)
+    bodies = {info.id for info in world.snapshot.entities if info.body is not None}
+    if len(ids) <= MAX_LINES:
+        for id in bodies.intersection(ids):
+            low, high = world.entity(id).aabb
+            yield [*map(float, low), *map(float, high)]
+
+
+def _picture(value: Any) -> str | None:
+    """Returns a picture that a value has, base64 of PNG; None if it is shown as a table."""
+    if isinstance(value, RowsOfColumns | list | Handle | World):
+        return None
+    stream = io.BytesIO()
+    if hasattr(value, "_repr_png_"):
+        content = value._repr_png_()  # IPython's protocol
+        return None if content is None else base64.b64encode(content).decode()
+    if hasattr(value, "save") and hasattr(value, "getpixel"):  # an image of Pillow
+        value.save(stream, "PNG")
+        return base64.b64encode(stream.getvalue()).decode()
+    return None
+
+
+def _error(error: SelectScriptError) -> dict[str, Any]:
+    span = error.span
+    return {
+        "type": type(error).__name__,
+        "message": error.message,
+        "suggestions": list(error.suggestions),
+        "start": None if span is None else span.start,
+        "end": None if span is None else span.end,
+        "line": error.line,
+        "column": error.column,
+    }
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(value), 4) for value in values]
+
+
+def _text(question: dict[str, Any], key: str) -> str:
+    return validation.text(question.get(key), f"{question['type']}: {key} is a text")
+
+
+def _time(question: dict[str, Any]) -> float | None:
+    value = question.get("at")
+    return None if value is None else validation.seconds(value, "a time")
+
+
+def _language(question: dict[str, Any]) -> Any:
+    language = question.get("language", "selectscript")
+    if language not in KEYWORDS:
+        raise UnknownNameError(
+            f"there is no language {str(language)[:40]!r}", suggestions=nearest(language, KEYWORDS)
+        )
+    return language

@@ -1,0 +1,298 @@
+"""Serves the page and its connections, in a thread of its own.
+
+The server answers nothing without its token, refuses pages of other origins, and hosts of other
+names, so that no other page in the browser of the user can ask.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import http
+import importlib.resources
+import json
+import secrets
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Protocol
+from urllib.parse import parse_qs, urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from ssduck.errors import SelectScriptError, SimulatorError
+from ssduck.view.answers import Answers
+from ssduck.view.messages import Frame, Poses, poses_message
+from ssduck.view.sources import Source
+
+# The shortest real time between two updates of a page, s.
+PERIOD = 1.0 / 30.0
+# The largest question of a page, bytes.
+MAX_QUESTION = 2_000_000
+_LOCAL = ("127.0.0.1", "localhost")
+_FILES = {"/page.js": "text/javascript", "/page.css": "text/css"}
+
+
+class Controls(Protocol):
+    """The simulation, as far as a page controls it."""
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """Whether it plays, and how fast."""
+
+    def control(self, action: Any, value: Any = None) -> None:
+        """Does what a page asks."""
+
+
+class PageServer:
+    """The server of a page.
+
+    Args:
+        source: what the page shows.
+        host: the address to listen at.
+        port: the port; 0 for a free one.
+
+    Attributes:
+        url: the address of the page, with its token.
+
+    Raises:
+        SimulatorError: the address is in use, or not one of this computer.
+    """
+
+    def __init__(self, source: Source, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._source, self._host = source, host
+        self._controls: Controls | None = None
+        self._token = secrets.token_urlsafe(24)
+        self._viewers: set[_Viewer] = set()
+        # Queries wait for each other, and never for the simulation or for poses.
+        self._queries = ThreadPoolExecutor(1, "ssduck view: queries")
+        self._frames = ThreadPoolExecutor(1, "ssduck view: frames")
+        self._loop = asyncio.new_event_loop()
+        self._is_woken = False
+        self._thread = threading.Thread(
+            target=self._loop.run_forever, name="ssduck view: server", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._server: Server = asyncio.run_coroutine_threadsafe(
+                self._start(port), self._loop
+            ).result()
+        except OSError as error:
+            self._end_threads()
+            raise SimulatorError(
+                f"{host}:{port} cannot be listened at: {error.strerror}; choose another --port"
+            ) from error
+        self.port: int = self._server.sockets[0].getsockname()[1]
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.port}/?token={self._token}"
+
+    async def _start(self, port: int) -> Server:
+        return await serve(
+            self._connected,
+            self._host,
+            port,
+            process_request=self._respond,
+            max_size=MAX_QUESTION,
+            compression=None,
+            server_header=None,
+            close_timeout=1,
+        )
+
+    def set_controls(self, controls: Controls) -> None:
+        """Lets pages control a simulation."""
+        self._controls = controls
+
+    def wake(self) -> None:
+        """Tells all pages that there is something new; any thread may call it, at any rate."""
+        if self._is_woken or self._loop.is_closed():
+            return
+        self._is_woken = True
+        with contextlib.suppress(RuntimeError):  # the loop was closed just now
+            self._loop.call_soon_threadsafe(self._wake_viewers)
+
+    def _wake_viewers(self) -> None:
+        self._is_woken = False
+        for viewer in self._viewers:
+            viewer.news.set()
+
+    def close(self) -> None:
+        """Closes all connections, and ends the threads."""
+        self._source.watch(None)
+
+        async def stop() -> None:
+            self._server.close()
+            await self._server.wait_closed()
+
+        asyncio.run_coroutine_threadsafe(stop(), self._loop).result()
+        self._end_threads()
+
+    def _end_threads(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._queries.shutdown()
+        self._frames.shutdown()
+        self._loop.close()
+
+    # -- who may ask --------------------------------------------------------------------------
+
+    def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Refuses a request, answers it with a file, or lets it become a connection (None)."""
+        address = urlsplit(request.path)
+        hosts = request.headers.get_all("Host")
+        if len(hosts) != 1 or not self._is_own(hosts[0]):
+            return connection.respond(http.HTTPStatus.MISDIRECTED_REQUEST, "an unknown host\n")
+        tokens = parse_qs(address.query).get("token", [])
+        if len(tokens) != 1 or not secrets.compare_digest(tokens[0].encode(), self._token.encode()):
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "the token is missing or wrong\n")
+        is_socket = address.path == "/socket"
+        origins = request.headers.get_all("Origin")
+        if (is_socket or origins) and origins != [f"http://{hosts[0]}"]:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "a foreign origin\n")
+        if is_socket:
+            return None
+        if address.path == "/":
+            return self._page(hosts[0])
+        if address.path in _FILES:
+            content = _file(address.path.removeprefix("/"))
+            return _response(content, _FILES[address.path], {})
+        return connection.respond(http.HTTPStatus.NOT_FOUND, "there is no such page\n")
+
+    def _is_own(self, host: str) -> bool:
+        """Checks whether a request is for this server by a name that no other site can have."""
+        name, _, port = host.rpartition(":")
+        names = (*_LOCAL, self._host, f"[{self._host}]")
+        return name in names and port == str(self.port)
+
+    def _page(self, host: str) -> Response:
+        nonce = secrets.token_urlsafe(16)
+        policy = (
+            "default-src 'none'; script-src 'self'; img-src 'self' data: blob:; "
+            f"style-src 'self' 'nonce-{nonce}'; connect-src 'self' ws://{host}; "
+            "base-uri 'none'; form-action 'none'; "
+            "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
+        )
+        text = _file("index.html").decode()
+        text = text.replace("{{token}}", self._token).replace("{{nonce}}", nonce)
+        return _response(text.encode(), "text/html", {"Content-Security-Policy": policy})
+
+    # -- connections --------------------------------------------------------------------------
+
+    async def _connected(self, connection: ServerConnection) -> None:
+        viewer = _Viewer(connection, Answers(self._source))
+        self._viewers.add(viewer)
+        try:
+            if len(self._viewers) == 1:
+                await self._in(self._frames, lambda: self._source.watch(self.wake))
+            sending = asyncio.create_task(self._send_news(viewer))
+            try:
+                async for message in connection:
+                    await self._received(viewer, message)
+            finally:
+                sending.cancel()
+                with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
+                    await sending
+        except ConnectionClosed:
+            pass
+        finally:
+            self._viewers.discard(viewer)
+            if not self._viewers:
+                await self._in(self._frames, lambda: self._source.watch(None))
+
+    async def _in(self, executor: ThreadPoolExecutor, function: Callable[[], Any]) -> Any:
+        return await self._loop.run_in_executor(executor, function)
+
+    async def _send_news(self, viewer: _Viewer) -> None:
+        """Sends scene and poses whenever there are new ones: the latest, and what moved."""
+        about = {**self._source.about, "type": "hello", "controls": self._controls is not None}
+        await viewer.connection.send(json.dumps(about))
+        while True:
+            viewer.news.clear()
+            at = viewer.time
+            frame = await self._in(self._frames, lambda: self._source.frame(at))  # noqa: B023
+            if viewer.frame is None or not viewer.frame.has_same_scene(frame):
+                scene = await self._in(self._frames, lambda: self._source.scene(frame))  # noqa: B023
+                await viewer.connection.send(scene)
+                viewer.sent = None
+            if frame is not viewer.frame:
+                await viewer.connection.send(poses_message(frame, viewer.sent))
+                viewer.frame, viewer.sent = frame, frame.poses
+            if self._controls is not None and self._controls.status != viewer.status:
+                viewer.status = self._controls.status
+                await viewer.connection.send(json.dumps({"type": "status", **viewer.status}))
+            await asyncio.sleep(PERIOD)
+            await viewer.news.wait()
+
+    async def _received(self, viewer: _Viewer, message: str | bytes) -> None:
+        question = _parsed(message)
+        reply: dict[str, Any]
+        if question.get("type") == "seek":
+            value = question.get("at")
+            viewer.time = float(value) if isinstance(value, int | float) else None
+            viewer.news.set()
+            return
+        if question.get("type") == "control":
+            reply = self._control(question)
+        else:
+            reply = await self._in(self._queries, lambda: viewer.answers.answer(question))
+        reply |= {"type": question.get("type"), "id": question.get("id")}
+        await viewer.connection.send(json.dumps(reply))
+
+    def _control(self, question: dict[str, Any]) -> dict[str, Any]:
+        if self._controls is None:
+            return {"error": {"message": "this simulation is stepped elsewhere"}}
+        try:
+            self._controls.control(question.get("action"), question.get("value"))
+        except SelectScriptError as error:
+            return {"error": {"message": str(error)}}
+        return {}
+
+
+class _Viewer:
+    """A page that is connected.
+
+    Attributes:
+        news: is set when there may be something to send.
+        time: the time that it shows, s; None for the present.
+        frame: the last frame that it got.
+        sent: the poses that it has.
+        status: the state of the simulation that it knows.
+    """
+
+    def __init__(self, connection: ServerConnection, answers: Answers) -> None:
+        self.connection, self.answers = connection, answers
+        self.news = asyncio.Event()
+        self.time: float | None = None
+        self.frame: Frame | None = None
+        self.sent: Poses | None = None
+        self.status: dict[str, Any] | None = None
+
+
+def _parsed(message: str | bytes) -> dict[str, Any]:
+    """Returns a question; one that is no JSON object has no type, and is refused."""
+    try:
+        question = json.loads(message)
+    except (ValueError, RecursionError):
+        return {}
+    return question if isinstance(question, dict) else {}
+
+
+def _file(name: str) -> bytes:
+    return (importlib.resources.files("ssduck.view") / "page" / name).read_bytes()
+
+
+def _response(content: bytes, type: str, more: dict[str, str]) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": f"{type}; charset=utf-8",
+            "Content-Length": str(len(content)),
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+            "Connection": "close",
+            **more,
+        }
+    )
+    return Response(200, "OK", headers, content)

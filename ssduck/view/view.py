@@ -1,0 +1,101 @@
+"""Opens the page of a world or a record: `view` and `view_record`."""
+
+from __future__ import annotations
+
+import contextlib
+import html
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+from ssduck.adapters.optional import library
+from ssduck.errors import UnknownNameError, nearest
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.view.simulation import Simulation
+from ssduck.view.sources import LiveSource, RecordSource, Source
+from ssduck.world.world import World
+
+_HEIGHT = 640
+
+
+class View:
+    """A page that is served until it is closed; a notebook shows it in place.
+
+    Args:
+        source: what it shows.
+        reload: returns the world anew, for a world that the page runs; None for other worlds.
+        host: the address to listen at.
+        port: the port; 0 for a free one.
+
+    Attributes:
+        url: the address of the page, with the token without which nothing is answered.
+
+    Raises:
+        UnsupportedError: websockets is not installed.
+        SimulatorError: the address cannot be listened at.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        reload: Callable[[], World] | None = None,
+        host: str = "127.0.0.1",
+        port: int = 0,
+    ) -> None:
+        library("websockets", "view")
+        from ssduck.view.server import PageServer
+
+        with contextlib.ExitStack() as stack:
+            stack.callback(source.close)
+            self._server = PageServer(source, host, port)
+            stack.callback(self._server.close)
+            if reload is not None:
+                assert isinstance(source, LiveSource)
+                simulation = Simulation(source, reload, self._server.wake)
+                self._server.set_controls(simulation)
+                stack.callback(simulation.close)
+            self._stack = stack.pop_all()
+        self.url = self._server.url
+
+    def close(self) -> None:
+        """Stops serving; the world goes on. A second call does nothing."""
+        self._stack.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<View {self.url}>"
+
+    def _repr_html_(self) -> str:
+        """Returns a frame with the page, for notebooks."""
+        address = html.escape(self.url, quote=True)
+        return f'<iframe src="{address}" width="100%" height="{_HEIGHT}" frameborder="0"></iframe>'
+
+
+def view(ss: Interpreter, world: str | None = None, **address: Any) -> View:
+    """Serves the page of a world; see `Interpreter.view`."""
+    worlds = {each.name: each for each in ss.worlds}
+    if not worlds:
+        raise UnknownNameError("there is no world to view; add one with add_variable, or use load")
+    name = next(iter(worlds)) if world is None else world
+    if name not in worlds:
+        raise UnknownNameError(f"there is no world {name!r}", suggestions=nearest(name, worlds))
+    return View(LiveSource(worlds[name], name), **address)
+
+
+def view_scene(world: World, reload: Callable[[], World], **address: Any) -> View:
+    """Serves the page of a world that the page itself runs."""
+    return View(LiveSource(world, world.name), reload, **address)
+
+
+def view_record(path: str | Path, episode: int | None = None, **address: Any) -> View:
+    """Serves the page of a record.
+
+    Raises:
+        RecordError: there is no such record, or it is damaged.
+    """
+    return View(RecordSource(path, episode), **address)

@@ -1,0 +1,250 @@
+"""The server of the page: who may ask, what is answered, and what is refused."""
+
+import hashlib
+import json
+import struct
+import urllib.error
+import urllib.request
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.errors import UnknownNameError
+
+websockets = pytest.importorskip("websockets", reason="the extra view is not installed")
+from websockets.exceptions import InvalidStatus  # noqa: E402
+from websockets.sync.client import connect  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+SCENE, POSES = 1, 2
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
+@pytest.fixture(scope="module")
+def url(ss):
+    page = ss.view()
+    yield page.url
+    page.close()
+    page.close()
+
+
+def opened(url, **headers):
+    """Returns a connection as the page makes it."""
+    parts = urlsplit(url)
+    headers = {"Origin": f"http://{parts.netloc}", **headers}
+    address = f"ws://{parts.netloc}/socket?{parts.query}"
+    return connect(address, additional_headers=headers, max_size=None, proxy=None)
+
+
+def asked(socket, **question):
+    """Sends a question, and returns its answer."""
+    socket.send(json.dumps({"id": 7, **question}))
+    while True:
+        message = socket.recv(timeout=30)
+        if isinstance(message, str) and json.loads(message).get("id") == 7:
+            return json.loads(message)
+
+
+def binary(socket, kind):
+    """Returns the next binary message of a kind."""
+    while True:
+        message = socket.recv(timeout=30)
+        if isinstance(message, bytes) and struct.unpack_from("<I", message)[0] == kind:
+            return message
+
+
+def status(url, path=None, **headers):
+    """Returns the status of a request."""
+    request = urllib.request.Request(url if path is None else path, headers=headers)  # noqa: S310  # its own server
+    try:
+        with urllib.request.urlopen(request, timeout=30) as reply:  # noqa: S310
+            return reply.status
+    except urllib.error.HTTPError as error:
+        error.close()
+        return error.code
+
+
+@pytest.fixture(scope="module")
+def socket(url):
+    with opened(url) as socket:
+        yield socket
+
+
+def test_the_page_is_answered_with_its_policy(url):
+    with urllib.request.urlopen(url, timeout=30) as reply:  # noqa: S310
+        policy, text = reply.headers["Content-Security-Policy"], reply.read().decode()
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "{{" not in text
+
+
+@pytest.mark.parametrize("name", ["", "page.js", "page.css", "socket", "nothing"])
+@pytest.mark.parametrize("token", ["", "?token=", "?token=wrong", "?token=é"])
+def test_nothing_is_answered_without_the_token(url, name, token):
+    base = url.partition("?")[0]
+    assert status(url, base + name + token.replace("é", "%C3%A9")) == 403
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        ({"Host": "example.org"}, 421),
+        ({"Host": "example.org:{port}"}, 421),
+        ({"Host": "127.0.0.1.example.org:{port}"}, 421),
+        ({"Host": "127.0.0.1:1"}, 421),
+        ({"Origin": "http://example.org"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Origin": "https://127.0.0.1:{port}"}, 403),
+        ({"Host": "localhost:{port}"}, 200),
+        ({"Origin": "http://127.0.0.1:{port}"}, 200),
+    ],
+)
+def test_foreign_hosts_and_origins_are_refused(url, headers, expected):
+    port = urlsplit(url).port
+    assert status(url, **{k: v.format(port=port) for k, v in headers.items()}) == expected
+
+
+@pytest.mark.parametrize("origin", ["http://example.org", "http://127.0.0.1:1", "null"])
+def test_a_foreign_page_cannot_connect(url, origin):
+    with pytest.raises(InvalidStatus) as caught, opened(url, Origin=origin):
+        pass
+    assert caught.value.response.status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("language", "text", "part"),
+    [
+        ("sql", "FROM read_csv('/etc/passwd')", "read_csv"),
+        ("sql", "DROP SCHEMA kitchen CASCADE", "one SELECT"),
+        ("sql", "SELECT 1; SELECT 2", "one"),
+        (
+            "selectscript",
+            "SELECT this FROM kitchen AS glb('kitchen.glb');",
+            "files are switched off",
+        ),
+        ("selectscript", "eval('1;');", "eval"),
+        ("selectscript", "kitchen = 1;", "world"),
+        ("selectscript", "kitchen.fridge.__class__;", "__class__"),
+    ],
+)
+def test_programs_of_the_page_are_strict(socket, language, text, part):
+    error = asked(socket, type="ask", text=text, language=language)["error"]
+    assert part in error["message"]
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        {},
+        {"type": 3},
+        {"type": "ask"},
+        {"type": "ask", "text": 1},
+        {"type": "ask", "text": "1;", "language": "python"},
+        {"type": "pick", "entity": "x"},
+        {"type": "pick", "entity": -1},
+        {"type": "complete", "text": "S", "cursor": 9},
+        {"type": "download", "format": "exe"},
+        {"type": "control", "action": "play"},
+    ],
+)
+def test_a_wrong_question_is_an_error_and_the_next_one_is_answered(socket, question):
+    assert asked(socket, **question)["error"]["message"]
+    assert asked(socket, type="ask", text="1 + 1;")["rows"] == [[2]]
+
+
+def test_a_query_marks_its_entities(ss, socket):
+    program = "SELECT id(this) FROM kitchen WHERE isRobot(this);"
+    answer = asked(socket, type="ask", text=program)
+    names = [row["id"] for row in ss.eval(program)]
+    assert [row[0] for row in answer["rows"]] == names
+    ids = [ss["kitchen"][name].id for name in names]
+    assert answer["all"] == sorted([id, -1] for id in ids)
+    assert len(answer["boxes"]) == len(ids)
+
+
+def test_a_pair_has_the_line_between_its_nearest_points(ss, socket):
+    text = "SELECT a.this, b.this FROM a=kitchen, b=kitchen WHERE id(a.this) == 'table' AND id(b.this) == 'fridge';"
+    (line,) = asked(socket, type="ask", text=text)["lines"]
+    gap = np.linalg.norm(np.subtract(*line))
+    assert gap == pytest.approx(ss.eval("clearance(kitchen.table, kitchen.fridge);"), abs=1e-6)
+
+
+def test_a_wrong_name_has_its_place_and_the_nearest_right_one(socket):
+    text = "SELECT id(this) FROM kitchen WHERE this == kitchen.frigde;"
+    error = asked(socket, type="ask", text=text)["error"]
+    assert error["suggestions"] == ["fridge"]
+    assert text[error["start"] : error["end"]] == "frigde"
+
+
+def test_names_are_completed(socket):
+    text = "SELECT id(kitchen.frid"
+    found = asked(socket, type="complete", text=text, cursor=len(text), language="selectscript")
+    assert [each[0] for each in found["completions"]] == ["fridge", "fridge_webcam"]
+
+
+def test_an_entity_has_its_facts(ss, socket):
+    table = ss["kitchen"]["table"]
+    answer = asked(socket, type="pick", entity=table.id)
+    on_it = "SELECT id(this) FROM kitchen WHERE on(kitchen.table, this) AS list;"
+    assert answer["name"] == "table"
+    assert answer["relations"]["on it"] == sorted(ss.eval(on_it))
+
+
+def test_the_poses_are_those_of_the_world_and_only_what_moved_is_sent(ss, url):
+    kitchen = ss["kitchen"]
+    with opened(url) as socket:
+        scene = binary(socket, SCENE)
+        head = json.loads(scene[8 : 8 + struct.unpack_from("<II", scene)[1]])
+        first = binary(socket, POSES)
+        count = struct.unpack_from("<II", first)[1]
+        assert count == len(head["links"])
+        poses = np.frombuffer(first, "<f4", offset=24 + 4 * count).reshape(-1, 7)
+        row = next(i for i, link in enumerate(head["links"]) if link[0] == kitchen["cup_905a"].id)
+        np.testing.assert_allclose(poses[row, :3], kitchen["cup_905a"].position, atol=1e-6)
+        x, y, z = kitchen["cup_905a"].position
+        kitchen["cup_905a"].move([x, y, z + 0.25])
+        kitchen.tick()
+        moved = binary(socket, POSES)
+        rows = np.frombuffer(moved, "<u4", offset=24, count=struct.unpack_from("<II", moved)[1])
+        assert rows.tolist() == [row]
+        kitchen["cup_905a"].move([x, y, z])
+
+
+def test_nobody_is_told_when_nobody_looks():
+    ss = ssduck.load("kitchen")
+    page = ss.view()
+    assert not ss["kitchen"].is_observed
+    with opened(page.url) as socket:
+        binary(socket, POSES)
+        assert ss["kitchen"].is_observed
+    page.close()
+    assert not ss["kitchen"].is_observed
+    ss.close()
+
+
+def test_a_world_that_is_not_there_has_the_nearest_name(ss):
+    with pytest.raises(UnknownNameError, match="kitchen"):
+        ss.view("kitchn")
+
+
+def test_the_bundle_is_that_of_the_sources():
+    web = ROOT / "web"
+    names = ["build.mjs", "package.json"]
+    names += [f"src/{path.name}" for path in sorted((web / "src").iterdir())]
+    digest = hashlib.sha256()
+    for name in names:
+        digest.update(f"{name}\n".encode() + (web / name).read_bytes())
+    page = ROOT / "ssduck" / "view" / "page"
+    assert (page / "sources.sha256").read_text().strip() == digest.hexdigest(), (
+        "npm run build in web/"
+    )
+    assert (page / "index.html").read_bytes() == (web / "src" / "index.html").read_bytes()
+    assert (page / "page.js").stat().st_size < 1_200_000

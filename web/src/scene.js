@@ -1,0 +1,311 @@
+// The world in 3-D: one batched mesh, an instance a shape. It is drawn only when something changed.
+
+import * as THREE from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { toCreasedNormals } from "three/examples/jsm/utils/BufferGeometryUtils.js";
+
+const BACKGROUND = 0xe9edf2;
+const HIGHLIGHT = new THREE.Color(0xff6a13);
+const DIMMED = new THREE.Color(0xc3cad3);
+const GROUND = new THREE.Color(0xd5dbe2);
+const GROUND_SIZE = 60;
+const PALETTE = [
+  0x6f8fb3, 0xb38f6f, 0x7fa88a, 0xa88aa0, 0x9a9f6d, 0x6fa3a8, 0xb3807a, 0x8286b5, 0xa3a3a3, 0xc2a878,
+].map((hex) => new THREE.Color(hex));
+
+export class Scene {
+  constructor(element, onPick) {
+    this.element = element;
+    this.renderer = new THREE.WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.autoUpdate = false;
+    element.append(this.renderer.domElement);
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(BACKGROUND);
+    this.camera = new THREE.PerspectiveCamera(50, 1, 0.02, 200);
+    this.camera.up.set(0, 0, 1);
+    this.orbit = new OrbitControls(this.camera, this.renderer.domElement);
+    this.orbit.addEventListener("change", () => this.draw());
+    this.scene.add(new THREE.HemisphereLight(0xffffff, 0xb8b2a8, 1.7));
+    this.sun = new THREE.DirectionalLight(0xffffff, 1.9);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(2048, 2048);
+    this.sun.shadow.normalBias = 0.03;
+    this.scene.add(this.sun, this.sun.target);
+    this.lines = new THREE.LineSegments(
+      new THREE.BufferGeometry(),
+      new THREE.LineBasicMaterial({ color: 0xd1003f, depthTest: false }),
+    );
+    this.lines.renderOrder = 2;
+    this.lines.frustumCulled = false;
+    this.scene.add(this.lines);
+    this.boxes = new THREE.Group();
+    this.scene.add(this.boxes);
+    this.marks = null;
+    this.selected = null;
+    this.framesDrawn = 0;
+    new ResizeObserver(() => this.resize()).observe(element);
+    this.listenToClicks(onPick);
+    this.resize();
+  }
+
+  listenToClicks(onPick) {
+    const canvas = this.renderer.domElement;
+    let start = null;
+    canvas.addEventListener("pointerdown", (event) => (start = [event.clientX, event.clientY]));
+    canvas.addEventListener("pointerup", (event) => {
+      if (start && Math.hypot(event.clientX - start[0], event.clientY - start[1]) < 4) {
+        onPick(this.entityAt(event.clientX, event.clientY));
+      }
+      start = null;
+    });
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(window.devicePixelRatio);
+    this.renderer.setSize(width, height);
+    this.camera.aspect = width / height;
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  draw() {
+    if (this.isDue) return;
+    this.isDue = true;
+    requestAnimationFrame(() => {
+      this.isDue = false;
+      this.renderer.render(this.scene, this.camera);
+      this.framesDrawn += 1;
+    });
+  }
+
+  // -- what is shown
+
+  show(head) {
+    const isFirst = !this.head;
+    this.head = head;
+    if (this.batch) {
+      this.scene.remove(this.batch);
+      this.batch.dispose();
+      this.batch.material.dispose();
+    }
+    const geometries = head.geometries.map((each) => geometryOf(each, head));
+    const count = (key) => geometries.reduce((sum, each) => sum + key(each), 0);
+    const material = new THREE.MeshStandardMaterial({ roughness: 0.75, side: THREE.DoubleSide });
+    const vertices = count((each) => each.attributes.position.count);
+    this.batch = new THREE.BatchedMesh(
+      Math.max(1, head.shapes.length),
+      Math.max(3, vertices),
+      Math.max(3, count((each) => each.index.count)),
+      material,
+    );
+    this.batch.castShadow = this.batch.receiveShadow = true;
+    this.batch.perObjectFrustumCulled = false;
+    this.batch.sortObjects = false;
+    this.batch.frustumCulled = false;
+    const ids = geometries.map((each) => this.batch.addGeometry(each));
+    this.poses = new Float32Array(7 * head.links.length);
+    this.shapesOfLink = head.links.map(() => []);
+    this.entities = new Map(head.entities.map((each) => [each.id, each]));
+    const order = new Map(head.entities.map((each, index) => [each.id, index]));
+    this.shapes = head.shapes.map(([row, number, pose, colour], index) => {
+      const isPlane = head.geometries[number].type === "plane";
+      const [entity, link] = head.links[row];
+      const plain = isPlane
+        ? GROUND
+        : colour
+          ? new THREE.Color().setRGB(colour[0], colour[1], colour[2], THREE.SRGBColorSpace)
+          : PALETTE[order.get(entity) % PALETTE.length];
+      const local = matrixOf(pose, 0);
+      if (isPlane) local.multiply(new THREE.Matrix4().makeTranslation(0, 0, -0.001));
+      const instance = this.batch.addInstance(ids[number]);
+      this.batch.setColorAt(instance, plain);
+      this.shapesOfLink[row].push(index);
+      return { row, entity, link, local, plain, instance, isPlane };
+    });
+    for (const each of geometries) each.dispose();
+    this.scene.add(this.batch);
+    this.paint();
+    if (isFirst) this.isFitted = false;
+  }
+
+  move(rows, poses) {
+    for (let i = 0; i < rows.length; i++) {
+      const row = rows[i];
+      this.poses.set(poses.subarray(7 * i, 7 * i + 7), 7 * row);
+      const link = matrixOf(this.poses, 7 * row);
+      for (const index of this.shapesOfLink[row]) {
+        const shape = this.shapes[index];
+        this.batch.setMatrixAt(shape.instance, link.clone().multiply(shape.local));
+      }
+    }
+    if (!this.isFitted) this.fit();
+    if (rows.length) this.renderer.shadowMap.needsUpdate = true;
+    this.draw();
+  }
+
+  // Lights and camera fit what there is, without the ground.
+  fit() {
+    this.isFitted = true;
+    const box = this.bounds();
+    const centre = box.getCenter(new THREE.Vector3());
+    const radius = Math.max(0.5, box.getSize(new THREE.Vector3()).length() / 2);
+    this.sun.target.position.copy(centre);
+    this.sun.position.copy(centre).add(new THREE.Vector3(0.5, -0.7, 1.6).multiplyScalar(radius * 1.5));
+    Object.assign(this.sun.shadow.camera, {
+      left: -radius, right: radius, top: radius, bottom: -radius, near: 0.01, far: radius * 6,
+    });
+    this.sun.shadow.camera.updateProjectionMatrix();
+    this.camera.far = radius * 40;
+    const { eye, target, fov } = this.head.camera;
+    this.camera.fov = fov;
+    this.camera.position.set(...eye);
+    this.orbit.target.set(...target);
+    this.camera.updateProjectionMatrix();
+    this.orbit.update();
+    // A camera that sees too little of the scene goes to a place that sees all.
+    const distance = this.camera.position.distanceTo(centre);
+    if (distance > 6 * radius || distance * Math.tan((fov * Math.PI) / 360) < 0.35 * radius) {
+      const way = this.camera.position.clone().sub(centre).normalize();
+      const needed = (1.2 * radius) / Math.sin((fov * Math.PI) / 360);
+      this.camera.position.copy(centre).addScaledVector(way, needed);
+      this.orbit.target.copy(centre);
+      this.orbit.update();
+    }
+  }
+
+  bounds() {
+    const box = new THREE.Box3();
+    const part = new THREE.Box3();
+    const matrix = new THREE.Matrix4();
+    for (const shape of this.shapes.filter((each) => !each.isPlane)) {
+      this.batch.getBoundingBoxAt(this.batch.getGeometryIdAt(shape.instance), part);
+      this.batch.getMatrixAt(shape.instance, matrix);
+      part.applyMatrix4(matrix);
+      if (Number.isFinite(part.min.x + part.max.x + part.min.y + part.max.z)) box.union(part);
+    }
+    return box.isEmpty() ? box.set(new THREE.Vector3(-1, -1, 0), new THREE.Vector3(1, 1, 1)) : box;
+  }
+
+  // -- what stands out
+
+  // marks: [[entity, link or -1], …]; lines: [[point, point], …]; boxes: [[x y z x y z], …]
+  mark(marks, lines, boxes = []) {
+    for (const each of this.boxes.children) each.geometry.dispose();
+    this.boxes.clear();
+    for (const [x, y, z, ...high] of boxes) {
+      const box = new THREE.Box3(new THREE.Vector3(x, y, z), new THREE.Vector3(...high));
+      if (Number.isFinite(x + y + z + high[0] + high[1] + high[2])) {
+        this.boxes.add(new THREE.Box3Helper(box, 0xff6a13));
+      }
+    }
+    const hosted = marks.map(([entity, link]) => {
+      const known = this.entities?.get(entity);
+      return known && known.kind === "sensor" ? [known.host, -1] : [entity, link];
+    });
+    this.marks = hosted.length ? hosted : null;
+    const points = lines.flat().map((each) => new THREE.Vector3(...each));
+    this.lines.geometry.dispose();
+    this.lines.geometry = new THREE.BufferGeometry().setFromPoints(points);
+    this.paint();
+  }
+
+  select(entity) {
+    this.selected = entity;
+    this.paint();
+  }
+
+  paint() {
+    if (!this.shapes) return;
+    const whole = new Set((this.marks ?? []).filter((each) => each[1] < 0).map((each) => each[0]));
+    const parts = new Set((this.marks ?? []).map(([entity, link]) => `${entity}/${link}`));
+    const colour = new THREE.Color();
+    for (const shape of this.shapes) {
+      const isMarked = whole.has(shape.entity) || parts.has(`${shape.entity}/${shape.link}`);
+      colour.copy(shape.plain);
+      if (isMarked) colour.lerp(HIGHLIGHT, 0.8);
+      else if (this.marks && !shape.isPlane) colour.lerp(DIMMED, 0.8);
+      if (shape.entity === this.selected && !isMarked && !shape.isPlane) colour.lerp(new THREE.Color(0x2f7df6), 0.6);
+      this.batch.setColorAt(shape.instance, colour);
+    }
+    this.draw();
+  }
+
+  // -- where things are
+
+  entityAt(x, y) {
+    if (!this.batch) return null;
+    const box = this.renderer.domElement.getBoundingClientRect();
+    const point = new THREE.Vector2(
+      ((x - box.left) / box.width) * 2 - 1,
+      1 - ((y - box.top) / box.height) * 2,
+    );
+    const ray = new THREE.Raycaster();
+    ray.setFromCamera(point, this.camera);
+    const hit = ray.intersectObject(this.batch).find((each) => each.batchId !== undefined);
+    return hit ? this.shapes.find((each) => each.instance === hit.batchId).entity : null;
+  }
+
+  // Returns the pose of the base of an entity, x y z w x y z.
+  poseOf(name) {
+    const entity = this.head.entities.find((each) => each.name === name);
+    const row = entity ? this.head.links.findIndex((each) => each[0] === entity.id) : -1;
+    return row < 0 ? null : [...this.poses.subarray(7 * row, 7 * row + 7)];
+  }
+
+  // Returns a place on the screen at which an entity is seen, in pixels of the page.
+  placeOf(name) {
+    const entity = this.head.entities.find((each) => each.name === name);
+    const box = this.renderer.domElement.getBoundingClientRect();
+    const step = 12;
+    for (let y = box.top + step; y < box.bottom; y += step) {
+      for (let x = box.left + step; x < box.right; x += step) {
+        if (entity && this.entityAt(x, y) === entity.id) return [x, y];
+      }
+    }
+    return null;
+  }
+}
+
+function matrixOf(pose, at) {
+  return new THREE.Matrix4().compose(
+    new THREE.Vector3(pose[at], pose[at + 1], pose[at + 2]),
+    new THREE.Quaternion(pose[at + 4], pose[at + 5], pose[at + 6], pose[at + 3]),
+    new THREE.Vector3(1, 1, 1),
+  );
+}
+
+function geometryOf({ type, size, vertices, faces }, head) {
+  let geometry;
+  if (type === "box") geometry = new THREE.BoxGeometry(...size);
+  else if (type === "sphere") geometry = new THREE.SphereGeometry(size[0], 32, 20);
+  else if (type === "cylinder") {
+    geometry = new THREE.CylinderGeometry(size[0], size[0], size[1], 40).rotateX(Math.PI / 2);
+  } else if (type === "capsule") {
+    geometry = new THREE.CapsuleGeometry(size[0], size[1], 10, 32).rotateX(Math.PI / 2);
+  } else if (type === "plane") {
+    const turn = new THREE.Quaternion().setFromUnitVectors(
+      new THREE.Vector3(0, 0, 1),
+      new THREE.Vector3(...size).normalize(),
+    );
+    geometry = new THREE.PlaneGeometry(GROUND_SIZE, GROUND_SIZE).applyQuaternion(turn);
+  } else {
+    const mesh = new THREE.BufferGeometry();
+    const points = head.vertices.slice(3 * vertices[0], 3 * (vertices[0] + vertices[1]));
+    const corners = head.faces.slice(3 * faces[0], 3 * (faces[0] + faces[1]));
+    mesh.setAttribute("position", new THREE.BufferAttribute(points, 3));
+    mesh.setIndex(new THREE.BufferAttribute(corners, 1));
+    geometry = toCreasedNormals(mesh, 0.7);
+    mesh.dispose();
+  }
+  if (!geometry.index) {
+    const count = geometry.attributes.position.count;
+    geometry.setIndex(new THREE.BufferAttribute(Uint32Array.from({ length: count }, (_, i) => i), 1));
+  }
+  for (const name of Object.keys(geometry.attributes)) {
+    if (name !== "position" && name !== "normal") geometry.deleteAttribute(name);
+  }
+  return geometry;
+}
