@@ -2,7 +2,7 @@
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so do the tables raw, strict and
-checksums. The table mujoco needs MuJoCo, and gym gymnasium as well.
+checksums. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """
@@ -26,6 +26,7 @@ from benchmarks import (
     strict,
     ticks,
     triggers,
+    view,
 )
 from benchmarks.timing import print_table
 
@@ -39,7 +40,7 @@ TABLES = {
 # Tables that take minutes.
 LONG_TABLES = {"raw": raw, "strict": strict, "checksums": checksums}
 # Tables that need an extra.
-EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks}
+EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks, "view": view}
 LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
 
 

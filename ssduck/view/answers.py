@@ -147,7 +147,7 @@ class Answers:
         facts["position (m)"] = _rounded(entity.position)
         facts["orientation (w, x, y, z)"] = _rounded(entity.orientation)
         if not isinstance(entity, Sensor):
-            facts["velocity (m/s)"] = _rounded(entity.velocity)
+            facts["velocity (m/s, rad/s)"] = _rounded(entity.velocity)
             facts["mass (kg)"] = round(entity.mass, 4)
             facts["links"] = [link.name for link in entity.links]
         relations = {title: self._names(query, id) for title, query in _RELATIONS.items()}

@@ -13,10 +13,13 @@ import pytest
 
 import ssduck
 from ssduck.errors import UnknownNameError
+from ssduck.simulators.scenes import find_scene
 
 websockets = pytest.importorskip("websockets", reason="the extra view is not installed")
 from websockets.exceptions import InvalidStatus  # noqa: E402
 from websockets.sync.client import connect  # noqa: E402
+
+from ssduck.view.view import view_scene  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 SCENE, POSES = 1, 2
@@ -228,6 +231,48 @@ def test_nobody_is_told_when_nobody_looks():
     page.close()
     assert not ss["kitchen"].is_observed
     ss.close()
+
+
+def told(socket, **expected):
+    """Waits until the state of the simulation is as expected."""
+    while True:
+        message = socket.recv(timeout=30)
+        state = json.loads(message) if isinstance(message, str) else {}
+        if state.get("type") == "status" and expected.items() <= state.items():
+            return state
+
+
+def test_a_page_runs_its_scene():
+    loaded = []
+
+    def load():
+        loaded.append(ssduck.World.load(find_scene("kitchen")))
+        return loaded[-1]
+
+    def control(action, value=None):
+        return asked(socket, type="control", action=action, value=value)
+
+    def poses_at(condition):
+        while True:
+            time = struct.unpack_from("<d", binary(socket, POSES), 8)[0]
+            if condition(time):
+                return time
+
+    with view_scene(load(), load) as page, opened(page.url) as socket:
+        told(socket, playing=False, speed=1.0)
+        timestep = loaded[0].timestep
+        control("step", 3)
+        poses_at(lambda time: time == pytest.approx(3 * timestep))
+        control("speed", 2)
+        control("play")
+        poses_at(lambda time: time > 0.1)
+        control("pause")
+        control("reset")
+        assert poses_at(lambda time: time == 0.0) == 0.0
+        assert len(loaded) == 2
+        for action, value in (("speed", 0), ("speed", "x"), ("step", -1), ("jump", None)):
+            assert control(action, value)["error"]["message"]
+    loaded[-1].close()
 
 
 def test_a_world_that_is_not_there_has_the_nearest_name(ss):

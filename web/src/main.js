@@ -213,6 +213,8 @@ function showError(error) {
     const pre = document.createElement("pre");
     pre.textContent = `${line}\n${" ".repeat(error.column - 1)}${"^".repeat(width)}`;
     box.append(pre);
+    // The marks are seen, however long the line is.
+    pre.scrollLeft = Math.max(0, ((error.column + width) / line.length) * pre.scrollWidth - pre.clientWidth);
   }
   for (const name of error.suggestions) {
     const button = element("button", name);

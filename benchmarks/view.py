@@ -1,0 +1,99 @@
+"""Measures what the page of `ss.view()` costs the simulation, and how soon it answers.
+
+`python -m benchmarks view` takes some seconds. Boxes fall; the viewer is a process that receives
+all that a page receives, and draws nothing. Times of steps are processor times of this process, the
+server's threads included.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from urllib.parse import urlsplit
+
+from websockets.sync.client import connect
+
+import ssduck
+from benchmarks.ticks import boxes
+from benchmarks.timing import text_of
+
+HEADER = (
+    *("bodies", "step", "page, nobody looks", "one viewer looks", "updates a second"),
+    "query answered",
+)
+STEPS, ASKED = 300, 20
+# The share of a step at 240 Hz is what matters: steps keep this pace, s.
+PACE = 1.0 / 240.0
+_RECEIVER = """
+import sys
+from websockets.sync.client import connect
+with connect(sys.argv[1], origin=sys.argv[2], max_size=None, proxy=None) as socket:
+    updates = 0
+    for message in socket:
+        if isinstance(message, bytes) and message[0] == 2:
+            updates += 1
+            if updates == 1:
+                print('ready', flush=True)
+        print(updates, file=sys.stderr, flush=True)
+"""
+
+
+def rows() -> Iterator[tuple[str, ...]]:
+    """Yields a row for each number of bodies."""
+    for count in (40, 300, 1000):
+        with ssduck.Interpreter() as ss, boxes(count, owned=True) as (world, _):
+            ss.add_variable("sim", world)
+            bare, _ = _step_time(world)
+            page = ss.view()
+            unseen, _ = _step_time(world)
+            address = urlsplit(page.url)
+            url = f"ws://{address.netloc}/socket?{address.query}"
+            command = [sys.executable, "-c", _RECEIVER, url, f"http://{address.netloc}"]
+            with subprocess.Popen(  # noqa: S603  # its own program
+                command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            ) as viewer:
+                assert viewer.stdout is not None
+                viewer.stdout.readline()
+                seen, wall = _step_time(world)
+                asked = _answer_time(url, f"http://{address.netloc}")
+                viewer.terminate()
+                _, lines = viewer.communicate()
+            updates = int(lines.split()[-1]) / wall
+            page.close()
+        times = (text_of(bare), _ratio(unseen, bare), _ratio(seen, bare))
+        yield (str(count), *times, f"{updates:.0f}", text_of(asked))
+
+
+def _ratio(time: float, bare: float) -> str:
+    return f"{text_of(time)} ({time / bare:.2f} x)"
+
+
+def _step_time(world: ssduck.World) -> tuple[float, float]:
+    """Returns the processor time of a step and its tick, and the real time of all steps, s."""
+    started, used = time.perf_counter(), time.process_time()
+    for number in range(STEPS):
+        world.step()
+        rest = started + (number + 1) * PACE - time.perf_counter()
+        if rest > 0:
+            time.sleep(rest)
+    return (time.process_time() - used) / STEPS, time.perf_counter() - started
+
+
+def _answer_time(url: str, origin: str) -> float:
+    """Returns the median time from a question to its answer, s."""
+    question = {"type": "ask", "text": "SELECT id(this) FROM sim WHERE z(this) > 0.5;"}
+    times = []
+    headers = {"Origin": origin}
+    with connect(url, additional_headers=headers, max_size=None, proxy=None) as socket:
+        for number in range(ASKED):
+            started = time.perf_counter()
+            socket.send(json.dumps({**question, "id": number}))
+            while True:
+                message = socket.recv()
+                if isinstance(message, str) and json.loads(message).get("id") == number:
+                    break
+            times.append(time.perf_counter() - started)
+    return sorted(times)[ASKED // 2]
