@@ -16,6 +16,7 @@ from ssduck.database.database import Database, Statement
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.values import to_sql
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError, warn
+from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.interpreter.sources import all_elements, arrow_table, elements_of
 from ssduck.language.aggregates import check_one_group, is_aggregated, is_one_group
 from ssduck.language.analysis import (
@@ -82,6 +83,10 @@ class PlannedQuery:
         self._failures = 0
         self._database = database
         self._statement: Statement | None = None
+        try:
+            self._scalars: ScalarSelect | None = ScalarSelect(plan)
+        except ValueError:
+            self._scalars = None
         # The parameters that are no numbers, at the last run.
         self._last_texts: dict[str, Any] | None = None
         self._converters = {
@@ -198,6 +203,10 @@ class PlannedQuery:
                 database.connection.meter.check_time()
                 database.connection.meter.check_rows(len(rows))
                 return rows
+        one_row = None if self._scalars is None else self._scalars.rows(parameters)
+        if one_row is not None:
+            database.connection.meter.check_time()
+            return one_row
         if any(
             _is_long_past(sources[b.source]) for b in plan.bindings if b.end == "first" and b.source
         ):

@@ -1,0 +1,159 @@
+"""Values that Python computes in place of DuckDB are DuckDB's to the last bit."""
+
+from __future__ import annotations
+
+import math
+import struct
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.errors import SelectScriptError
+from ssduck.interpreter.scalar_select import ScalarSelect
+from tests.support.cases import generated
+
+EXPRESSIONS = [
+    "a + b * c",
+    "a - b - c",
+    "a * b / c",
+    "(a + 1) * (b - 2) / 3.5",
+    "-a",
+    "abs(a - b)",
+    "a ^ 2 + b ^ 3",
+    "sqrt(a * a + b * b)",
+    "sqrt((a - b) ^ 2 + (b - c) ^ 2 + (c - a) ^ 2)",
+    "a < b",
+    "a <= b AND b <= c",
+    "a == b OR NOT b != c",
+    "a BETWEEN b AND c",
+    "IF(a < b; b; c)",
+    "IF(a < 0; -1.5; IF(a == 0; 0.25; a * 2))",
+    "a * 0.1 + 0.2 - 0.3",
+    "norm([a, b, c])",
+    "[a, a + b, c * 2.0]",
+    "abs(a) < 0.05",
+    "n + 1 < 3",
+    "n * a",
+    "n == 3 AND a > n",
+    "text == 'cup'",
+    "text != 'cup' AND a > 0",
+]
+# Those that neither computes as doubles.
+OTHERS = ["n * n", "sin(a)", "text + 'x' == 'cupx'", "round(a, 2)", "[1, 2]", "min([a, b])"]
+NUMBERS = st.one_of(
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.sampled_from([0.0, -0.0, 1.0, 0.1, 0.3, 5e-324, 1e308, -1e308, 1e154, 2.0**53]),
+)
+
+
+# A column that is a relation: without one, queries of a few rows run row by row.
+RELATION = "z(kitchen.table)"
+
+
+@pytest.fixture(scope="module")
+def ss():
+    with ssduck.load("kitchen") as ss:
+        yield ss
+
+
+def bits(value):
+    """A value such that only equal bits are equal."""
+    if isinstance(value, list):
+        return [bits(part) for part in value]
+    return struct.pack("d", value) if isinstance(value, float) else (type(value), value)
+
+
+def outcome(ss, program):
+    try:
+        return bits(ss.eval(program))
+    except SelectScriptError as error:
+        return str(error)
+
+
+def both(monkeypatch, ss, program):
+    """The outcomes with and without Python's arithmetic, and how often that was used."""
+    with monkeypatch.context() as patch:
+        used = []
+        rows = ScalarSelect.rows
+
+        def counted(self, parameters):
+            result = rows(self, parameters)
+            used.append(bool(result) and len(result[0]) > 1)  # a relation alone is one, too
+            return result
+
+        patch.setattr(ScalarSelect, "rows", counted)
+        ours = outcome(ss, program)
+        patch.setattr(ScalarSelect, "rows", lambda *_: None)
+        return ours, outcome(ss, program), sum(used)
+
+
+def set_variables(ss, a, b, c, n, text):
+    for name, value in zip("abc", (a, b, c), strict=True):
+        ss.add_variable(name, value)
+    ss.add_variable("n", n)
+    ss.add_variable("text", text)
+
+
+@settings(max_examples=generated(20))
+@given(NUMBERS, NUMBERS, NUMBERS, st.integers(-5, 5), st.sampled_from(["cup", "Cup", ""]))
+@example(0.1, 0.2, 0.3, 3, "cup")
+@example(1e308, -1e308, 1e308, 3, "cup")
+@example(0.0, -0.0, 0.0, 0, "")
+def test_values_are_those_of_duckdb(ss, a, b, c, n, text):
+    set_variables(ss, a, b, c, n, text)
+    columns = ", ".join(f"({expression})" for expression in EXPRESSIONS)
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        for program in (*EXPRESSIONS, columns):
+            query = f"SELECT {program}, {RELATION} FROM [0.5] AS list;"
+            ours, theirs, _ = both(monkeypatch, ss, query)
+            assert ours == theirs, query
+
+
+@pytest.mark.parametrize("expression", EXPRESSIONS)
+def test_they_need_no_statement(monkeypatch, ss, expression):
+    set_variables(ss, 0.1, 0.2, 0.3, 3, "cup")
+    ours, theirs, used = both(
+        monkeypatch, ss, f"SELECT {expression}, {RELATION} FROM [0.5] AS list;"
+    )
+    assert ours == theirs
+    assert used == 1
+
+
+@pytest.mark.parametrize("expression", OTHERS)
+def test_others_are_the_same(monkeypatch, ss, expression):
+    set_variables(ss, 0.1, 0.2, 0.3, 3, "cup")
+    query = f"SELECT {expression}, {RELATION} FROM [0.5] AS list;"
+    ours, theirs, _ = both(monkeypatch, ss, query)
+    assert ours == theirs
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, None, True, "1", 2**60])
+def test_so_are_those_of_values_that_are_no_finite_numbers(monkeypatch, ss, value):
+    set_variables(ss, value, 0.2, 0.3, 3, "cup")
+    for expression in ("a < b", "a == a", "a + b", "abs(a)", "IF(a > b; 1.5; 2.5)"):
+        query = f"SELECT {expression}, {RELATION} FROM [0] AS list;"
+        ours, theirs, _ = both(monkeypatch, ss, query)
+        assert ours == theirs
+
+
+@pytest.mark.parametrize(
+    ("clauses", "is_one_row"),
+    [
+        ("FROM [7] AS list", True),
+        ("FROM [7] AS dict", True),
+        ("FROM [7] ORDER BY this AS list", True),
+        ("FROM [7, 8] AS list", False),
+        ("FROM [] AS list", False),
+        ("FROM [7] WHERE this > 7 AS list", False),
+        ("FROM [7] LIMIT 0 AS list", False),
+        ("FROM [7], b=[8] AS list", False),
+        ("FROM ['7'] AS list", False),
+    ],
+)
+def test_only_one_row_is_computed(monkeypatch, ss, clauses, is_one_row):
+    set_variables(ss, 0.1, 0.2, 0.3, 3, "cup")
+    ours, theirs, used = both(monkeypatch, ss, f"SELECT this, a + c, {RELATION} {clauses};")
+    assert ours == theirs
+    assert used == is_one_row
