@@ -17,7 +17,12 @@ import pyarrow as pa
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
-from ssduck.database.functions import add_user_function, converter_of, offer_geometry_functions
+from ssduck.database.functions import (
+    add_user_function,
+    converter_of,
+    offer_geometry_functions,
+    shape_functions,
+)
 from ssduck.database.pinning import PinnedWorlds
 from ssduck.database.raw_sql import RawSql
 from ssduck.database.recorders import Recorders, check_is_live
@@ -89,6 +94,8 @@ class Database:
         self._is_sealed = False
         self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
         offer_geometry_functions(self.connection, self._worlds.by_schema)
+        # Those that Python calls itself, where it computes what a statement would.
+        self.shape_functions = shape_functions(self._worlds.by_schema)
         self.connection.apply_limits()
 
     def close(self) -> None:

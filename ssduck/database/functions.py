@@ -170,6 +170,18 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
     )
 
 
+def shape_functions(worlds: Mapping[str, BoundWorld]) -> dict[str, Callable[..., Any]]:
+    """Returns the functions of the shapes of single entities, by their names in SQL.
+
+    Their arguments are those of SQL: a world's name, the tick and the id of each entity, and
+    further values.
+    """
+    functions: dict[str, Callable[..., Any]] = {
+        udf.name: _geometry_function(udf, worlds) for udf in GEOMETRY_UDFS.values() if udf.entities
+    }
+    return functions | {MARGINS_UDF: partial(_margins, worlds)}
+
+
 def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
     """Returns a function of shapes for SQL.
 

@@ -84,7 +84,7 @@ class PlannedQuery:
         self._database = database
         self._statement: Statement | None = None
         try:
-            self._scalars: ScalarSelect | None = ScalarSelect(plan)
+            self._scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
         except ValueError:
             self._scalars = None
         # The parameters that are no numbers, at the last run.

@@ -3,20 +3,22 @@
 A condition on a few numbers takes DuckDB hundreds of microseconds, and Python some. Only operations
 with one correct result are evaluated here: comparisons, logic, sums, differences, products,
 quotients and roots of finite doubles, and whole powers by the platform's own mathematical library,
-which DuckDB uses, too. All others are left to DuckDB, and so are values that are not finite.
+which DuckDB uses, too. All others are left to DuckDB, and so are overflows and NaN.
 """
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from sqlglot import exp
 
 from ssduck.sql.plan import Plan
+from ssduck.sql.relations.geometry_query import MARGINS_UDF
+from ssduck.sql.relations.registry import GEOMETRY_UDFS
 from ssduck.sql.types import EXACT
 
 Kind: TypeAlias = Literal["double", "integer", "decimal", "boolean", "string", "list"]
@@ -67,16 +69,17 @@ class ScalarSelect:
 
     Args:
         plan: its plan.
+        functions: the functions of shapes that Python calls itself, by their names in SQL.
 
     Raises:
         ValueError: DuckDB has to evaluate it.
     """
 
-    def __init__(self, plan: Plan) -> None:
+    def __init__(self, plan: Plan, functions: Mapping[str, Callable[..., Any]]) -> None:
         try:
             self._kinds = _kinds_of(plan)
             self._list = _only_list(plan)
-            compiler = _Compiler(plan, self._kinds, self._list)
+            compiler = _Compiler(plan, self._kinds, self._list, functions)
             self._columns = [compiler.scalar(part).compute for part in plan.select.expressions]
         except _LeftToDuckDBError:
             raise ValueError("DuckDB has to evaluate it") from None
@@ -97,7 +100,7 @@ class ScalarSelect:
             for name, kind in self._kinds.items():
                 values[name] = _checked(parameters[name], kind)
             return [tuple([column(values) for column in self._columns])]
-        except (_LeftToDuckDBError, ArithmeticError, ValueError):
+        except Exception:  # noqa: BLE001  # DuckDB raises it, with its place in the program
             return None
 
 
@@ -144,7 +147,7 @@ def _kinds_of(plan: Plan) -> dict[str, Kind]:
 def _checked(value: Any, kind: Kind) -> Any:
     """Returns the value of a parameter."""
     if kind == "double" and type(value) in (float, int):
-        return _finite(float(value))
+        return _number_of(float(value))
     if kind == "integer" and type(value) is int and abs(value) < EXACT:
         return value
     if kind == "string" and type(value) is str:
@@ -152,8 +155,15 @@ def _checked(value: Any, kind: Kind) -> Any:
     raise _LeftToDuckDBError
 
 
+def _number_of(value: float) -> float:
+    """Returns a number; DuckDB compares NaN in its own way."""
+    if math.isnan(value):
+        raise _LeftToDuckDBError
+    return value
+
+
 def _finite(value: float) -> float:
-    """Returns a number; DuckDB compares others in its own way."""
+    """Returns a finite number; whether an overflow is an error is left to DuckDB."""
     if not math.isfinite(value):
         raise _LeftToDuckDBError
     return value
@@ -166,10 +176,17 @@ class _Compiler:
         plan: its plan.
         kinds: the types of the parameters by name.
         list_name: the parameter that is the list; None if there is none.
+        functions: the functions that it calls, by their names in SQL.
     """
 
-    def __init__(self, plan: Plan, kinds: Mapping[str, Kind], list_name: str | None) -> None:
-        self._kinds = kinds
+    def __init__(
+        self,
+        plan: Plan,
+        kinds: Mapping[str, Kind],
+        list_name: str | None,
+        functions: Mapping[str, Callable[..., Any]],
+    ) -> None:
+        self._kinds, self._functions = kinds, functions
         self._columns: dict[tuple[str, str], _Scalar] = {}
         if list_name is not None:
             (source,) = plan.source_types
@@ -212,6 +229,8 @@ class _Compiler:
                 return self._membership(sql)
             case exp.Array():
                 return self._list_of(sql)
+            case exp.Anonymous() if sql.name in self._functions:
+                return self._call(sql)
             case exp.Div():
                 return self._quotient(sql)
             case exp.And() | exp.Or() | exp.Not():
@@ -254,9 +273,15 @@ class _Compiler:
         if "double" not in (left.kind, right.kind):
             raise _LeftToDuckDBError
         a, b = left.compute, right.compute
-        return _Scalar(
-            "double", lambda values: _finite(operate(float(a(values)), float(b(values))))
-        )
+
+        def compute(values: Mapping[str, Any]) -> float:
+            x, y = float(a(values)), float(b(values))
+            result: float = operate(x, y)
+            # The box of a plane is infinite, and so are its sums with other numbers.
+            is_infinite = math.isinf(x) or math.isinf(y)
+            return _number_of(result) if is_infinite else _finite(result)
+
+        return _Scalar("double", compute)
 
     def _quotient(self, sql: exp.Expr) -> _Scalar:
         """Returns a quotient of doubles; a division by zero is left to DuckDB."""
@@ -271,12 +296,12 @@ class _Compiler:
             other = self._numeric(sql.expression, ("double",)).compute
             return _Scalar("double", lambda values: math.atan2(part(values), other(values)))
         if isinstance(sql, exp.Sqrt):
-            return _Scalar("double", lambda values: math.sqrt(part(values)))
+            return _Scalar("double", lambda values: _finite(math.sqrt(part(values))))
         exponent = sql.expression
         if not (isinstance(exponent, exp.Literal) and exponent.name.isdecimal()):
             raise _LeftToDuckDBError
         power = float(exponent.name)
-        return _Scalar("double", lambda values: math.pow(part(values), power))
+        return _Scalar("double", lambda values: _finite(math.pow(part(values), power)))
 
     def _comparison(self, sql: exp.Expr) -> _Scalar:
         """Returns a comparison of doubles or of integers, or whether texts are equal."""
@@ -295,7 +320,7 @@ class _Compiler:
         first = self._boolean(sql.this)
         if isinstance(sql, exp.Not):
             return _Scalar("boolean", lambda values: not first(values))
-        second = _left if _calls_functions(sql.expression) else self._boolean(sql.expression)
+        second = _left if self._has_unknown(sql.expression) else self._boolean(sql.expression)
         if isinstance(sql, exp.And):
             return _Scalar("boolean", lambda values: first(values) and second(values))
         return _Scalar("boolean", lambda values: first(values) or second(values))
@@ -337,14 +362,33 @@ class _Compiler:
 
         return _Scalar(kinds.pop(), compute)
 
+    def _call(self, sql: exp.Anonymous) -> _Scalar:
+        """Returns a call of a function of shapes."""
+        function, name = self._functions[sql.name], sql.name
+        result = "DOUBLE" if name == MARGINS_UDF else GEOMETRY_UDFS[name].result
+        count = 1 if name == MARGINS_UDF else 1 + 2 * GEOMETRY_UDFS[name].entities
+        parts = [self.scalar(part) for part in sql.expressions[:count]]
+        numbers = [self._double(part) for part in sql.expressions[count:]]
+        if result not in ("BOOLEAN", "DOUBLE"):
+            raise _LeftToDuckDBError
+        arguments = [part.compute for part in (*parts, *numbers)]
+
+        def compute(values: Mapping[str, Any]) -> Any:
+            value = function(*[argument(values) for argument in arguments])
+            if value is None:
+                raise _LeftToDuckDBError
+            return bool(value) if result == "BOOLEAN" else _finite(float(value))
+
+        return _Scalar("boolean" if result == "BOOLEAN" else "double", compute)
+
+    def _has_unknown(self, sql: exp.Expr) -> bool:
+        """Checks whether an expression calls a function that Python does not know, or fails."""
+        calls: Iterable[exp.Anonymous] = sql.find_all(exp.Anonymous)
+        return any(call.name not in self._functions for call in calls)
+
     def _result(self, sql: exp.Expr) -> _Scalar | None:
         """Returns the result of a branch; None for one that DuckDB has to evaluate."""
-        return None if _calls_functions(sql) else self.scalar(sql)
-
-
-def _calls_functions(sql: exp.Expr) -> bool:
-    """Checks whether an expression calls a function that is not DuckDB's, or fails."""
-    return sql.find(exp.Anonymous) is not None
+        return None if self._has_unknown(sql) else self.scalar(sql)
 
 
 def _left(_: Mapping[str, Any]) -> bool:

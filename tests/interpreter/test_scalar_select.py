@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from itertools import cycle
 
 import pytest
 from hypothesis import example, given, settings
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import ScalarSelect
+from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import generated
 
 EXPRESSIONS = [
@@ -43,7 +45,7 @@ EXPRESSIONS = [
 # Those that neither computes as doubles.
 OTHERS = ["n * n", "sin(a)", "text + 'x' == 'cupx'", "round(a, 2)", "[1, 2]", "min([a, b])"]
 NUMBERS = st.one_of(
-    st.floats(allow_nan=False, allow_infinity=False),
+    st.floats(),
     st.sampled_from([0.0, -0.0, 1.0, 0.1, 0.3, 5e-324, 1e308, -1e308, 1e154, 2.0**53]),
 )
 
@@ -101,6 +103,9 @@ def set_variables(ss, a, b, c, n, text):
 @example(0.1, 0.2, 0.3, 3, "cup")
 @example(1e308, -1e308, 1e308, 3, "cup")
 @example(0.0, -0.0, 0.0, 0, "")
+@example(math.inf, 1.0, -math.inf, 0, "")
+@example(math.inf, math.inf, -1.0, 0, "")
+@example(math.nan, 1.0, 2.0, 0, "")
 def test_values_are_those_of_duckdb(ss, a, b, c, n, text):
     set_variables(ss, a, b, c, n, text)
     columns = ", ".join(f"({expression})" for expression in EXPRESSIONS)
@@ -157,3 +162,23 @@ def test_only_one_row_is_computed(monkeypatch, ss, clauses, is_one_row):
     ours, theirs, used = both(monkeypatch, ss, f"SELECT this, a + c, {RELATION} {clauses};")
     assert ours == theirs
     assert used == is_one_row
+
+
+ARGUMENTS = {"double": "0.3", "place": "[0.5, 0, 1]", "integer": "0", "string": "'x'"}
+PAIRS = [
+    ("table", "plate_835a"),
+    ("roomba_625x", "table"),
+    ("fridge", "cooker"),
+    ("table", "table"),
+]
+
+
+@pytest.mark.parametrize("name", RELATIONS)
+def test_relations_are_the_same(monkeypatch, ss, name):
+    relation = RELATIONS[name]
+    required = relation.parameters[: relation.required_count]
+    for pair in PAIRS:
+        entities = cycle(f"kitchen.{entity}" for entity in pair)
+        given = [next(entities) if p.type == "entity" else ARGUMENTS[p.type] for p in required]
+        ours, theirs, _ = both(monkeypatch, ss, f"{name}({', '.join(given)});")
+        assert ours == theirs
