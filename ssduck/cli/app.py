@@ -15,7 +15,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -475,11 +475,11 @@ def shell(
         library("prompt_toolkit", "shell")
     if seconds is not None and is_record(location):
         raise typer.BadParameter("--seconds: a record cannot be simulated further")
-    with open_or_load(location, episode, Limits.strict() if strict else None) as ss:
+    limits = Limits.strict() if strict else None
+    with open_or_load(location, episode, limits) as ss, closing(Session(ss)) as session:
         ss.strict = strict
         if seconds is not None:
             ss.run(seconds)
-        session = Session(ss)
         session.language = "sql" if sql else "selectscript"
         if is_terminal:
             from ssduck.shell.terminal import prompt_session, run_terminal

@@ -187,6 +187,14 @@ def _export(session: Session, name: str) -> None:
     print_line(f"{save(session.result, Path(name))}")
 
 
+@command("[WORLD]")
+def _view(session: Session, name: str) -> None:
+    """Serves a page that shows a world in 3-D while the shell runs, and prints its address."""
+    page = session.ss.view(name or None)
+    session.pages.append(page)
+    print_line(page.url)
+
+
 @command()
 def _quit(session: Session, _: str) -> None:
     """Leaves the shell, as Ctrl-D does."""

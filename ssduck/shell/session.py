@@ -6,7 +6,7 @@ from typing import Any
 
 from ssduck.adapters.formats import FORMATS
 from ssduck.interpreter.completion import Language, delimited_parts
-from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.interpreter import Interpreter, ServedPage
 
 
 class Session:
@@ -20,6 +20,7 @@ class Session:
         language: the language of what is typed.
         format: the format of results, a text format of `FORMATS`.
         result: the last result; None before the first one.
+        pages: the pages that are served until the session ends.
         is_over: whether the user has left.
     """
 
@@ -28,7 +29,13 @@ class Session:
         self.language: Language = "selectscript"
         self.format = FORMATS["table"]
         self.result: Any = None
+        self.pages: list[ServedPage] = []
         self.is_over = False
+
+    def close(self) -> None:
+        """Ends what the session serves."""
+        while self.pages:
+            self.pages.pop().close()
 
     def is_complete(self, text: str) -> bool:
         """Checks whether a text can run: it is a command, empty, or ends with a semicolon."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from urllib.error import URLError
+from urllib.request import urlopen
 
 import pytest
 
@@ -11,6 +13,7 @@ from ssduck.shell.commands import COMMANDS
 from ssduck.shell.running import run_lines
 from ssduck.shell.session import Session
 from tests.support.command_line import ssduck_
+from tests.support.timing import HANGS
 
 
 @pytest.fixture(scope="module")
@@ -191,3 +194,24 @@ def test_a_record(tmp_path):
     result = ssduck_("shell", str(tmp_path / "run"), input=".step\nSELECT 1 AS n;\n", env={})
     assert result.exit_code == 1
     assert result.stderr.startswith("error: ")
+
+
+def test_view_serves_a_page_until_the_session_ends(session, capsys):
+    pytest.importorskip("websockets")
+    succeeded, out, _ = typed(session, capsys, ".view hall")
+    url = out.strip()
+    assert succeeded
+    assert url.startswith("http://127.0.0.1:")
+    assert b"<html" in urlopen(url, timeout=HANGS).read()  # noqa: S310
+    session.close()
+    with pytest.raises(URLError):
+        urlopen(url, timeout=HANGS)  # noqa: S310
+    session.close()
+
+
+def test_view_of_no_world_is_an_error(session, capsys):
+    pytest.importorskip("websockets")
+    succeeded, _, err = typed(session, capsys, ".view hal")
+    assert not succeeded
+    assert "did you mean 'hall'" in err
+    assert not session.pages
