@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 from ssduck.view.view import view_record
-from tests.support.browser import Browser, chromium
+from tools import draw_page
+from tools.browser import Browser, chromium
 
 pytestmark = [
     pytest.mark.slow,
@@ -104,3 +106,13 @@ def test_the_slider_goes_through_a_record(tmp_path, browser):
         shown = float(page.value("document.querySelector('#result td').textContent"))
         assert np.isclose(shown, heights[-1], atol=1e-4)
         page.close()
+
+
+def test_the_manuals_picture_is_up_to_date(tmp_path):
+    drawn, stored = (
+        np.asarray(Image.open(folder / "view.png").convert("RGB")).astype(int)
+        for folder in (draw_page.draw(tmp_path).parent, draw_page.IMAGES)
+    )
+    assert stored.shape == drawn.shape
+    # Fonts, and the time that the answer took, are not the same everywhere.
+    assert (np.abs(stored - drawn).max(axis=2) > 48).mean() < 0.05

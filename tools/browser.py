@@ -1,4 +1,4 @@
-"""A headless Chromium, driven by its DevTools protocol over a websocket."""
+"""Drives a headless Chromium by its DevTools protocol over a websocket."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ import signal
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from PIL import Image
 from websockets.sync.client import connect
 
@@ -38,7 +40,7 @@ class Browser:
     def __init__(self, folder: Path) -> None:
         path = chromium()
         assert path is not None
-        self._process = subprocess.Popen(
+        self._process = subprocess.Popen(  # noqa: S603
             [
                 path,
                 *("--headless=new", "--no-sandbox", "--no-first-run"),
@@ -53,6 +55,7 @@ class Browser:
             start_new_session=True,
         )
         lines = []
+        assert self._process.stderr is not None
         for line in self._process.stderr:
             lines.append(line)
             found = re.search(r"ws://\S+", line)
@@ -64,9 +67,9 @@ class Browser:
         connection = connect(found[0], max_size=None, proxy=None)
         self._socket = self._stack.enter_context(connection)
         self._next = 0
-        self.messages: list[dict] = []
+        self.messages: list[dict[str, Any]] = []
 
-    def call(self, method: str, session: str | None = None, **parameters):
+    def call(self, method: str, session: str | None = None, **parameters: Any) -> Any:
         """Calls a method of the protocol, and returns its result."""
         self._next += 1
         number = self._next
@@ -94,7 +97,8 @@ class Browser:
         self._stack.close()
         os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        self._process.stderr.close()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
 
 
 class Page:
@@ -103,10 +107,11 @@ class Page:
     def __init__(self, browser: Browser, target: str, session: str) -> None:
         self._browser, self._target, self._session = browser, target, session
 
-    def call(self, method: str, **parameters):
+    def call(self, method: str, **parameters: Any) -> Any:
+        """Calls a method of the protocol for this tab, and returns its result."""
         return self._browser.call(method, self._session, **parameters)
 
-    def value(self, expression: str):
+    def value(self, expression: str) -> Any:
         """Returns the value of an expression of JavaScript."""
         result = self.call(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
@@ -114,7 +119,7 @@ class Page:
         assert "exceptionDetails" not in result, result["exceptionDetails"]
         return result["result"].get("value")
 
-    def wait(self, expression: str):
+    def wait(self, expression: str) -> Any:
         """Waits until an expression is true, and returns its value."""
         end = time.monotonic() + TIMEOUT
         while time.monotonic() < end:
@@ -124,7 +129,7 @@ class Page:
             time.sleep(0.02)
         raise TimeoutError(f"{expression}: {self.errors()}")
 
-    def errors(self) -> list:
+    def errors(self) -> list[Any]:
         """Returns the errors of the page so far."""
         return [
             m["params"]
@@ -142,7 +147,7 @@ class Page:
         self.value(f"__ss.type({json.dumps(text)}); __ss.run(); 0")
         self.wait(f"__ss.answers > {before}")
 
-    def picture(self):
+    def picture(self) -> npt.NDArray[np.uint8]:
         """Returns the pixels, (height, width, 3)."""
         frames = self.value("__ss.frames")
         self.value(
