@@ -1,4 +1,4 @@
-"""The terms of a task: conditions and numbers in SelectScript, in one statement for a step."""
+"""The terms of a task: conditions and numbers in SelectScript, with at most a statement a step."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ class Terms:
 
 
 class Judge:
-    """Evaluates the terms of a task at the present tick of a world, with one statement.
+    """Evaluates the terms of a task at the present tick of a world, with one statement at most.
 
     Args:
         terms: the terms.

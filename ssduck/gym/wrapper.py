@@ -31,9 +31,9 @@ VariableReader: TypeAlias = Callable[[gymnasium.Env[Any, Any]], Any]
 class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.RecordConstructorArgs):
     """An environment whose success, failure and reward are queries on its simulation.
 
-    A tick is taken at each reset and after each step, and one statement gives the values of all
-    terms: `info["ssduck"]` has `success`, `failure`, `reward` and `parts`. Terms name entities as
-    `sim.cup`. Their past begins at the last reset.
+    A tick is taken at each reset and after each step, and at most one statement gives the values of
+    all terms: `info["ssduck"]` has `success`, `failure`, `reward` and `parts`. Terms name entities
+    as `sim.cup`. Their past begins at the last reset.
 
     Args:
         env: the environment; its unwrapped one has a MuJoCo model with its data, or a PyBullet
