@@ -256,8 +256,9 @@ def _time(question: dict[str, Any]) -> float | None:
 
 def _language(question: dict[str, Any]) -> Any:
     language = question.get("language", "selectscript")
-    if language not in KEYWORDS:
+    if not isinstance(language, str) or language not in KEYWORDS:
         raise UnknownNameError(
-            f"there is no language {str(language)[:40]!r}", suggestions=nearest(language, KEYWORDS)
+            f"there is no language {str(language)[:40]!r}",
+            suggestions=nearest(str(language), KEYWORDS),
         )
     return language
