@@ -17,9 +17,9 @@ rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, pairwise
 
 import sqlglot
 from sqlglot import exp
@@ -90,6 +90,21 @@ def numbered(sql: str) -> str:
         if mark.token_type != TokenType.PLACEHOLDER or sql[mark.end + 1 : mark.end + 2].isalnum():
             return sql  # `?1` is the first parameter
         edits.append(_Edit(mark.start, mark.end + 1, f"${number}"))
+    return _edited(sql, edits)
+
+
+def with_parameters(sql: str, value: Callable[[str], str]) -> str:
+    """Returns a statement with expressions in place of its parameters, which have names.
+
+    >>> with_parameters("SELECT * FROM entities WHERE z > $low", lambda name: f"(SELECT {name})")
+    'SELECT * FROM entities WHERE z > (SELECT low)'
+    """
+    tokens = sqlglot.tokenize(sql, dialect="duckdb")
+    edits = [
+        _Edit(sign.start, name.end + 1, value(name.text))
+        for sign, name in pairwise(tokens)
+        if sign.token_type == TokenType.PARAMETER and name.start == sign.end + 1
+    ]
     return _edited(sql, edits)
 
 

@@ -134,6 +134,46 @@ class Statement:
             self._connection.unregister(self._name)
 
 
+class ParameterRow:
+    """The numbers of a user's prepared statement: a table of one row, which is written in place.
+
+    Args:
+        connection: the connection that reads it.
+        name: its name.
+        values: the numbers by name.
+    """
+
+    def __init__(
+        self, connection: Connection, name: str, values: Mapping[str, int | float]
+    ) -> None:
+        self._connection = connection
+        self._name = name
+        self._types = {key: type(value) for key, value in values.items()}
+        kinds: dict[type, Literal["double", "integer"]] = {int: "integer", float: "double"}
+        columns = (Column(key, kinds[kind], "") for key, kind in self._types.items())
+        self._row = LiveTable(tuple(columns))
+        self._row.fill(1, {})
+        connection.register(name, self._row.arrow)
+
+    def has_types_of(self, values: Mapping[str, int | float]) -> bool:
+        """Checks whether other numbers have the same names and types."""
+        return {key: type(value) for key, value in values.items()} == self._types
+
+    def set(self, values: Mapping[str, int | float]) -> None:
+        """Sets the numbers; they have the types of the first ones."""
+        for name, value in values.items():
+            self._row[name][0] = value
+
+    def value(self, name: str) -> str:
+        """Returns the expression for one of the numbers."""
+        column = exp.column(name, quoted=True)
+        return f"({exp.select(column).from_(exp.table_(self._name, quoted=True)).sql('duckdb')})"
+
+    def drop(self) -> None:
+        """Removes the table."""
+        self._connection.unregister(self._name)
+
+
 _numbers = count(1)
 
 

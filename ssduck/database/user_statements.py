@@ -31,8 +31,9 @@ from ssduck.database.relation_rewriting import (
     numbered,
     parsed,
     rewritten,
+    with_parameters,
 )
-from ssduck.database.statement import PreparedPlans, statement_name
+from ssduck.database.statement import ParameterRow, PreparedPlans, statement_name
 from ssduck.database.statement_names import WorldNames, reads_only_live_tables, unread_columns
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.sql.pair_lookup import PairLookup
@@ -61,6 +62,7 @@ class UserStatement:
         has_plain_types: whether its columns are fetched as Python's values; None if unknown.
         may_be_kept: whether its plan may be kept; None if that is not known yet.
         is_planned_next: whether the next run prepares it, if it is not prepared.
+        row: the numbers that it is prepared with; None if it has no parameters.
         unread: the data of a simulator that its words refer to, and that it does not read.
         last_header: the columns of its last run, and whether it had many rows.
         reads: the data that it reads; None if it is not known to be the same at each run.
@@ -76,6 +78,7 @@ class UserStatement:
     has_plain_types: bool | None = None
     may_be_kept: bool | None = None
     is_planned_next: bool = False
+    row: ParameterRow | None = None
     unread: frozenset[str] = frozenset()
     last_header: Header | None = None
     reads: ReadData | None = None
@@ -107,7 +110,7 @@ class UserStatements:
         """Forgets all statements, because a name may have another meaning now."""
         for statement in self._statements.values():
             if statement is not None:
-                self._plans.deallocate(statement.name)
+                self._drop(statement)
         self._statements.clear()
 
     def known(self, sql: str) -> UserStatement | None:
@@ -142,8 +145,14 @@ class UserStatements:
         if len(self._statements) > MAX_STATEMENTS:
             _, oldest = self._statements.popitem(last=False)
             if oldest is not None:
-                self._plans.deallocate(oldest.name)
+                self._drop(oldest)
         return statement
+
+    def _drop(self, statement: UserStatement) -> None:
+        self._plans.deallocate(statement.name)
+        if statement.row is not None:
+            statement.row.drop()
+            statement.row = None
 
     def rows(
         self, statement: UserStatement, parameters: Parameters, names: WorldNames
@@ -161,7 +170,7 @@ class UserStatements:
         """
         if statement.query is None:
             statement.query = self._query(statement, parameters, names)
-        is_rewritten = statement.query != statement.text
+        is_rewritten = statement.query != statement.text or statement.row is not None
         if statement.numbers and not _are_distances(statement.numbers, parameters):
             found = self._looked_up(statement, parameters)
             if found is not None:
@@ -234,7 +243,7 @@ class UserStatements:
         if found is not None:
             return found
         header = None
-        if not parameters and self._is_prepared(statement, sql, names):
+        if self._is_ready(statement, sql, parameters, names):
             sql, parameters, header = statement.execute, None, statement.last_header
         was_long = statement.last_header is not None and bool(statement.last_header.is_long)
         # The batches of an Arrow table are measured at once, tuples one by one.
@@ -264,6 +273,33 @@ class UserStatements:
             return FetchedRows(header, found)
         return None
 
+    def _is_ready(
+        self, statement: UserStatement, sql: str, parameters: Parameters, names: WorldNames
+    ) -> bool:
+        """Prepares a statement for these parameters, if that is possible and worth it."""
+        if not parameters:
+            return statement.row is None and self._is_prepared(statement, sql, names)
+        numbers = _numbers_of(parameters)
+        if numbers is None or sql != statement.text or statement.may_be_kept is False:
+            return False
+        if statement.row is None or not statement.row.has_types_of(numbers):
+            self._drop(statement)
+            statement.row = ParameterRow(self._connection, statement.name, numbers)
+        statement.row.set(numbers)
+        if self._plans.has(statement.name):
+            return True
+        if not statement.is_planned_next:
+            statement.is_planned_next = True
+            return False
+        query = with_parameters(numbered(sql), statement.row.value)
+        columns = self._connection.columns(sql, parameters)
+        types = [kind for _, kind in columns]
+        if types != [kind for _, kind in self._connection.columns(query, None)]:
+            statement.may_be_kept = False
+            return False
+        statement.columns = tuple(name for name, _ in columns)
+        return self._is_prepared(statement, query, names)
+
     def _is_prepared(self, statement: UserStatement, sql: str, names: WorldNames) -> bool:
         """Prepares a statement at its second run with the same tables."""
         if self._plans.has(statement.name):
@@ -291,6 +327,23 @@ def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:
     else:
         values = {str(place): value for place, value in enumerate(parameters or (), 1)}
     return all(_is_distance(values.get(name)) for name in names)
+
+
+def _numbers_of(parameters: Parameters) -> dict[str, int | float] | None:
+    """Returns the parameters by name or place; None if they are not all numbers.
+
+    DuckDB does not distinguish names by case.
+    """
+    if isinstance(parameters, Mapping):
+        values = dict(parameters)
+    else:
+        values = {str(place): value for place, value in enumerate(parameters or (), 1)}
+    is_numeric = all(
+        type(value) is float or (type(value) is int and abs(value) < 2**31)
+        for value in values.values()
+    )
+    has_names = len({name.lower() for name in values}) == len(values)
+    return values if is_numeric and has_names else None
 
 
 def _is_distance(value: object) -> bool:

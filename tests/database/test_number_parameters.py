@@ -1,0 +1,139 @@
+"""Raw SQL with numbers as parameters: a plan that is kept has the results of DuckDB's own."""
+
+import math
+
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.adapters.result import Result
+from ssduck.errors import SqlError
+
+# Statements, the values of their parameters in turn, and whether their plans are kept.
+CASES = [
+    (
+        "SELECT name FROM entities WHERE z > $low",
+        [{"low": 0.05}, {"low": 0.15}, {"low": 9.0}],
+        True,
+    ),
+    ("SELECT name FROM entities WHERE z > ? AND x < ?", [[0.0, 0.5], [0.0, 0.3], [1.0, 0.3]], True),
+    ("SELECT *, z > $low FROM entities WHERE x > $low", [{"low": 0.1}, {"low": 0.2}], True),
+    ("SELECT name, $k * z FROM entities WHERE z > $k", [{"k": 0.01}, {"k": 0.02}], True),
+    ("SELECT name FROM entities WHERE id = $id", [{"id": 1}, {"id": 2}, {"id": 2.0}], True),
+    ("SELECT name FROM entities WHERE z < $1 OR z > $1", [[0.1], [math.inf], [math.nan]], True),
+    (
+        "SELECT count(*) FROM entities WHERE z > $z GROUP BY kind HAVING count(*) > $n",
+        [{"z": 0.0, "n": 1}, {"z": 0.0, "n": 3}],
+        True,
+    ),
+    ("SELECT name FROM entities ORDER BY id LIMIT $n", [{"n": 2}, {"n": 1}], True),
+    (
+        "SELECT a.name FROM entities a JOIN entities b ON a.x > b.x + $d",
+        [{"d": 0.1}, {"d": 0.2}],
+        True,
+    ),
+    (
+        "SELECT '$low' AS text, name FROM entities WHERE z > $low -- $low",
+        [{"low": 0.05}, {"low": 9.0}],
+        True,
+    ),
+    ("SELECT quantile_cont(z, $q) FROM entities", [{"q": 0.5}, {"q": 0.1}], False),
+    ("SELECT $n, name FROM entities", [{"n": 1}, {"n": 2}], False),  # INTEGER, and not BIGINT
+    (
+        "SELECT name FROM entities WHERE kind = $kind",
+        [{"kind": "kinbody"}, {"kind": "robot"}],
+        False,
+    ),
+    ("SELECT name FROM entities WHERE (z > $low) = $yes", [{"low": 0.0, "yes": True}], False),
+    ("SELECT name FROM entities WHERE id < $id", [{"id": 2**40}, {"id": 3 * 2**40}], False),
+]
+
+
+def boxes(client, numbers):
+    """Adds boxes, each higher than the one before, and returns their names."""
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.02, 0.02, 0.02], physicsClientId=client
+    )
+    return {
+        pybullet.createMultiBody(
+            1, shape, basePosition=[0.1 * i, 0, 0.05 * i + 0.02], physicsClientId=client
+        ): f"b{i}"
+        for i in numbers
+    }
+
+
+@pytest.fixture
+def traced(client):
+    """An interpreter with five boxes, and the statements that ran."""
+    statements = []
+    with ssduck.Interpreter(tracer=statements.append, recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.attach(client, names=boxes(client, range(5))))
+        ss.sql("FROM entities LIMIT 0")
+        statements.clear()
+        yield ss, statements
+
+
+def described(result):
+    """A result with its columns and types."""
+    return result.columns, result.types, sorted(map(repr, result.fetchall()))
+
+
+@pytest.mark.parametrize(("sql", "values", "is_kept"), CASES, ids=[case[0] for case in CASES])
+def test_results_are_those_of_duckdb(traced, sql, values, is_kept):
+    ss, statements = traced
+    for parameters in values:
+        with ss._database.pinned(set()):
+            expected = described(Result(ss._database.connection.table(sql, parameters)))
+        statements.clear()
+        for _ in range(3):
+            assert described(ss.sql(sql, parameters)) == expected
+        kinds = [statement.split()[0] for statement in statements]
+        assert (kinds[-1] == "EXECUTE") == is_kept
+
+
+def test_a_plan_is_made_once_for_all_numbers(traced):
+    ss, statements = traced
+    sql = CASES[0][0]
+    found = []
+    for step in range(20):
+        ss.call_variable("sim").tick()
+        found.append(len(ss.sql(sql, {"low": step / 40})))
+    expected = [
+        len(ss.sql(f"SELECT name FROM entities WHERE z > {step / 40}")) for step in range(20)
+    ]
+    assert found == expected
+    assert len(set(found)) > 1
+    assert sum(statement.startswith("PREPARE") for statement in statements) == 1
+
+
+@pytest.mark.parametrize("parameters", [{}, {"high": 0.1}, {"low": 0.1, "high": 0.1}, [0.1, 0.2]])
+def test_missing_and_further_parameters_are_errors(traced, parameters):
+    ss, _ = traced
+    sql = CASES[0][0]
+    for _ in range(3):
+        expected = ss.sql(sql, {"low": 0.05}).fetchall()
+    for _ in range(3):
+        with pytest.raises(SqlError):
+            ss.sql(sql, parameters)
+    assert ss.sql(sql, {"low": 0.05}).fetchall() == expected
+
+
+def test_names_that_differ_by_case_are_not_confused(traced):
+    ss, _ = traced
+    sql = "SELECT name FROM entities WHERE z > $low"
+    for _ in range(3):
+        with ss._database.pinned(set()):
+            expected = ss._database.connection.table(sql, {"LOW": 0.15}).to_pylist()
+        assert ss.sql(sql, {"LOW": 0.15}).arrow().to_pylist() == expected
+
+
+def test_a_new_body_makes_a_new_plan(traced, client):
+    ss, statements = traced
+    sql = CASES[0][0]
+    for _ in range(3):
+        before = ss.sql(sql, {"low": 0.0}).fetchall()
+    boxes(client, [7])
+    ss.call_variable("sim").tick()
+    for _ in range(3):
+        assert len(ss.sql(sql, {"low": 0.0}).fetchall()) == len(before) + 1
+    assert sum(statement.startswith("PREPARE") for statement in statements) == 2
