@@ -68,6 +68,9 @@ class BoundingBoxes:
     def __init__(self, shapes: Sequence[PlacedGeometry], groups: Sequence[int], count: int) -> None:
         pairs = list(zip(shapes, groups, strict=True))
         self._planes = [pair for pair in pairs if pair[0].geometry.type == "plane"]
+        self._plane_frames = np.array([shape.frame for shape, _ in self._planes], dtype=np.intp)
+        # The boxes of the planes, and the poses that they are of: a plane rarely moves.
+        self._last_planes: tuple[bytes, list[Array]] | None = None
         self._count = count
         cores = [part for core in _cores(pairs) for part in core.parts()]
         cores.sort(key=lambda core: core.group)
@@ -95,9 +98,25 @@ class BoundingBoxes:
             extends is infinite.
         """
         boxes = self._group_boxes(positions, matrices)
-        for shape, group in self._planes:
-            _add_plane(boxes[:, group], shape, positions, matrices)
+        if self._planes:
+            extents = self._plane_boxes(positions, matrices)
+            for (_, group), (low, high) in zip(self._planes, extents, strict=True):
+                box = boxes[:, group]
+                np.minimum(box[:3], low, out=box[:3])
+                np.maximum(box[3:], high, out=box[3:])
         return boxes
+
+    def _plane_boxes(self, positions: Array, matrices: Array) -> list[Array]:
+        """Returns the box of each plane, (2, 3): the lower corner and the upper one."""
+        placed = (
+            positions.take(self._plane_frames, axis=0),
+            matrices.take(self._plane_frames, axis=0),
+        )
+        poses = placed[0].tobytes() + placed[1].tobytes()
+        if self._last_planes is None or self._last_planes[0] != poses:
+            boxes = [_plane_box(shape, positions, matrices) for shape, _ in self._planes]
+            self._last_planes = poses, boxes
+        return self._last_planes[1]
 
     def _group_boxes(self, positions: Array, matrices: Array) -> Array:
         if self._vectors is None:
@@ -176,17 +195,15 @@ def _hull_corners(points: Array) -> Array:
     return corners
 
 
-def _add_plane(box: Array, shape: PlacedGeometry, positions: Array, matrices: Array) -> None:
-    """Extends a box (6,) in place by a half-space: to infinity, but to an axis-aligned side."""
+def _plane_box(shape: PlacedGeometry, positions: Array, matrices: Array) -> Array:
+    """Returns the box (2, 3) of a half-space: infinite, but for an axis-aligned side."""
     local = rotation_matrices(shape.orientation[None])[0]
     normal = matrices[shape.frame] @ (local @ np.array(shape.geometry.size))
     origin = positions[shape.frame] + matrices[shape.frame] @ shape.position
     if not np.isfinite(normal + origin).all():
-        box[:] = np.nan
-        return
-    low, high = np.full(3, -np.inf), np.full(3, np.inf)
+        return np.full((2, 3), np.nan)
+    low, high = box = np.array([[-np.inf] * 3, [np.inf] * 3])
     axis = int(np.argmax(np.abs(normal)))
     if np.abs(np.delete(normal, axis)).max() < AXIS_TOLERANCE:
         (high if normal[axis] > 0 else low)[axis] = origin[axis]
-    np.minimum(box[:3], low, out=box[:3])
-    np.maximum(box[3:], high, out=box[3:])
+    return box
