@@ -25,8 +25,10 @@ import typer
 from typer.core import TyperGroup
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
-from ssduck.cli.records import check, episodes, export, is_record, open_or_load, record, whole_steps
+from ssduck.cli.records import check, episodes, export, open_or_load, record, whole_steps
+from ssduck.cli.rendering import render
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
+from ssduck.recording.paths import is_record
 
 
 class Format(StrEnum):
@@ -529,6 +531,9 @@ def view(
         if browser:
             typer.launch(page.url)
         threading.Event().wait()
+
+
+app.command()(render)
 
 
 @app.command()

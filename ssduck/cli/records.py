@@ -14,6 +14,7 @@ import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.formatting import count_of
+from ssduck.recording.paths import is_record
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -21,24 +22,8 @@ if TYPE_CHECKING:
     from ssduck.recording.episode import Episode
     from ssduck.world.world import World
 
-# The suffix of DuckDB files, and the position and value of the mark in them.
+# The suffix of DuckDB files.
 _DUCKDB_SUFFIX = ".duckdb"
-_MAGIC = slice(8, 12), b"DUCK"
-
-
-def is_record(location: str) -> bool:
-    """Checks whether a path is the folder or file of a record; names of shipped scenes are not."""
-    from ssduck.simulators.scenes import shipped_scenes
-
-    path = Path(location)
-    if location in shipped_scenes():
-        return False
-    if not path.is_file():
-        return path.is_dir()
-    position, magic = _MAGIC
-    with path.open("rb") as file:
-        return file.read(position.stop)[position] == magic
-
 
 _Duration = Annotated[
     float,

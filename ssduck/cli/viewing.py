@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import typer
 
-from ssduck.cli.records import is_record
+from ssduck.recording.paths import is_record
 from ssduck.simulators.scenes import find_scene
 from ssduck.view.view import View, view_record, view_scene
 from ssduck.world.world import World

@@ -13,12 +13,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
-from ssduck.errors import UnknownNameError, nearest
+from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, LinkPoses, Simulator
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.visuals import VisualShape
+from ssduck.simulators.visuals import VisualShape, collision_visuals
 
 BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
@@ -131,3 +131,11 @@ def backend(name: str = DEFAULT_BACKEND) -> Backend:
             suggestions=nearest(name, BACKENDS),
         )
     return cast("Backend", import_module(BACKENDS[name]))
+
+
+def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+    """Returns what a simulator draws of a body; its collision shapes where that is not known."""
+    try:
+        return backend(simulator.backend).visual_shapes(simulator, body)
+    except SelectScriptError:  # it is a what-if world, or a record
+        return collision_visuals(body)

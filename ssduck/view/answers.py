@@ -18,7 +18,7 @@ from ssduck.adapters.formats import FORMATS
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError, nearest
 from ssduck.interpreter.completion import KEYWORDS, complete
 from ssduck.interpreter.shown_rows import rows_to_show
-from ssduck.schema import LINK_FACTOR, entity_of, link_of
+from ssduck.view.marks import Mark, Marks
 from ssduck.view.sources import Source
 from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
@@ -41,9 +41,6 @@ _RELATIONS = {
     "touching it": _PAIRS + "a.kind <> 'sensor' AND touching(a, b) ORDER BY b.name",
     "nearest": _PAIRS + "true ORDER BY distance(a, b) LIMIT 5",
 }
-
-# The number of an entity and of its link; -1 for the whole entity.
-Mark = tuple[int, int]
 
 
 class Answers:
@@ -89,7 +86,7 @@ class Answers:
         self._result = value
         picture = _picture(value)
         table = DisplayTable([], []) if picture else display_table(value)
-        marks = _Marks(world)
+        marks = Marks(world)
         rows = table.rows[:MAX_ROWS]
         row_marks = [marks.of(row) for row in rows]
         everything = [*row_marks, *map(marks.of, table.rows[MAX_ROWS:])]
@@ -155,35 +152,6 @@ class Answers:
 
     def _names(self, statement: str, id: int) -> list[str]:
         return [name for (name,) in self._source.interpreter.sql(statement, [id])]
-
-
-class _Marks:
-    """Finds the entities and links in the rows of a result.
-
-    Args:
-        world: the world that was asked.
-    """
-
-    def __init__(self, world: World) -> None:
-        self._ids = {info.name: info.id for info in world.snapshot.entities}
-
-    def of(self, row: Sequence[Any]) -> list[Mark]:
-        """Returns what a row has: handles, and texts that are names of entities."""
-        return list(dict.fromkeys(mark for cell in row for mark in self._in(cell)))
-
-    def _in(self, value: Any) -> Iterator[Mark]:
-        if isinstance(value, Handle):
-            is_link = value.id >= LINK_FACTOR
-            yield (entity_of(value.id), link_of(value.id)) if is_link else (value.id, -1)
-        elif isinstance(value, str):
-            if value in self._ids:
-                yield self._ids[value], -1
-        elif isinstance(value, dict):
-            for part in value.values():
-                yield from self._in(part)
-        elif isinstance(value, list | tuple) and not isinstance(value, RowsOfColumns):
-            for part in value:
-                yield from self._in(part)
 
 
 def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float]]]:

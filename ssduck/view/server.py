@@ -25,7 +25,8 @@ from websockets.http11 import Request, Response
 
 from ssduck.errors import SelectScriptError, SimulatorError
 from ssduck.view.answers import Answers
-from ssduck.view.messages import Frame, Poses, poses_message
+from ssduck.view.frames import Frame, Poses
+from ssduck.view.messages import poses_message
 from ssduck.view.sources import Source
 
 # The shortest real time between two updates of a page, s.

@@ -9,18 +9,18 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.limits import Limits
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.simulators.backends import backend
-from ssduck.simulators.interface import Body
-from ssduck.simulators.visuals import VisualShape, collision_visuals
-from ssduck.view.messages import Frame, scene_message
+from ssduck.simulators.backends import drawn_shapes
+from ssduck.simulators.visuals import collision_visuals
+from ssduck.view.frames import Frame
+from ssduck.view.messages import scene_message
 from ssduck.world.world import World
 
 
@@ -114,14 +114,8 @@ class LiveSource:
         """Returns the scene of a frame; the same one until entities come or go."""
         if self._scene is None or not self._scene[0].has_same_scene(frame):
             simulator = self.world.simulator
-
-            def visuals(body: Body) -> list[VisualShape]:
-                try:
-                    return backend(simulator.backend).visual_shapes(simulator, body)
-                except SelectScriptError:  # it is a what-if world, say
-                    return collision_visuals(body)
-
             with self.world.lock:
+                visuals = partial(drawn_shapes, simulator)
                 message = scene_message(frame, visuals, camera_of(self.world))
             self._scene = frame, message
         return self._scene[1]

@@ -1,0 +1,273 @@
+"""Draws a world, a scene or a record: `render`."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from ssduck import validation
+from ssduck.adapters.display import display_table
+from ssduck.errors import ArgumentError, UnknownNameError
+from ssduck.geometry.arrays import Array
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import open_record
+from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.recording.paths import is_record
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.render.cameras import fitting_camera
+from ssduck.render.canvas import Canvas, Picture
+from ssduck.render.film import check_format, write_film
+from ssduck.render.stage import Stage
+from ssduck.simulators.scenes import Camera, find_scene
+from ssduck.view.frames import Frame
+from ssduck.view.marks import Mark, Marks
+from ssduck.world.world import World
+
+Language: TypeAlias = Literal["selectscript", "sql"]
+
+# The seconds of a scene that a film shows unless it says otherwise.
+SECONDS = 5.0
+MAX_PICTURES = 100_000
+
+
+@dataclass(frozen=True)
+class Film:
+    """What is drawn, and how.
+
+    Attributes:
+        span: the simulated times of the first and the last picture, s; None for all of a record or
+            the first seconds of a scene, and for its last or first tick in a PNG.
+        speed: simulated seconds a second of the film.
+        fps: pictures a second of the film.
+        size: width and height, pixels.
+        camera: the camera; None for one that shows all, or that of the scene.
+        highlight: a query, asked at each picture; the entities and links of its result stand out.
+        language: the language of the query.
+
+    Raises:
+        ArgumentError: a number is not positive, or the span is empty.
+    """
+
+    span: tuple[float, float] | None = None
+    speed: float = 1.0
+    fps: float = 30.0
+    size: tuple[int, int] = (1280, 720)
+    camera: Camera | None = None
+    highlight: str | None = None
+    language: Language = "selectscript"
+
+    def __post_init__(self) -> None:
+        validation.positive_number(self.speed, "render: speed", "positive speed")
+        validation.positive_number(self.fps, "render: fps", "positive number of pictures a second")
+        validation.picture_size(*self.size, "render")
+        if self.span is not None and not self.span[0] <= self.span[1] < math.inf:
+            raise ArgumentError(
+                f"render: the span ends before it starts: {self.span[0]:g} s to {self.span[1]:g} s"
+            )
+
+    def times(self, start: float, end: float) -> Array:
+        """Returns the simulated times of the pictures from one time to another, s."""
+        count = math.floor((end - start) * self.fps / self.speed + 1e-6) + 1
+        if count > MAX_PICTURES:
+            raise ArgumentError(
+                f"render: {count:,} pictures are more than {MAX_PICTURES:,}; choose a shorter "
+                "span, a higher speed or fewer pictures a second"
+            )
+        return start + np.arange(count) * self.speed / self.fps
+
+
+def render(
+    source: Interpreter | World | str | Path,
+    path: str | Path,
+    film: Film | None = None,
+    *,
+    episode: int | None = None,
+    on_picture: Callable[[int, int], object] | None = None,
+) -> Path:
+    """Draws a world, a scene or a record, without a screen, and returns the path of the file.
+
+    A PNG shows a moment, a GIF or an MP4 a film. A scene is loaded and stepped; of a record, each
+    picture shows the last tick at or before its time. A world in use is drawn as it is now, as a
+    PNG: to make a film of it, record it.
+
+    Args:
+        source: an interpreter with one world, a world, the name or path of a scene, or the path of
+            a record.
+        path: the file, which ends in .png, .gif or .mp4.
+        film: what is drawn, and how.
+        episode: the number of the episode of a record; None for the last one.
+        on_picture: a function that gets the number of each picture and their count, for progress.
+
+    Raises:
+        ArgumentError: the suffix, the span, the size or another value is wrong.
+        SelectScriptError: the query is wrong, or the scene or record cannot be opened.
+        UnsupportedError: the extra `render`, OpenGL or ffmpeg is missing.
+        OSError: the file cannot be written.
+    """
+    film, path = film or Film(), Path(path)
+    check_format(path, film.size, film.fps)
+    with contextlib.ExitStack() as stack:
+        take = _take(stack, source, path, film, episode)
+        canvas = Canvas(*film.size)
+        stack.callback(canvas.close)
+        pictures = _pictures(take, canvas, film, on_picture)
+        write_film(path, pictures, film.fps)
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class _Take:
+    """A world, and the times at which it is drawn.
+
+    Attributes:
+        ss: the interpreter of the query.
+        world: the world.
+        times: the simulated times, s, ascending.
+        go: moves the world to one of these times.
+    """
+
+    ss: Interpreter
+    world: World
+    times: Array
+    go: Callable[[float], object]
+
+
+def _take(
+    stack: contextlib.ExitStack,
+    source: Interpreter | World | str | Path,
+    path: Path,
+    film: Film,
+    episode: int | None,
+) -> _Take:
+    is_picture = path.suffix.lower() == ".png"
+    if isinstance(source, Interpreter | World):
+        if not is_picture or film.span is not None:
+            raise ArgumentError(
+                "render: a world in use is drawn as it is now, as a PNG; record it with record_to, "
+                "and render the record"
+            )
+        return _present(stack, source)
+    if is_record(source):
+        return _replay(stack, source, film, episode, is_picture=is_picture)
+    if episode is not None:
+        raise ArgumentError(f"render: {source} is no record, so it has no episodes")
+    return _simulation(stack, source, film, is_picture=is_picture)
+
+
+def _present(stack: contextlib.ExitStack, source: Interpreter | World) -> _Take:
+    if isinstance(source, World):
+        ss, world = stack.enter_context(Interpreter(recording=None)), source
+        ss.add_variable(world.name, world)
+    else:
+        if len(source.worlds) != 1:
+            names = ", ".join(each.name for each in source.worlds) or "none"
+            raise UnknownNameError(f"render: pass one of the worlds of the interpreter: {names}")
+        ss, world = source, source.worlds[0]
+    return _Take(ss, world, np.array([world.time]), lambda _: None)
+
+
+def _replay(
+    stack: contextlib.ExitStack,
+    path: str | Path,
+    film: Film,
+    episode: int | None,
+    *,
+    is_picture: bool,
+) -> _Take:
+    ss = stack.enter_context(contextlib.closing(open_record(path, episode=episode)))
+    world = ss.worlds[0]
+    assert isinstance(world, ReplayedWorld)
+    ticks = world.source_record.ticks.times
+    first, last = float(ticks[0]), float(ticks[-1])
+    start, end = film.span or ((last, last) if is_picture else (first, last))
+    if end < first or start > last:
+        raise ArgumentError(
+            f"render: the record has ticks from {first:g} s to {last:g} s, none from {start:g} s "
+            f"to {end:g} s"
+        )
+    start, end = max(start, first), min(end, last)
+    times = np.array([end]) if is_picture else film.times(start, end)
+    return _Take(ss, world, times, world.seek)
+
+
+def _simulation(
+    stack: contextlib.ExitStack, scene: str | Path, film: Film, *, is_picture: bool
+) -> _Take:
+    ss = stack.enter_context(Interpreter(recording=None))
+    loaded = find_scene(scene)
+    world = stack.enter_context(contextlib.closing(World.load(loaded)))
+    world.name = loaded.name
+    ss.add_variable(world.name, world)
+    start, end = film.span or (0.0, 0.0 if is_picture else SECONDS)
+    if start < 0:
+        raise ArgumentError(f"render: a scene begins at 0 s, not at {start:g} s")
+
+    def go(time: float) -> None:
+        steps = round((time - world.time) / world.simulator.timestep)
+        if steps > 0:
+            world.step(steps)
+
+    return _Take(ss, world, np.array([end]) if is_picture else film.times(start, end), go)
+
+
+def _pictures(
+    take: _Take, canvas: Canvas, film: Film, on_picture: Callable[[int, int], object] | None
+) -> Iterator[Picture]:
+    """Yields the pictures of a world at its times."""
+    stage: Stage | None = None
+    camera = film.camera
+    query = _Query(take, film)
+    for number, time in enumerate(take.times.tolist(), 1):
+        take.go(time)
+        with take.world.lock:
+            frame = Frame.of(take.world.snapshot)
+            if stage is None or not stage.frame.has_same_scene(frame):
+                stage = Stage.of(take.world, frame)
+                canvas.set_shapes(stage.geometries)
+            matrices = stage.matrices(frame)
+        low, high = stage.bounds(matrices)
+        if camera is None:
+            camera = _own_camera(take.world) or fitting_camera(
+                low, high, canvas.width / canvas.height
+            )
+        colours = stage.highlighted(query.marks())
+        yield canvas.draw(matrices, colours, camera, low, high)
+        if on_picture is not None:
+            on_picture(number, len(take.times))
+
+
+def _own_camera(world: World) -> Camera | None:
+    """Returns the camera of the world's scene; None if it is the one of any scene."""
+    return None if world.camera == Camera() else world.camera
+
+
+class _Query:
+    """The query whose result stands out.
+
+    Args:
+        take: the world.
+        film: the query and its language.
+    """
+
+    def __init__(self, take: _Take, film: Film) -> None:
+        self._take, self._film = take, film
+        is_compiled = film.highlight is not None and film.language == "selectscript"
+        self._compiled = take.ss.compile(film.highlight) if is_compiled else None
+
+    def marks(self) -> list[Mark]:
+        """Returns the entities and links in the result at the present tick."""
+        if self._film.highlight is None:
+            return []
+        ss = self._take.ss
+        if self._compiled is not None:
+            value: Any = rows_to_show(self._compiled, ss.eval)
+        else:
+            value = ss.sql(self._film.highlight)
+        marks = Marks(self._take.world)
+        return [mark for row in display_table(value).rows for mark in marks.of(row)]
