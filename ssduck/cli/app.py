@@ -12,7 +12,6 @@ import io
 import os
 import signal
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing
@@ -27,6 +26,7 @@ from typer.core import TyperGroup
 from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
 from ssduck.cli.records import check, episodes, export, open_or_load, record, whole_steps
 from ssduck.cli.rendering import render
+from ssduck.cli.viewing import view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.recording.paths import is_record
 
@@ -492,47 +492,7 @@ def shell(
             raise typer.Exit(1)
 
 
-@app.command()
-def view(
-    location: Annotated[
-        str, typer.Argument(metavar="SCENE|RECORD", help="A scene, or the path of a record.")
-    ] = "kitchen",
-    episode: _Episode = None,
-    host: Annotated[
-        str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="The address to listen at. Another one than 127.0.0.1 lets other computers ask.",
-        ),
-    ] = "127.0.0.1",
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0, max=65535, metavar="N", help="The port to listen at.", show_default="a free one"
-        ),
-    ] = 0,
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Whether to open a browser.")
-    ] = True,
-) -> None:
-    """Show a scene or a record in the browser, in 3-D and with a box for queries.
-
-    The address, with the token that it needs, is the first line. Ctrl-C ends it. The page needs an
-    extra: pip install 'ssduck[view]'
-    """
-    from ssduck.adapters.optional import library
-
-    library("websockets", "view")
-    from ssduck.cli.viewing import opened_view
-
-    with opened_view(location, episode, host, port) as page:
-        typer.echo(page.url)
-        sys.stdout.flush()
-        if browser:
-            typer.launch(page.url)
-        threading.Event().wait()
-
-
+app.command()(view)
 app.command()(render)
 
 

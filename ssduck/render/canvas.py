@@ -77,10 +77,10 @@ float lit(vec3 normal) {
     if (any(lessThan(at, vec3(0.0))) || any(greaterThan(at, vec3(1.0)))) return 1.0;
     float sum = 0.0;
     vec2 size = 1.0 / vec2(textureSize(shadows, 0));
-    for (int i = -2; i <= 2; i++)
-        for (int j = -2; j <= 2; j++)
-            sum += texture(shadows, vec3(at.xy + vec2(i, j) * size * 0.8, at.z - 0.0004));
-    return sum / 25.0;
+    for (int i = -1; i <= 1; i++)
+        for (int j = -1; j <= 1; j++)
+            sum += texture(shadows, vec3(at.xy + vec2(i, j) * size * 1.3, at.z - 0.0004));
+    return sum / 9.0;
 }
 
 float lines(vec2 at, float width) {

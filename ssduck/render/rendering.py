@@ -1,4 +1,4 @@
-"""Draws a world, a scene or a record: `render`."""
+"""Draws a world, a scene or a record: `render`, and `filmed` a world in use."""
 
 from __future__ import annotations
 
@@ -79,7 +79,8 @@ class Film:
                 f"render: {count:,} pictures are more than {MAX_PICTURES:,}; choose a shorter "
                 "span, a higher speed or fewer pictures a second"
             )
-        return start + np.arange(count) * self.speed / self.fps
+        times = start + np.arange(count, dtype=np.float64) * (self.speed / self.fps)
+        return np.asarray(times, dtype=np.float64)
 
 
 def render(
@@ -119,6 +120,73 @@ def render(
         pictures = _pictures(take, canvas, film, on_picture)
         write_film(path, pictures, film.fps)
     return path
+
+
+@contextlib.contextmanager
+def filmed(world: World, path: str | Path, film: Film | None = None) -> Iterator[None]:
+    """Films a world in use: what it does while the context is open.
+
+    The world takes a tick for each picture. The pictures are drawn at the end, if no error was
+    raised.
+
+    Args:
+        world: the world.
+        path: the file, which ends in .gif or .mp4; or .png for the last moment.
+        film: how it is drawn; without a span, and without a query, as the world has moved on when
+            the pictures are drawn.
+
+    Raises:
+        ArgumentError: the suffix or the size is wrong, or there is a span or a query.
+        UnsupportedError: the extra `render`, OpenGL or ffmpeg is missing.
+        OSError: the file cannot be written.
+    """
+    film, path = film or Film(), Path(path)
+    check_format(path, film.size, film.fps)
+    if film.span is not None or film.highlight is not None:
+        raise ArgumentError("filmed: a world in use is filmed without a span and without a query")
+    camera_operator = _Operator(film)
+    with contextlib.closing(Canvas(*film.size)) as canvas:
+        world.follow(camera_operator)
+        try:
+            camera_operator.ticked(world)
+            yield
+        finally:
+            world.unfollow(camera_operator)
+        drawing = _Drawing(canvas, film)
+        pictures = (drawing.picture(world, frame, []) for frame in camera_operator.frames)
+        write_film(path, pictures, film.fps)
+
+
+class _Operator:
+    """Keeps the frames of a world for a film.
+
+    Args:
+        film: the film.
+
+    Attributes:
+        frames: the frames, one for each picture.
+    """
+
+    def __init__(self, film: Film) -> None:
+        self.frames: list[Frame] = []
+        self._interval = film.speed / film.fps
+        self._next = -math.inf
+
+    def due(self, _world: Any, /) -> float:
+        """Returns the time of the next picture, s."""
+        return self._next
+
+    def ticked(self, world: Any, /) -> None:
+        """Keeps the frame of a tick, for all pictures that are due."""
+        with world.lock:
+            frame = Frame.of(world.snapshot)
+        if self._next == -math.inf or frame.time < self.frames[-1].time:
+            self._next = frame.time  # the first one, or a new episode
+        while self._next <= frame.time + 1e-9:
+            self.frames.append(frame)
+            self._next += self._interval
+            if len(self.frames) > MAX_PICTURES:
+                raise ArgumentError(f"filmed: there are more than {MAX_PICTURES:,} pictures")
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,26 +288,42 @@ def _pictures(
     take: _Take, canvas: Canvas, film: Film, on_picture: Callable[[int, int], object] | None
 ) -> Iterator[Picture]:
     """Yields the pictures of a world at its times."""
-    stage: Stage | None = None
-    camera = film.camera
-    query = _Query(take, film)
+    drawing, query = _Drawing(canvas, film), _Query(take, film)
     for number, time in enumerate(take.times.tolist(), 1):
         take.go(time)
         with take.world.lock:
             frame = Frame.of(take.world.snapshot)
-            if stage is None or not stage.frame.has_same_scene(frame):
-                stage = Stage.of(take.world, frame)
-                canvas.set_shapes(stage.geometries)
-            matrices = stage.matrices(frame)
-        low, high = stage.bounds(matrices)
-        if camera is None:
-            camera = _own_camera(take.world) or fitting_camera(
-                low, high, canvas.width / canvas.height
-            )
-        colours = stage.highlighted(query.marks())
-        yield canvas.draw(matrices, colours, camera, low, high)
+            marks = query.marks()
+        yield drawing.picture(take.world, frame, marks)
         if on_picture is not None:
             on_picture(number, len(take.times))
+
+
+class _Drawing:
+    """Draws the frames of a world.
+
+    Args:
+        canvas: where they are drawn.
+        film: the camera.
+    """
+
+    def __init__(self, canvas: Canvas, film: Film) -> None:
+        self._canvas, self._camera = canvas, film.camera
+        self._stage: Stage | None = None
+
+    def picture(self, world: World, frame: Frame, marks: list[Mark]) -> Picture:
+        """Returns the picture of a frame, in which some entities and links stand out."""
+        canvas, stage = self._canvas, self._stage
+        if stage is None or not stage.frame.has_same_scene(frame):
+            with world.lock:
+                self._stage = stage = Stage.of(world, frame)
+            canvas.set_shapes(stage.geometries)
+        matrices = stage.matrices(frame)
+        low, high = stage.bounds(matrices)
+        if self._camera is None:
+            fitting = fitting_camera(low, high, canvas.width / canvas.height)
+            self._camera = _own_camera(world) or fitting
+        return canvas.draw(matrices, stage.highlighted(marks), self._camera, low, high)
 
 
 def _own_camera(world: World) -> Camera | None:
@@ -257,8 +341,9 @@ class _Query:
 
     def __init__(self, take: _Take, film: Film) -> None:
         self._take, self._film = take, film
-        is_compiled = film.highlight is not None and film.language == "selectscript"
-        self._compiled = take.ss.compile(film.highlight) if is_compiled else None
+        self._compiled = None
+        if film.highlight is not None and film.language == "selectscript":
+            self._compiled = take.ss.compile(film.highlight)
 
     def marks(self) -> list[Mark]:
         """Returns the entities and links in the result at the present tick."""

@@ -13,11 +13,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, cast
 
-from ssduck.errors import SelectScriptError, UnknownNameError, nearest
+from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, LinkPoses, Simulator
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
+from ssduck.simulators.static import StaticSimulator
 from ssduck.simulators.visuals import VisualShape, collision_visuals
 
 BACKENDS = {
@@ -135,7 +136,6 @@ def backend(name: str = DEFAULT_BACKEND) -> Backend:
 
 def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what a simulator draws of a body; its collision shapes where that is not known."""
-    try:
-        return backend(simulator.backend).visual_shapes(simulator, body)
-    except SelectScriptError:  # it is a what-if world, or a record
+    if isinstance(simulator, StaticSimulator):  # a what-if world, or a record
         return collision_visuals(body)
+    return backend(simulator.backend).visual_shapes(simulator, body)

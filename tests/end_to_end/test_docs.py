@@ -15,6 +15,7 @@ import pytest
 import ssduck
 from ssduck.language.parser import parse
 from tests.support.cases import sampled
+from tests.support.opengl import skip_without_opengl
 from tests.support.timing import HANGS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -43,6 +44,8 @@ def blocks(language):
 def test_python_examples_run(page, texts, tmp_path, monkeypatch, capsys):
     if any("import mujoco" in text for text in texts):
         pytest.importorskip("mujoco")
+    if any("ssduck.render" in text for text in texts):
+        skip_without_opengl()
     monkeypatch.chdir(tmp_path)
     namespace = {}
     for text in texts:
