@@ -52,7 +52,7 @@ def kitchen():
         yield ss
 
 
-def is_interrupted(ss, call) -> None:
+def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> None:
     """Asserts that Ctrl-C ends a call, and that the interpreter answers as before.
 
     It is pressed again if nothing happens: Python drops a KeyboardInterrupt that is raised while it
@@ -67,7 +67,7 @@ def is_interrupted(ss, call) -> None:
             ended.wait(WITHIN / 2)
 
     pressed: list[float] = []
-    before = ss.eval("SELECT id, z FROM kitchen AS list;")
+    before = ss.eval(question)
     presser = threading.Thread(target=press)
     presser.start()
     try:
@@ -78,7 +78,7 @@ def is_interrupted(ss, call) -> None:
         presser.join()
     assert time.monotonic() - pressed[-1] < WITHIN
     assert len(pressed) < 8
-    assert ss.eval("SELECT id, z FROM kitchen AS list;") == before
+    assert ss.eval(question) == before
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
@@ -151,6 +151,50 @@ def test_importing(tmp_path, monkeypatch):
         import_whole("catching")
     assert sys.modules.pop("catching").part == 1
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_rays_of_mujoco(tmp_path):
+    pytest.importorskip("mujoco")
+    boxes = "".join(
+        f'<body name="b{n}" pos="{n % 20} {n // 20} 1"><geom type="box" size=".2 .2 .2"/></body>'
+        for n in range(200)
+    )
+    (tmp_path / "field.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>")
+    with ssduck.load(tmp_path / "field.xml") as ss:
+        world = ss.call_variable("field")
+        scanner = world.add_sensor(
+            "lidar", on=world["b90"], name="scanner", max_range=30, layers=60
+        )
+
+        def again_and_again():
+            while True:
+                world.step()
+                assert len(scanner.ranges) == 21_600
+
+        is_interrupted(ss, again_and_again, "SELECT id FROM field AS list;")
+
+
+def test_recording(tmp_path):
+    """What was ticked before Ctrl-C is in the record, and the rest of the run, too."""
+    with ssduck.load("kitchen") as ss:
+        world = ss.call_variable("kitchen")
+        recording = ss.record_to(tmp_path / "run", recording=ssduck.Recording(flush_every=0.02))
+
+        def again_and_again():
+            while True:
+                world.step()
+
+        is_interrupted(ss, again_and_again, "SELECT id FROM kitchen AS list;")
+        world.step()
+        recording.close()
+        time_at_end = world.time
+    with ssduck.open(tmp_path / "run") as record:
+        sql = "SELECT count(DISTINCT tick), max(tick) - min(tick), max(time) FROM entities_history"
+        count, last, stored = record.sql(sql).fetchone()
+    (episode,) = ssduck.episodes(tmp_path / "run")
+    assert episode.complete
+    assert count == last + 1 > 10
+    assert stored == time_at_end
 
 
 def test_stepping():
