@@ -1,7 +1,7 @@
 """Measures relations over all pairs of small scenes, against FCL's tree, in processor time.
 
 `python -m benchmarks relations [OPTION ...]` takes some minutes; `--help` lists the options. The
-bodies move as in `benchmarks.pairs`: all by the same vector at each tick. FCL's tree calls a Python
+bodies move as in `benchmarks.pairs`: each in a direction of its own. FCL's tree calls a Python
 function for each pair whose boxes are near enough. For `on`, this function also reads a contact
 normal of pairs that meet, and compares the centre of one box with the other box: what a user would
 write, though not the definition of `on`. The pairs are compared for the other relations.
@@ -15,14 +15,15 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import fcl
 
 from benchmarks.pairs import SsduckScene
 from benchmarks.peers import Fcl, Pairs
-from benchmarks.random_scenes import FORMS, RandomScene, bodies_of, random_scene
+from benchmarks.random_scenes import FORMS, MOTIONS, RandomScene, bodies_of, random_scene
 from benchmarks.timing import print_table, text_of
 
 SIZES = (50, 300)
@@ -37,6 +38,7 @@ CONDITIONS = {
 HEADER = (
     "all pairs",
     "bodies",
+    "move",
     "relation",
     "ssduck",
     "again",
@@ -48,7 +50,8 @@ HEADER = (
 NOTES = """\
 All pairs of one relation, in processor time: the median of several times of each way, in turns.
 `ssduck`: at a fresh tick whose tables are read; `again`: in the same tick. `other`: pairs that only
-one of both finds; for `on`, FCL's loop is no more than similar.
+one of both finds; for `on`, FCL's loop is no more than similar. Between two ticks the bodies move
+`apart`, each by 2 mm and 0.5 degrees of its own, or `together`, all by the same vector.
 """
 _MIN_UP = math.cos(math.radians(30.0))
 
@@ -121,12 +124,14 @@ class _Times:
     tree: float
 
 
-def rows(forms: Sequence[str], sizes: Sequence[int], rounds: int) -> Iterator[tuple[str, ...]]:
+def rows(
+    forms: Sequence[str], sizes: Sequence[int], motions: Sequence[str], rounds: int
+) -> Iterator[tuple[str, ...]]:
     """Yields a row of the table for each relation in each scene."""
     for form in forms:
         for kind in KINDS:
-            for size in sizes:
-                scene = random_scene(form, kind, size)
+            for size, motion in product(sizes, motions):
+                scene = replace(random_scene(form, kind, size), motion=motion)
                 with bodies_of(scene) as (client, bodies):
                     ours = SsduckScene(scene, client, bodies)
                     try:
@@ -138,6 +143,7 @@ def rows(forms: Sequence[str], sizes: Sequence[int], rounds: int) -> Iterator[tu
                             yield (
                                 f"{form}, {kind}",
                                 str(size),
+                                motion,
                                 *_cells(relation, ours, peer, rounds),
                             )
                     finally:
@@ -148,9 +154,12 @@ def _cells(relation: str, ours: SsduckScene, peer: FclRelations, rounds: int) ->
     condition, _ = CONDITIONS[relation]
     selection = "id(a.this), id(b.this) FROM a = world, b = world"
     program = ours.ss.compile(f"SELECT {selection} WHERE {condition} AS list;")
-    times = _measured(
-        ours.tick, lambda: ours.ss.eval(program), lambda: peer.pairs(relation), rounds
-    )
+
+    def tick() -> None:
+        ours.tick()
+        peer.move(ours.ticks)
+
+    times = _measured(tick, lambda: ours.ss.eval(program), lambda: peer.pairs(relation), rounds)
     numbers = [int(name[1:]) for name in ours.ss.eval(program)]
     found = set(zip(numbers[::2], numbers[1::2], strict=True))
     if relation != "on":
@@ -194,8 +203,9 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks relations")
     parser.add_argument("--sizes", type=int, nargs="+", default=SIZES)
     parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
+    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=MOTIONS)
     parser.add_argument("--rounds", type=int, default=25, help="how often each way is timed")
     options = parser.parse_args(arguments)
     print(NOTES)
-    print_table(HEADER, rows(options.forms, options.sizes, options.rounds))
+    print_table(HEADER, rows(options.forms, options.sizes, options.motions, options.rounds))
     return 0

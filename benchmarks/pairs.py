@@ -3,11 +3,11 @@
 `python -m benchmarks pairs [OPTION ...]` takes many minutes, most of them for the scenes of 10,000
 bodies; `--sizes 50 300` takes a few. `--help` lists the options.
 
-The tick of ssduck is taken and its tables are read beforehand; each tick shifts all bodies by the
-same vector. The other libraries have their shapes and poses made beforehand; see
-`benchmarks.peers`. The pairs of all of them are compared. If another way finds different pairs,
-`benchmarks.referee` decides which is right, or whether a pair that ssduck calls touching within
-`TOUCHING` may be touching. It is a failure if ssduck is not right.
+The tick of ssduck is taken and its tables are read beforehand; between two ticks each body moves by
+2 mm in a direction of its own and turns by 0.5 degrees. The other libraries have their shapes and
+poses made beforehand; see `benchmarks.peers`. The pairs of all of them are compared. If another way
+finds different pairs, `benchmarks.referee` decides which is right, or whether a pair that ssduck
+calls touching within `TOUCHING` may be touching. It is a failure if ssduck is not right.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from benchmarks.random_scenes import (
     FORMS,
     KINDS,
     NEIGHBOURS,
+    PERIOD,
     PIECES,
     RandomScene,
     bodies_of,
@@ -77,21 +78,27 @@ class SsduckScene:
         self.ss = ssduck.Interpreter()
         self.ss.add_variable("world", self.world)
         self._compiled = self.ss.compile(PROGRAM)
-        self._ticks = 0
+        self.ticks = 0
+        self._poses = [
+            (moved.positions.tolist(), moved.orientations.tolist())
+            for moved in map(scene.at, range(PERIOD))
+        ]
         self._before = Statistics(0, 0)
         self.statistics: dict[str, Statistics] = {}
 
     def tick(self) -> None:
-        """Shifts all bodies by the same vector and takes a tick."""
-        self._ticks += 1
-        shift = np.array([0.25, 0.125, 0.0]) * (self._ticks % 8)
-        places = (self._scene.positions + shift).tolist()
-        turns = self._scene.orientations.tolist()
-        for body, place, turn in zip(self._bodies, places, turns, strict=True):
+        """Moves all bodies and takes a tick."""
+        self.ticks += 1
+        for body, place, turn in zip(self._bodies, *self._poses[self.ticks % PERIOD], strict=True):
             pybullet.resetBasePositionAndOrientation(body, place, turn, self._client)
         self.world.tick()
         self.ss.sql(_LOAD).fetchall()
         self._before = self.ss.statistics()["world"]
+
+    def return_to_start(self) -> None:
+        """Takes the ticks up to that at which the bodies are where they began."""
+        while self.ticks % PERIOD:
+            self.tick()
 
     def query(self) -> list[str]:
         """Runs the SelectScript query."""
@@ -226,16 +233,24 @@ class Contest:
             "ours": Way(ours.query, before=ours.tick),
             "again": Way(ours.query, before=ours.query),
             "sql": Way(ours.query_sql, before=ours.tick),
-            "manager": Way(self.fcl.managed),
+            "manager": Way(self.fcl.managed, before=lambda: self.fcl.move(ours.ticks)),
             "loop": Way(partial(self.fcl.loop, self.fcl_sample.pairs), before=self.fcl.place),
             "pybullet": Way(partial(self.closest, self.pybullet_sample.pairs)),
         }
-        if self.coal is not None:
-            ways["coal"] = Way(self.coal.managed)
+        if (coal := self.coal) is not None:
+            ways["coal"] = Way(coal.managed, before=lambda: coal.move(ours.ticks))
         times = minima(ways, rounds, max_seconds)
         times["loop"] *= self.fcl_sample.scale
         times["pybullet"] *= self.pybullet_sample.scale
         return times
+
+    def return_to_start(self) -> None:
+        """Moves all bodies to where they began."""
+        self.ours.return_to_start()
+        self.fcl.move(self.ours.ticks)
+        self.fcl.place()
+        if self.coal is not None:
+            self.coal.move(self.ours.ticks)
 
     def differences(self, collisions: set[tuple[int, int]]) -> dict[str, Difference]:
         """Returns how the pairs of the other ways differ from those of ssduck."""
@@ -272,6 +287,7 @@ def measure(form: str, kind: str, count: int, rounds: int, max_seconds: float) -
         ours = contest.ours
         try:
             times = contest.times(rounds, max_seconds)
+            contest.return_to_start()
             collisions = set(ours.pairs(ours.query()))
             differences = contest.differences(collisions)
         finally:

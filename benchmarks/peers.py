@@ -15,7 +15,7 @@ import numpy as np
 import pybullet
 from scipy.spatial import ConvexHull
 
-from benchmarks.random_scenes import Piece, RandomScene
+from benchmarks.random_scenes import PERIOD, Piece, RandomScene
 from ssduck.geometry.arrays import Array, Triangles
 
 Pairs: TypeAlias = list[tuple[int, int]]
@@ -56,12 +56,16 @@ class Fcl:
         # A geometry for each body, as contacts only name geometries.
         self._geometries = [_fcl_geometry(scene.piece(body)) for body in range(len(scene))]
         self._numbers = {id(geometry): n for n, geometry in enumerate(self._geometries)}
-        quaternions = [np.roll(turn, 1) for turn in scene.orientations]
-        self._poses = list(map(fcl.Transform, quaternions, scene.positions))
+        self._poses_of_ticks = [_fcl_poses(scene.at(tick)) for tick in range(PERIOD)]
+        self._poses = self._poses_of_ticks[0]
         self._objects = list(map(fcl.CollisionObject, self._geometries, self._poses))
         self._manager = fcl.DynamicAABBTreeCollisionManager()
         self._manager.registerObjects(self._objects)
         self._manager.setup()
+
+    def move(self, tick: int) -> None:
+        """Chooses the poses of a tick."""
+        self._poses = self._poses_of_ticks[tick % PERIOD]
 
     def place(self) -> None:
         """Sets the poses of all objects."""
@@ -98,6 +102,11 @@ def _primitive(library: ModuleType, piece: Piece) -> Any:
     return getattr(library, piece.kind.capitalize())(*sizes)
 
 
+def _fcl_poses(scene: RandomScene) -> list[Any]:
+    quaternions = np.roll(scene.orientations, 1, axis=1)
+    return list(map(fcl.Transform, quaternions, scene.positions))
+
+
 def _fcl_geometry(piece: Piece) -> Any:
     if piece.kind != "hull":
         return _primitive(fcl, piece)
@@ -115,14 +124,18 @@ class Coal:
         # A geometry for each body, as above.
         geometries = [type(shapes[piece])(shapes[piece]) for piece in scene.of.tolist()]
         self._numbers = {geometry.id(): n for n, geometry in enumerate(geometries)}
-        matrices = map(scene.matrix, range(len(scene)))
-        self._poses = list(map(coal.Transform3s, matrices, scene.positions))
+        self._poses_of_ticks = [_coal_poses(coal, scene.at(tick)) for tick in range(PERIOD)]
+        self._poses = self._poses_of_ticks[0]
         self._objects = list(map(coal.CollisionObject, geometries, self._poses))
         self._manager = coal.DynamicAABBTreeCollisionManager()
         for one in self._objects:
             self._manager.registerObject(one)
         self._manager.setup()
         self._max_contacts = len(scene.met) + 1
+
+    def move(self, tick: int) -> None:
+        """Chooses the poses of a tick."""
+        self._poses = self._poses_of_ticks[tick % PERIOD]
 
     def managed(self) -> Pairs:
         """Returns all pairs that collide."""
@@ -135,6 +148,10 @@ class Coal:
         self._manager.collide(callback)
         number, contacts = self._numbers, callback.data.result.getContacts()
         return [_sorted(number[c.o1.id()], number[c.o2.id()]) for c in contacts]
+
+
+def _coal_poses(coal: ModuleType, scene: RandomScene) -> list[Any]:
+    return list(map(coal.Transform3s, map(scene.matrix, range(len(scene))), scene.positions))
 
 
 def _coal_geometry(coal: ModuleType, piece: Piece) -> Any:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pybullet
@@ -27,6 +27,13 @@ KINDS = {
     "mixed": ("sphere", "capsule", "box", "cylinder", "hull"),
 }
 FORMS = ("cube", "table-top")
+# Between two ticks a body moves by so many metres and turns by so many radians: at 240 Hz, 0.5 m/s
+# and 2 rad/s. After half a period it moves back.
+STEP, TURN = 2e-3, 8e-3
+PERIOD = 8
+# Each body in a direction of its own, or all by the same vector, metres, whose parts are exact.
+MOTIONS = ("apart", "together")
+_SHIFT = np.array([0.25, 0.125, 0.0])
 # The share of the bodies on a table-top that stand on another one.
 STACKED = 0.25
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -75,6 +82,7 @@ class RandomScene:
         positions: (n, 3), metres.
         orientations: (n, 4), unit quaternions x, y, z, w.
         met: (m, 2), pairs of bodies whose boxes meet.
+        motion: one of `MOTIONS`.
     """
 
     pieces: Sequence[Piece]
@@ -82,6 +90,7 @@ class RandomScene:
     positions: Array
     orientations: Array
     met: Indices
+    motion: str = "apart"
 
     def __len__(self) -> int:
         return len(self.of)
@@ -90,6 +99,18 @@ class RandomScene:
     def neighbours(self) -> float:
         """The mean number of boxes that the box of a body meets."""
         return 2.0 * len(self.met) / len(self)
+
+    def at(self, tick: int) -> RandomScene:
+        """Returns the scene at a tick: the bodies move to and fro."""
+        steps = min(tick % PERIOD, -tick % PERIOD)
+        if self.motion == "together":
+            return replace(self, positions=self.positions + _SHIFT * steps)
+        rng = np.random.default_rng(len(self))
+        ways, axes = (_unit(rng.normal(size=(len(self), 3))) for _ in range(2))
+        turns = Rotation.from_rotvec(axes * (TURN * steps)) * Rotation.from_quat(self.orientations)
+        return replace(
+            self, positions=self.positions + ways * (STEP * steps), orientations=turns.as_quat()
+        )
 
     def piece(self, body: int) -> Piece:
         """Returns the shape of a body."""
@@ -131,8 +152,11 @@ def _piece(kind: str, rng: np.random.Generator, client: int) -> Piece:
 
 def _scattered(rng: np.random.Generator) -> Array:
     """Returns 8 to 40 random points on a sphere."""
-    points = rng.normal(size=(int(rng.integers(8, 41)), 3))
-    result: Array = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return _unit(rng.normal(size=(int(rng.integers(8, 41)), 3)))
+
+
+def _unit(vectors: Array) -> Array:
+    result: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return result
 
 

@@ -21,8 +21,10 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, Verdicts, classify_gaps, tolerances
+from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
+from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses, pair_keys
 from ssduck.geometry.proofs.separating_axes import box_depths
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
@@ -34,7 +36,7 @@ _MAX_ENTITIES = 1 << 32
 _MIN_BOXES = 8
 # The number of pairs of boxes that the narrow phase compares faster than rules for many pairs.
 _FEW_BOXES = 2
-# The number of predicates whose witnesses are kept from tick to tick.
+# The number of predicates of which something is kept from tick to tick.
 _MAX_PREDICATES = 16
 # The number of regrouped tables that are kept from tick to tick.
 _MAX_REGROUPED = 16
@@ -85,6 +87,13 @@ class PairPredicate:
         return _candidates(tick, grown, max(self.distance, 0.0) + _BOUND_MARGIN)
 
 
+class KeptPairs:
+    """What decided the pairs of a condition at the tick before, and the verdicts."""
+
+    def __init__(self) -> None:
+        self.witnesses, self.verdicts = KeptWitnesses(), KeptVerdicts()
+
+
 class ShapeTable:
     """The properties of shapes that do not depend on their poses.
 
@@ -129,17 +138,17 @@ class ShapeTable:
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
-        self._witnesses: dict[PairPredicate, KeptWitnesses] = {}
+        self._kept: dict[PairPredicate, KeptPairs] = {}
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
         self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
 
-    def witnesses(self, predicate: PairPredicate) -> KeptWitnesses:
-        """Returns the witnesses of a predicate at the tick before."""
-        if predicate not in self._witnesses:
-            if len(self._witnesses) >= _MAX_PREDICATES:
-                self._witnesses.clear()
-            self._witnesses[predicate] = KeptWitnesses()
-        return self._witnesses[predicate]
+    def kept(self, predicate: PairPredicate) -> KeptPairs:
+        """Returns what is kept of a predicate from the tick before."""
+        if predicate not in self._kept:
+            if len(self._kept) >= _MAX_PREDICATES:
+                self._kept.clear()
+            self._kept[predicate] = KeptPairs()
+        return self._kept[predicate]
 
     def extended(self, geometries: Sequence[Geometry], entities: Indices) -> ShapeTable:
         """Returns the table with further shapes, without margins; it keeps the last one.
@@ -220,6 +229,11 @@ class TickShapes:
         return self.to_world(self.table.inscribed_centre)
 
     @cached_property
+    def poses(self) -> ShapePoses:
+        """The poses, from which the motion between two ticks is bounded."""
+        return ShapePoses(self.centres, self.matrices, self.table.bounding_radius)
+
+    @cached_property
     def placed_cores(self) -> PlacedCores:
         """The cores of the shapes."""
         rotations = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
@@ -277,7 +291,7 @@ def matching_pairs(
     predicate: PairPredicate,
     satisfies: Callable[[int, int], bool],
     among: Pairs | None = None,
-    kept: KeptWitnesses | None = None,
+    kept: KeptPairs | None = None,
 ) -> PairResult:
     """Returns the pairs of entities for which a predicate holds.
 
@@ -286,11 +300,11 @@ def matching_pairs(
         predicate: the condition on two shapes.
         satisfies: decides the pairs of shapes that no rule decides.
         among: the pairs of shapes to compare; None for all candidate pairs.
-        kept: the witnesses of the same predicate at the tick before.
+        kept: what is kept of the same predicate from the tick before.
     """
     among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
-    by_cores = partial(_by_cores, kept=kept)
+    by_cores = partial(_by_cores, kept=None if kept is None else kept.witnesses)
     rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_axes, by_cores
     if predicate.kind != "colliding":  # a distance is not negative
         rules = _by_spheres, _by_planes, _by_axes_if_sure, by_cores
@@ -299,7 +313,7 @@ def matching_pairs(
             (among[0][is_non_negative], among[1][is_non_negative]),
             bounds[is_non_negative],
         )
-    return _matching_entities(tick, among, rules, bounds, satisfies)
+    return _matching_entities(tick, among, rules, bounds, satisfies, kept)
 
 
 def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
@@ -310,7 +324,7 @@ def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
     return first[both], second[both]
 
 
-Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Verdicts]
+Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Decisions]
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -326,7 +340,7 @@ def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: A
     verdicts = np.zeros(len(first), np.int8)
     pairs = np.arange(len(first))
     for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
-        verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs])
+        verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs]).verdicts
         pairs = pairs[verdicts[pairs] == UNDECIDED]
     return verdicts
 
@@ -339,6 +353,7 @@ def _matching_entities(
     rules: Sequence[Rule],
     bounds: Array,
     is_below: Callable[[int, int], bool],
+    kept: KeptPairs | None,
 ) -> PairResult:
     """Returns the pairs of entities with shapes whose signed distance is below a bound.
 
@@ -348,33 +363,64 @@ def _matching_entities(
         rules: the rules to apply, one after another, until all pairs are decided.
         bounds: one for each pair, metres.
         is_below: decides pairs that no rule decides.
+        kept: the verdicts of the tick before, which are replaced by those of this one.
     """
     first, second = candidates
     has_single_shapes = tick.table.has_single_shapes
     owners = tick.owners(first, second)
     compared = owners if has_single_shapes else np.unique(owners)
-    matching = np.zeros(0, np.intp)
+    decisions = Decisions.none(len(first))
+    if kept is not None:
+        decisions = kept.verdicts.find(tick.poses, first, second)
+    verdicts = decisions.verdicts
+    open_pairs = np.flatnonzero(verdicts == UNDECIDED)
+    is_kept = True
     for rule in rules:
-        if not len(first):
-            break
-        verdicts = rule(tick, first, second, bounds)
-        matching = np.concatenate((matching, owners[verdicts == BELOW]))
-        is_undecided = verdicts == UNDECIDED
         if not has_single_shapes:
-            is_undecided &= ~np.isin(owners, matching)
-        first, second, owners, bounds = (
-            first[is_undecided],
-            second[is_undecided],
-            owners[is_undecided],
-            bounds[is_undecided],
-        )
-    # The remaining pairs are compared one by one.
-    others: set[int] = set()
-    for owner, s, t in zip(owners.tolist(), first.tolist(), second.tolist(), strict=True):
-        if owner not in others and is_below(s, t):
-            others.add(owner)
-    matching = np.concatenate((matching, np.array(sorted(others), np.intp)))
+            matching = owners[verdicts == BELOW]
+            open_pairs = open_pairs[~np.isin(owners[open_pairs], matching)]
+        if not len(open_pairs):
+            break
+        is_kept = False
+        found = rule(tick, first[open_pairs], second[open_pairs], bounds[open_pairs])
+        decisions.decide(open_pairs, found.verdicts, found.room)
+        open_pairs = open_pairs[found.verdicts == UNDECIDED]
+    if kept is not None and not is_kept:
+        _keep(kept, tick, candidates, decisions)
+    matching = owners[verdicts == BELOW]
+    others = _compared_one_by_one(owners, candidates, open_pairs, matching, is_below)
+    matching = np.concatenate((matching, others))
     return PairResult(np.sort(matching) if has_single_shapes else np.unique(matching), compared)
+
+
+def _compared_one_by_one(
+    owners: Indices,
+    candidates: Pairs,
+    open_pairs: Indices,
+    matching: Indices,
+    is_below: Callable[[int, int], bool],
+) -> Indices:
+    """Returns the owners of pairs that no rule decided, and that are below their bound."""
+    known = set(matching.tolist()) if len(open_pairs) else set()
+    others: set[int] = set()
+    sides = (side[open_pairs].tolist() for side in (owners, *candidates))
+    for owner, s, t in zip(*sides, strict=True):
+        if owner not in known and owner not in others and is_below(s, t):
+            others.add(owner)
+    return np.array(sorted(others), np.intp)
+
+
+def _keep(kept: KeptPairs, tick: TickShapes, pairs: Pairs, decisions: Decisions) -> None:
+    """Keeps the verdicts of a tick for the next one.
+
+    The depth of a shape that is not convex may change by more than its points move.
+    """
+    first, second = pairs
+    is_convex = tick.table.is_convex
+    is_concave = ~(is_convex[first] & is_convex[second])
+    decisions.room[is_concave & (decisions.verdicts == BELOW)] = 0.0
+    kept.verdicts.keep(tick.poses, first, second, decisions)
+    kept.witnesses.keep_only(pair_keys(first, second))
 
 
 def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
@@ -401,16 +447,15 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
 # -- rules -------------------------------------------------------------------------------------
 
 
-def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides by the spheres around and in the shapes; a half-space has none."""
     table, error = tick.table, tolerances(tick.placed_cores, first, second)
-    verdicts = np.zeros(len(first), np.int8)
     outer_radii = table.bounding_radius[first] + table.bounding_radius[second]
-    verdicts[_distances(tick.centres, first, second) > outer_radii + bounds + error] = ABOVE
     inner_radii = table.inscribed_radius[first], table.inscribed_radius[second]
     gaps = _distances(tick.inscribed_centres, first, second) - inner_radii[0] - inner_radii[1]
-    verdicts[(gaps < bounds - error) & (inner_radii[0] > 0.0) & (inner_radii[1] > 0.0)] = BELOW
-    return verdicts
+    gaps[(inner_radii[0] <= 0.0) | (inner_radii[1] <= 0.0)] = np.inf
+    least = _distances(tick.centres, first, second) - outer_radii
+    return Decisions.of_interval(least, gaps, bounds, error)
 
 
 def pairs_of_boxes(table: ShapeTable, first: Indices, second: Indices) -> Indices:
@@ -433,15 +478,15 @@ def _distances(points: Array, first: Indices, second: Indices) -> Array:
     return lengths
 
 
-def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides half-spaces against any other shape, by the point that is deepest."""
     table = tick.table
-    verdicts = np.zeros(len(first), np.int8)
+    decisions = Decisions.none(len(first))
     if not table.has_planes:
-        return verdicts
+        return decisions
     indices = np.flatnonzero(table.is_plane[first] != table.is_plane[second])
     if not len(indices):
-        return verdicts
+        return decisions
     is_first = table.is_plane[first[indices]]
     plane = np.where(is_first, first[indices], second[indices])
     other = np.where(is_first, second[indices], first[indices])
@@ -449,37 +494,40 @@ def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array)
     lowest = tick.centres[other] - tick.positions[plane]
     lowest += tick.placed_cores.support_points(other, -normals.T).T
     gaps = np.einsum("ni,ni->n", normals, lowest) - table.cores.radius[other]
-    error = tolerances(tick.placed_cores, plane, other)
-    verdicts[indices[gaps > bounds[indices] + error]] = ABOVE
-    verdicts[indices[gaps < bounds[indices] - error]] = BELOW
-    return verdicts
-
-
-def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
-    """Decides boxes exactly, by separating axes."""
-    verdicts = np.zeros(len(first), np.int8)
-    indices = pairs_of_boxes(tick.table, first, second)
-    if not len(indices):
-        return verdicts
-    is_deep = box_depths(tick.placed_cores, first[indices], second[indices]) > -bounds[indices]
-    verdicts[indices] = np.where(is_deep, BELOW, ABOVE)
-    return verdicts
-
-
-def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
-    """Decides boxes that overlap, and those that an axis separates by more than the bound."""
-    verdicts = np.zeros(len(first), np.int8)
-    indices = pairs_of_boxes(tick.table, first, second)
-    if not len(indices):
-        return verdicts
-    first, second, bounds = first[indices], second[indices], bounds[indices]
-    depths, error = (
-        box_depths(tick.placed_cores, first, second),
-        tolerances(tick.placed_cores, first, second),
+    found = Decisions.of_interval(
+        gaps, gaps, bounds[indices], tolerances(tick.placed_cores, plane, other)
     )
-    verdicts[indices[depths > error]] = BELOW
-    verdicts[indices[-depths > bounds + error]] = ABOVE
-    return verdicts
+    decisions.decide(indices, found.verdicts, found.room)
+    return decisions
+
+
+def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
+    """Decides boxes exactly, by separating axes."""
+    decisions = Decisions.none(len(first))
+    indices = pairs_of_boxes(tick.table, first, second)
+    if not len(indices):
+        return decisions
+    boxes = first[indices], second[indices]
+    depths, error = box_depths(tick.placed_cores, *boxes), tolerances(tick.placed_cores, *boxes)
+    gaps = -depths - bounds[indices]
+    room = np.maximum(np.abs(gaps) - error, 0.0)
+    decisions.decide(indices, np.where(gaps < 0.0, BELOW, ABOVE), room)
+    return decisions
+
+
+def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
+    """Decides boxes that overlap, and those that an axis separates by more than the bound."""
+    decisions = Decisions.none(len(first))
+    indices = pairs_of_boxes(tick.table, first, second)
+    if not len(indices):
+        return decisions
+    boxes = first[indices], second[indices]
+    depths, error = box_depths(tick.placed_cores, *boxes), tolerances(tick.placed_cores, *boxes)
+    # An axis that separates boxes is a lower bound of their distance only.
+    greatest = np.where(depths > error, -depths, np.inf)
+    found = Decisions.of_interval(-depths, greatest, bounds[indices], error)
+    decisions.decide(indices, found.verdicts, found.room)
+    return decisions
 
 
 def _by_cores(
@@ -488,17 +536,15 @@ def _by_cores(
     second: Indices,
     bounds: Array,
     kept: KeptWitnesses | None = None,
-) -> Verdicts:
+) -> Decisions:
     """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
     table = tick.table
-    verdicts = np.zeros(len(first), np.int8)
+    decisions = Decisions.none(len(first))
     if are_few_boxes(table, first, second):
-        return verdicts
+        return decisions
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
-    core_verdicts = classify_gaps(
-        tick.placed_cores, first[indices], second[indices], bounds[indices], kept
-    )
+    found = decide_gaps(tick.placed_cores, first[indices], second[indices], bounds[indices], kept)
     is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
-    core_verdicts[is_concave & (core_verdicts == BELOW)] = UNDECIDED
-    verdicts[indices] = core_verdicts
-    return verdicts
+    found.decide(is_concave & (found.verdicts == BELOW), UNDECIDED)
+    decisions.decide(indices, found.verdicts, found.room)
+    return decisions

@@ -153,7 +153,7 @@ class NarrowPhase:
         with self._lock:
             if predicate not in self._results:
                 decide = partial(self.shapes.satisfies, predicate=predicate)
-                kept = table.witnesses(predicate)
+                kept = table.kept(predicate)
                 result = matching_pairs(self.tick_shapes(table), predicate, decide, kept=kept)
                 self.count_compared(result.compared.tolist())
                 self._results[predicate] = result

@@ -27,9 +27,9 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
 from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
-from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, Verdicts
 from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
 from ssduck.geometry.proofs.separating_axes import box_axes
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
 # Overlaps that differ by less, metres, may have either normal.

@@ -30,7 +30,7 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.on_pairs import contact_verdicts
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
-from ssduck.geometry.proofs.gjk import ABOVE, BELOW, Verdicts
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 
 # Questions that the narrow phase decides pose by pose.

@@ -21,8 +21,8 @@ from ssduck.geometry.proofs.contact_directions import (
     _stretch,
     upward_verdicts,
 )
-from ssduck.geometry.proofs.gjk import UNDECIDED
 from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
+from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
 from tests.support.solids import box, narrow, sorts_of, sphere

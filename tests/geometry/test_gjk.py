@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from ssduck.geometry.batch import PairPredicate
 from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.proofs import cores, gjk
-from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.gjk import classify_gaps
 from ssduck.geometry.proofs.separating_axes import box_depths
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of

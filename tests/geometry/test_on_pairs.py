@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import ssduck
 from ssduck.geometry.poses import multiply
 from ssduck.geometry.proofs.footprints import OVER, over_verdicts
-from ssduck.geometry.proofs.gjk import UNDECIDED
+from ssduck.geometry.proofs.verdicts import UNDECIDED
 from ssduck.schema import ID_FACTOR
 from tests.geometry.test_colliding import fill
 from tests.support.cases import sampled

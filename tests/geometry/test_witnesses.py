@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.gjk import classify_gaps
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from tests.geometry.test_colliding import fill
 from tests.support import pairs

@@ -19,8 +19,9 @@ from ssduck.geometry.mesh_distance import mesh_distance, mesh_penetration
 from ssduck.geometry.placed_solid import PlacedSolid
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.gjk import ABOVE, BELOW, UNDECIDED, classify_gaps
+from ssduck.geometry.proofs.gjk import classify_gaps
 from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 

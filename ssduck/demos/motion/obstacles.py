@@ -15,7 +15,8 @@ from ssduck.demos.motion.kinematics import KinematicChain, poses
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
-from ssduck.geometry.proofs.gjk import ABOVE, classify_gaps
+from ssduck.geometry.proofs.gjk import classify_gaps
+from ssduck.geometry.proofs.verdicts import ABOVE
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.world.entities import Entity

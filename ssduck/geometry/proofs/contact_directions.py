@@ -24,7 +24,8 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.gjk import Verdicts, tolerances
+from ssduck.geometry.proofs.gjk import tolerances
+from ssduck.geometry.proofs.verdicts import Verdicts
 
 UPWARD, NOT_UPWARD = 1, -1
 # Overlaps that differ by less, metres, may be that of the contact normal.

@@ -26,17 +26,15 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
 from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.witnesses import KeptWitnesses, Witnesses, WitnessLog, pair_keys
+from ssduck.geometry.proofs.kept_verdicts import pair_keys
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
+from ssduck.geometry.proofs.witnesses import KeptWitnesses, Witnesses, WitnessLog
 
-Verdicts: TypeAlias = npt.NDArray[np.int8]
-
-BELOW, ABOVE, UNDECIDED = 1, -1, 0
 # Polytopes need few steps; the steps towards a cylinder's rim get smaller and smaller.
 MAX_STEPS = 40
 # The number of times that a tetrahedron is moved around the origin.
@@ -130,20 +128,32 @@ def classify_gaps(
         bound: metres, for all pairs or (n,) for each.
         kept: the witnesses of the tick before, which are replaced by those of this one.
     """
-    verdicts = np.zeros(len(first), np.int8)
+    return decide_gaps(bodies, first, second, bound, kept).verdicts
+
+
+def decide_gaps(
+    bodies: PlacedCores,
+    first: Indices,
+    second: Indices,
+    bound: float | Array,
+    kept: KeptWitnesses | None = None,
+) -> Decisions:
+    """Returns the same verdicts as `classify_gaps`, with the room of those that took one step."""
+    decisions = Decisions.none(len(first))
     bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
     log = WitnessLog()
     for start in range(0, len(first), PAIRS_AT_ONCE):
         batch = slice(start, start + PAIRS_AT_ONCE)
+        part = decisions.part(batch)
         pairs = _initial_pairs(bodies, first[batch], second[batch], bounds[batch])
         if kept is None:
-            pairs = _first_step(pairs, pairs.between.copy(), bodies, verdicts[batch])
+            pairs = _first_step(pairs, pairs.between.copy(), bodies, part)
         else:
-            pairs = _first_step_by_witnesses(pairs, bodies, verdicts[batch], kept, log)
-        _decide(pairs, bodies, verdicts[batch], log if kept is not None else None)
+            pairs = _first_step_by_witnesses(pairs, bodies, part, kept, log)
+        _decide(pairs, bodies, part, log if kept is not None else None)
     if kept is not None:
-        kept.keep(log)
-    return verdicts
+        kept.keep(log, pair_keys(first, second))
+    return decisions
 
 
 def tolerances(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
@@ -185,39 +195,64 @@ def _initial_pairs(bodies: PlacedCores, first: Indices, second: Indices, bounds:
 
 
 def _first_step_by_witnesses(
-    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, kept: KeptWitnesses, log: WitnessLog
+    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions, kept: KeptWitnesses, log: WitnessLog
 ) -> _Pairs:
     """Takes the first step, and decides pairs whose witnesses still hold; returns the others."""
+    verdicts = decisions.verdicts
     directions = pairs.between.copy()
     found = kept.find(pair_keys(pairs.first, pairs.second))
     if found is None:
-        return _first_step(pairs, directions, bodies, verdicts)
+        return _first_step(pairs, directions, bodies, decisions)
     places, witnesses = found
     directions[:, places] = np.where(
         witnesses.are_apart, witnesses.directions, directions[:, places]
     )
-    pairs = _first_step(pairs, directions, bodies, verdicts)
+    pairs = _first_step(pairs, directions, bodies, decisions)
     is_open = ~witnesses.are_apart & (verdicts[places] == UNDECIDED)
     holds = witnesses.are_apart & (verdicts[places] == ABOVE)
     if is_open.any():
         overlapping = np.flatnonzero(is_open)
-        some = pairs.select(np.searchsorted(pairs.number, places[overlapping]))
-        holds[overlapping] = _overlap_by_points(some, bodies, witnesses.select(overlapping))
-        verdicts[places[overlapping]] = np.where(holds[overlapping], BELOW, UNDECIDED)
-        pairs = pairs.select(np.flatnonzero(verdicts[pairs.number] == UNDECIDED))
+        rows = np.searchsorted(pairs.number, places[overlapping])
+        some, room = _by_points(pairs.select(rows), bodies, witnesses.select(overlapping))
+        holds[overlapping] = overlap = room > 0.0
+        decisions.decide(places[overlapping[overlap]], BELOW, room[overlap])
+        is_restarted = (room <= 0.0) & (some.upper_bound > 0.0)
+        others = np.flatnonzero(verdicts[pairs.number] == UNDECIDED)
+        others = others[~np.isin(others, rows[is_restarted])]
+        pairs = _concatenate((pairs.select(others), some.select(np.flatnonzero(is_restarted))))
     log.add(witnesses.select(np.flatnonzero(holds)))
     return pairs
 
 
-def _overlap_by_points(pairs: _Pairs, bodies: PlacedCores, witnesses: Witnesses) -> Flags:
-    """Checks whether the four points of each witness still show that a pair is below its bound."""
+def _by_points(pairs: _Pairs, bodies: PlacedCores, witnesses: Witnesses) -> tuple[_Pairs, Array]:
+    """Returns pairs that begin at the four points of their witnesses, and the room of these.
+
+    The room is how far below its bound the points still show a pair to be. A pair whose points are
+    around the origin has an upper bound of 0.
+    """
     on_first = bodies.to_world(pairs.first, witnesses.points_first)
     on_second = bodies.to_world(pairs.second, witnesses.points_second)
     corners = on_first - on_second + pairs.between
     depth = _depths(corners)[0].min(axis=0)
-    distance = column_lengths(_closest(corners[:3], corners[3])[1])
-    is_below: Flags = np.where(depth > 0.0, -depth, distance) < pairs.low
-    return is_below
+    chosen, nearest = _closest(corners[:3], corners[3])
+    pairs = _with_simplex(pairs, corners, on_first, chosen, nearest)
+    pairs.upper_bound[depth > 0.0] = 0.0
+    room: Array = pairs.low - pairs.upper_bound + np.maximum(depth, 0.0)
+    return pairs, room
+
+
+def _with_simplex(
+    pairs: _Pairs, corners: Array, on_first: Array, chosen: Indices, nearest: Array
+) -> _Pairs:
+    """Returns pairs with three of four corners (4, 3, n), and the point nearest to the origin."""
+    rows = np.arange(len(pairs.number))
+    return replace(
+        pairs,
+        simplex=corners[chosen, :, rows].transpose(0, 2, 1),
+        on_first=on_first[chosen, :, rows].transpose(0, 2, 1),
+        nearest=nearest,
+        upper_bound=column_lengths(nearest),
+    )
 
 
 def _log_points(
@@ -231,17 +266,20 @@ def _log_points(
     log.add_points(pairs.first, pairs.second, points_first, points_second)
 
 
-def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, log: WitnessLog | None) -> None:
-    """Writes the verdicts of pairs after their first step, by their indices."""
+def _decide(
+    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions, log: WitnessLog | None
+) -> None:
+    """Decides pairs after their first step, by their indices."""
     on_origin = []
-    for step in range(MAX_STEPS):
+    for _ in range(MAX_STEPS):
         if not len(pairs.number):
             break
-        pairs, shallow = _step(pairs, bodies, verdicts, step, log)
+        pairs, shallow = _step(pairs, bodies, decisions, log)
         on_origin += [shallow] if shallow else []
     if on_origin:
         surrounding = _concatenate([pairs for pairs, _ in on_origin])
         corners = np.concatenate([corners for _, corners in on_origin], axis=-1)
+        verdicts = decisions.verdicts
         _move_tetrahedra(surrounding, corners, bodies, verdicts, log)
         undecided = surrounding.select(np.flatnonzero(verdicts[surrounding.number] == UNDECIDED))
         if len(undecided.number):
@@ -249,7 +287,7 @@ def _decide(pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, log: Witness
 
 
 def _first_step(
-    pairs: _Pairs, directions: Array, bodies: PlacedCores, verdicts: Verdicts
+    pairs: _Pairs, directions: Array, bodies: PlacedCores, decisions: Decisions
 ) -> _Pairs:
     """Steps against directions; that of the centres separates most pairs that are apart.
 
@@ -259,8 +297,9 @@ def _first_step(
     length = column_lengths(directions)
     directions[0, length == 0.0] = 1.0
     new, on_first = pairs.difference_points(bodies, -directions)
-    is_apart = _dots(directions, new) > pairs.high * np.where(length == 0.0, 1.0, length)
-    verdicts[pairs.number[is_apart]] = ABOVE
+    room = _dots(directions, new) / np.where(length == 0.0, 1.0, length) - pairs.high
+    is_apart = room > 0.0
+    decisions.decide(pairs.number[is_apart], ABOVE, room[is_apart])
     has_ball, centre, radius = bodies.balls(pairs.first, pairs.second)
     centre = np.where(has_ball, centre, new)
     centre_on_first = bodies.inscribed_centres.take(pairs.first, axis=1)
@@ -270,8 +309,9 @@ def _first_step(
     fraction = np.clip(-_dots(centre, edges) / np.maximum(_dots(edges, edges), 1e-300), 0.0, 1.0)
     nearest = centre + fraction * edges
     upper_bound = column_lengths(nearest)
-    is_below = upper_bound - np.where(has_ball, (1.0 - fraction) * radius, 0.0) < pairs.low
-    verdicts[pairs.number[is_below]] = BELOW
+    room = pairs.low - upper_bound + np.where(has_ball, (1.0 - fraction) * radius, 0.0)
+    is_below = (room > 0.0) & ~is_apart
+    decisions.decide(pairs.number[is_below], BELOW, room[is_below])
     pairs = replace(
         pairs,
         simplex=np.array((new, centre, centre)),
@@ -286,7 +326,7 @@ _SurroundingPairs: TypeAlias = tuple[_Pairs, Array]
 
 
 def _step(
-    pairs: _Pairs, bodies: PlacedCores, verdicts: Verdicts, step: int, log: WitnessLog | None
+    pairs: _Pairs, bodies: PlacedCores, decisions: Decisions, log: WitnessLog | None
 ) -> tuple[_Pairs, _SurroundingPairs | None]:
     """Takes a step with each pair.
 
@@ -296,8 +336,10 @@ def _step(
     """
     new, new_on_first = pairs.difference_points(bodies, -pairs.nearest)
     height = _dots(pairs.nearest, new)
-    is_apart = height > pairs.high * pairs.upper_bound
-    verdicts[pairs.number[is_apart]] = ABOVE
+    is_origin = pairs.upper_bound == 0.0  # which is no direction
+    room = height / np.where(is_origin, 1.0, pairs.upper_bound) - pairs.high
+    is_apart = (room > 0.0) & ~is_origin
+    decisions.decide(pairs.number[is_apart], ABOVE, room[is_apart])
     if log is not None:
         log.add_directions(
             pairs.first[is_apart], pairs.second[is_apart], pairs.nearest[:, is_apart]
@@ -307,13 +349,12 @@ def _step(
     pairs, new = pairs.select(remaining), new[:, remaining]
     corners = np.concatenate((pairs.simplex, new[None]))
     on_first = np.concatenate((pairs.on_first, new_on_first[None, :, remaining]))
-    chosen, nearest = _closest(pairs.simplex, new)
-    rows = np.arange(len(remaining))
-    upper_bound = column_lengths(nearest)
-    # The first step has no four points.
-    depth = _depths(corners)[0].min(axis=0) if step else np.full(len(remaining), -1.0)
-    is_below = np.where(depth > 0.0, -depth, upper_bound) < pairs.low
-    verdicts[pairs.number[is_below]] = BELOW
+    moved = _with_simplex(pairs, corners, on_first, *_closest(pairs.simplex, new))
+    upper_bound = moved.upper_bound
+    depth = _depths(corners)[0].min(axis=0)
+    room = pairs.low - np.where(depth > 0.0, -depth, upper_bound)
+    is_below = room > 0.0
+    decisions.decide(pairs.number[is_below], BELOW, room[is_below])
     if log is not None:
         below = np.flatnonzero(is_below)
         _log_points(log, pairs.select(below), bodies, corners[..., below], on_first[..., below])
@@ -323,17 +364,10 @@ def _step(
     if len(shallow):
         on_origin = pairs.select(shallow), np.array((corners, on_first))[..., shallow]
     undecided = np.flatnonzero(~(is_below | is_on_origin) & (upper_bound < pairs.upper_bound))
-    pairs = replace(
-        pairs,
-        simplex=corners[chosen, :, rows].transpose(0, 2, 1),
-        on_first=on_first[chosen, :, rows].transpose(0, 2, 1),
-        nearest=nearest,
-        upper_bound=upper_bound,
-    )
-    return pairs.select(undecided), on_origin
+    return moved.select(undecided), on_origin
 
 
-def _closest(simplex: Array, new: Array) -> tuple[Array, Array]:
+def _closest(simplex: Array, new: Array) -> tuple[Indices, Array]:
     """Returns the point nearest to the origin on the three faces at a tetrahedron's newest corner.
 
     The fourth face is no nearer. Corners may be equal.

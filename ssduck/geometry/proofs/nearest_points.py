@@ -24,7 +24,7 @@ from ssduck.geometry.proofs.contact_directions import (
     contact_room,
 )
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.gjk import UNDECIDED, Verdicts
+from ssduck.geometry.proofs.verdicts import UNDECIDED, Verdicts
 
 # The number of further projections on each of two cores, if none is a point.
 _MORE_PROJECTIONS = 2

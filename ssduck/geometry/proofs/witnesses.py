@@ -11,17 +11,14 @@ pair is decided, never how.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
 
-# Keys of pairs: the index of the first shape times this, plus that of the second.
-_KEY_FACTOR = 1 << 32
-
-Keys: TypeAlias = npt.NDArray[np.int64]
+# The number of witnesses of pairs that are no candidates any more, beyond that of the candidates.
+_MAX_OTHERS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +51,6 @@ class Witnesses:
 _FIELDS = tuple(Witnesses.__dataclass_fields__)
 
 
-def pair_keys(first: Indices, second: Indices) -> Keys:
-    """Returns the keys of pairs of shapes, (n,); their order matters."""
-    keys: Keys = first * _KEY_FACTOR + second
-    return keys
-
-
 class KeptWitnesses:
     """The witnesses of one tick for the next one, of one condition on all pairs of shapes."""
 
@@ -75,9 +66,18 @@ class KeptWitnesses:
         found = np.flatnonzero(kept.keys[places] == keys)
         return (found, kept.select(places[found])) if len(found) else None
 
-    def keep(self, log: WitnessLog) -> None:
-        """Replaces all witnesses by those of a log."""
+    def keep(self, log: WitnessLog, tried: Keys) -> None:
+        """Replaces the witnesses of the pairs that were tried by those of a log."""
+        before = self._witnesses
+        if before is not None and len(before):
+            log.add(before.select(np.flatnonzero(~np.isin(before.keys, tried))))
         self._witnesses = log.witnesses()
+
+    def keep_only(self, pairs: Keys) -> None:
+        """Forgets the witnesses of other pairs, if there are many."""
+        kept = self._witnesses
+        if kept is not None and len(kept) > _MAX_OTHERS + 2 * len(pairs):
+            self._witnesses = kept.select(np.flatnonzero(np.isin(kept.keys, pairs)))
 
 
 class WitnessLog:

@@ -1,0 +1,115 @@
+"""Keeps verdicts on pairs of convex shapes from tick to tick, while the shapes hardly move.
+
+The signed distance of two convex shapes is the least support of their difference, with the sign
+changed. It changes by no more than the points of the shapes move relative to each other. A verdict
+whose signed distance has some room to the bound therefore holds until the shapes have moved by that
+room: nothing is computed anew for them but their motion.
+
+Unlike a witness, a kept verdict is not proved again. It is only kept with room beyond the tolerance
+within which a pair stays undecided, so that a new comparison would give the same verdict.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.proofs.verdicts import Decisions
+
+Keys: TypeAlias = npt.NDArray[np.int64]
+
+# Keys of pairs: the index of the first shape times this, plus that of the second.
+_KEY_FACTOR = 1 << 32
+# The rounding error of a motion, as a fraction of the largest coordinate.
+_ROUNDING = 8e-15
+
+
+def pair_keys(first: Indices, second: Indices) -> Keys:
+    """Returns the keys of pairs of shapes, (n,); their order matters."""
+    keys: Keys = first * _KEY_FACTOR + second
+    return keys
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePoses:
+    """The poses of shapes, from which their motion is bounded.
+
+    Attributes:
+        centres: (n, 3), of the spheres around the shapes, metres.
+        matrices: (n, 3, 3), their rotation matrices.
+        radii: (n,), of these spheres, metres; infinite for half-spaces.
+    """
+
+    centres: Array
+    matrices: Array
+    radii: Array
+
+    def motion_since(self, before: ShapePoses, first: Indices, second: Indices) -> Array:
+        """Returns how far the points of two shapes moved at most, relative to each other, (n,).
+
+        A rotation moves a point at distance r from the centre by at most r times the spectral norm
+        of the difference of the matrices, which is its Frobenius norm over the root of 2.
+        """
+        turned = (self.matrices - before.matrices).reshape(-1, 9)
+        norms = np.sqrt(np.einsum("ni,ni->n", turned, turned) / 2.0)
+        reach = np.multiply(norms, self.radii, out=np.zeros(len(norms)), where=norms != 0.0)
+        largest = np.maximum(np.abs(self.centres), np.abs(before.centres)).max(axis=1, initial=0.0)
+        reach += _ROUNDING * largest
+        shifts = self.centres - before.centres
+        relative = shifts.take(first, axis=0) - shifts.take(second, axis=0)
+        motion: Array = np.sqrt(np.einsum("ni,ni->n", relative, relative))
+        motion += reach.take(first)
+        motion += reach.take(second)
+        return motion
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    """The decided pairs of a tick.
+
+    Attributes:
+        keys: (n,), the pairs, ascending.
+        decisions: the verdicts on them.
+        poses: the poses of all shapes at that tick.
+    """
+
+    keys: Keys
+    decisions: Decisions
+    poses: ShapePoses
+
+
+class KeptVerdicts:
+    """The verdicts of one condition on all pairs of shapes, for the next tick."""
+
+    def __init__(self) -> None:
+        self._kept: _Kept | None = None  # replaced as a whole: threads see one tick's
+
+    def find(self, poses: ShapePoses, first: Indices, second: Indices) -> Decisions:
+        """Returns the verdicts on pairs of shapes that still hold, with the room that is left."""
+        kept = self._kept
+        found = Decisions.none(len(first))
+        if kept is None or not len(kept.keys):
+            return found
+        keys = pair_keys(first, second)
+        places = np.minimum(np.searchsorted(kept.keys, keys), len(kept.keys) - 1)
+        room = kept.decisions.room.take(places)
+        room -= poses.motion_since(kept.poses, first, second)
+        holds = (room > 0.0) & (kept.keys.take(places) == keys)
+        np.copyto(found.verdicts, kept.decisions.verdicts.take(places), where=holds)
+        np.copyto(found.room, room, where=holds)
+        return found
+
+    def keep(
+        self, poses: ShapePoses, first: Indices, second: Indices, decisions: Decisions
+    ) -> None:
+        """Replaces all verdicts by those of a tick; the others of the pairs have no room."""
+        places = np.flatnonzero(decisions.room > 0.0)
+        keys = pair_keys(first, second).take(places)
+        order = np.argsort(keys)
+        places = places.take(order)
+        kept = Decisions(decisions.verdicts.take(places), decisions.room.take(places))
+        self._kept = _Kept(keys.take(order), kept, poses)

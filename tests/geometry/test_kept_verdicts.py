@@ -1,0 +1,188 @@
+"""A verdict is kept while shapes move by less than its room, and is what a new comparison gives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pybullet
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ssduck
+from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
+from tests.geometry.test_colliding import fill
+from tests.support.cases import sampled
+
+BOTH = np.array([0]), np.array([1])
+STILL = np.eye(3)
+
+
+def poses(*centres, matrices=None, radii=(1.0, 1.0)):
+    matrices = np.stack([STILL] * len(centres)) if matrices is None else np.stack(matrices)
+    return ShapePoses(np.array(centres, float), matrices, np.array(radii))
+
+
+def turned(angle, axis=(0.0, 0.0, 1.0)):
+    x, y, z = np.array(axis) / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def motion(before, after):
+    return float(after.motion_since(before, *BOTH)[0])
+
+
+# -- motions -----------------------------------------------------------------------------------
+
+
+def test_shapes_that_move_together_do_not_move_relative_to_each_other():
+    before, after = poses((0, 0, 0), (1, 0, 0)), poses((3, 4, 0), (4, 4, 0))
+    assert motion(before, after) < 1e-12
+
+
+def test_a_shape_that_moves_by_itself():
+    assert motion(poses((0, 0, 0), (1, 0, 0)), poses((0.3, 0.4, 0), (1, 0, 0))) == pytest.approx(
+        0.5, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("angle", [1e-6, 0.01, 1.0, np.pi])
+def test_a_turn_moves_the_farthest_point_by_its_chord(angle):
+    """By Rodrigues' formula: twice the radius times the sine of half the angle."""
+    before = poses((0, 0, 0), (1, 0, 0), radii=(0.5, 1.0))
+    after = poses(
+        (0, 0, 0), (1, 0, 0), matrices=(turned(angle, (1, 2, 3)), STILL), radii=(0.5, 1.0)
+    )
+    assert motion(before, after) == pytest.approx(2 * 0.5 * np.sin(angle / 2), rel=1e-6)
+
+
+def test_a_half_space_that_stands_still_does_not_move_and_one_that_turns_moves_without_bound():
+    radii = (np.inf, 1.0)
+    before = poses((0, 0, 0), (0, 0, 1), radii=radii)
+    after = poses((0, 0, 0), (0, 0, 1.25), radii=radii)
+    assert motion(before, after) == pytest.approx(0.25, abs=1e-12)
+    tilted = poses((0, 0, 0), (0, 0, 1), matrices=(turned(1e-9, (1, 0, 0)), STILL), radii=radii)
+    assert motion(before, tilted) == np.inf
+
+
+@given(seed=st.integers(0, 2**32), far=st.sampled_from([1e-6, 1e-3, 0.1, 3.0]))
+@settings(max_examples=40, deadline=None)
+def test_no_point_moves_farther(seed, far):
+    random = np.random.default_rng(seed)
+    radii = random.uniform(0.1, 2.0, 2)
+    befores, afters = (
+        poses(
+            *random.normal(size=(2, 3)) * size,
+            matrices=[turned(random.normal() * size, random.normal(size=3)) for _ in range(2)],
+            radii=radii,
+        )
+        for size in (far, far)
+    )
+    inner = random.normal(size=(2, 200, 3))
+    inner *= (radii[:, None] / np.linalg.norm(inner, axis=2))[..., None]
+    moved = [
+        (inner[k] @ after.matrices[k].T + after.centres[k])
+        - (inner[k] @ before.matrices[k].T + before.centres[k])
+        for before, after in [(befores, afters)]
+        for k in range(2)
+    ]
+    relative = np.linalg.norm(moved[0] - moved[1], axis=1)
+    assert relative.max() <= motion(befores, afters) + 1e-12
+
+
+# -- what is kept ------------------------------------------------------------------------------
+
+
+def kept(verdict, room):
+    verdicts = KeptVerdicts()
+    decisions = Decisions(np.array([verdict], np.int8), np.array([room]))
+    verdicts.keep(poses((0, 0, 0), (1, 0, 0)), *BOTH, decisions)
+    return verdicts
+
+
+@pytest.mark.parametrize("verdict", [ABOVE, BELOW])
+@pytest.mark.parametrize(("step", "holds"), [(0.24, True), (0.25, False), (0.26, False)])
+def test_a_verdict_holds_up_to_its_room(verdict, step, holds):
+    found = kept(verdict, 0.25).find(poses((step, 0, 0), (1, 0, 0)), *BOTH)
+    assert found.verdicts.tolist() == [verdict if holds else UNDECIDED]
+    if holds:
+        assert found.room[0] == pytest.approx(0.25 - step)
+
+
+def test_verdicts_without_room_and_of_other_pairs_are_not_kept():
+    here = poses((0, 0, 0), (1, 0, 0))
+    assert kept(ABOVE, 0.0).find(here, *BOTH).verdicts.tolist() == [UNDECIDED]
+    swapped = kept(ABOVE, 1.0).find(here, *reversed(BOTH))
+    assert swapped.verdicts.tolist() == [UNDECIDED]
+
+
+def test_poses_that_are_not_known_decide_nothing():
+    lost = poses((np.nan, 0, 0), (1, 0, 0))
+    assert kept(ABOVE, 1.0).find(lost, *BOTH).verdicts.tolist() == [UNDECIDED]
+
+
+# -- worlds ------------------------------------------------------------------------------------
+
+MIXED = ["box"] * 10 + ["sphere"] * 4 + ["capsule"] * 4 + ["cylinder"] * 4 + ["hull"] * 6
+CONDITIONS = ("collides(a.this, b.this)", "near(a.this, b.this, 0.05)", "touching(a.this, b.this)")
+
+
+def drift(client, random, far):
+    """Moves all bodies by about a distance."""
+    for body in range(pybullet.getNumBodies(client)):
+        place, turn = pybullet.getBasePositionAndOrientation(body, client)
+        place, turn = (np.array(v) + random.normal(size=len(v)) * far for v in (place, turn))
+        pybullet.resetBasePositionAndOrientation(
+            body, place, turn / np.linalg.norm(turn), physicsClientId=client
+        )
+
+
+@pytest.mark.slow
+@sampled("condition", CONDITIONS, every=3)
+def test_a_world_that_drifts_answers_as_one_that_was_never_asked(client, condition):
+    query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"
+    fill(client, [*MIXED, "plane"], seed=8, side=0.8)
+    random = np.random.default_rng(9)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client))
+        for far in [1e-3] * 12 + [1e-9] * 4 + [5e-3] * 6:
+            drift(client, random, far)
+            world.tick()
+            found = ss.eval(query)
+            with ssduck.Interpreter() as other:
+                other.add_variable("w", ssduck.World.attach(client))
+                assert other.eval(query) == found
+
+
+def test_bodies_at_rest_are_not_compared_again(client, monkeypatch):
+    """A body that moves takes with it only the pairs whose verdict it may change."""
+    counts = []
+    compute = PlacedCores.support_points
+    monkeypatch.setattr(
+        PlacedCores,
+        "support_points",
+        lambda self, shapes, ways: counts.append(len(shapes)) or compute(self, shapes, ways),
+    )
+    fill(client, MIXED, seed=8, side=0.8)
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client))
+        query = (
+            "SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE collides(a.this, b.this) AS list;"
+        )
+        first = ss.eval(query)
+        calls = ss.statistics()["w"].calls
+        assert sum(counts) > 100
+        counts.clear()
+        drift(client, np.random.default_rng(1), 1e-9)
+        world.tick()
+        assert ss.eval(query) == first
+        assert sum(counts) == 0
+        assert ss.statistics()["w"].calls == calls
+        place, turn = pybullet.getBasePositionAndOrientation(0, client)
+        far = [place[0] + 0.3, place[1], place[2]]
+        pybullet.resetBasePositionAndOrientation(0, far, turn, physicsClientId=client)
+        world.tick()
+        assert ss.eval(query) != first
+        assert 0 < sum(counts) < 200
