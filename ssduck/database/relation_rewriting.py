@@ -1,9 +1,11 @@
 """Rewrites users' SQL so that relations use all pairs of the tick, found at once.
 
 A statement is changed only where a relation is called for two rows of entities that come from a
-world's table unchanged; the rest of its text stays as it is. There are three forms:
+world's table unchanged; the rest of its text stays as it is. There are four forms:
 
 - A condition that all rows satisfy becomes a join with the table of pairs.
+- In the condition of an outer, SEMI or ANTI join, the table on its right is joined with the pairs
+  first, in brackets.
 - Elsewhere (under NOT, in OR, in the selected columns), a call becomes a check whether the pair is
   in the table. The macro answers for an entity whose pose is unknown.
 - A call whose pairs cannot be found at once becomes its formula, without the check that the row
@@ -25,7 +27,7 @@ import sqlglot
 from sqlglot import exp
 from sqlglot.tokenizer_core import Token, TokenType
 
-from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner
+from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner, is_one_sided
 from ssduck.schema import ID_FACTOR
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.pair_lookup import JoinedPairs, PairLookup, pair_lookup
@@ -71,7 +73,7 @@ def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) 
     numbers = count(1)
     tokens = sqlglot.tokenize(sql, dialect="duckdb")
     for call in _calls(sql, tree, names, tokens):
-        if only_joins and call.join_place() is None:
+        if only_joins and not call.is_joined:
             edits.append(_Edit(call.start, call.end, call.formula()))
         else:
             edits += call.edits(f"ssduck pairs {next(numbers)}")
@@ -222,27 +224,84 @@ class _Call:
         search, place = self.search, self.join_place()
         if search is None:
             yield _Edit(self.start, self.end, self.formula())
+        elif (outer := self._outer_table()) is not None:
+            yield from self._outer_edits(search, *outer, name)
         elif place is None:
             yield _Edit(self.start, self.end, self._membership(search))
         else:
             yield _Edit(place, place, f" CROSS JOIN {self._pair_table(search, name)}")
             yield from self._expanded_stars()
-            condition = " AND ".join(
-                f"{_id_of(entity)} = {_quoted(name)}.{_quoted(f'{name} {side}')}"
-                for entity, side in zip(self.entities, "ab", strict=True)
-            )
+            condition = " AND ".join(self._is_in_pair(place, name) for place in range(2))
             if not search.is_exact:
                 condition += f" AND {self.formula()}"
             yield _Edit(self.start, self.end, f"({condition})")
+
+    def _is_in_pair(self, place: int, name: str) -> str:
+        """Returns the condition that an entity is that of a row of a table of pairs."""
+        column = _quoted(f"{name} {'ab'[place]}")
+        return f"{_id_of(self.entities[place])} = {_quoted(name)}.{column}"
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether a table of pairs can be joined in its place."""
+        return self.join_place() is not None or self._outer_table() is not None
+
+    def _outer_edits(
+        self, search: PairSearch, table: exp.Table, place: int, name: str
+    ) -> Iterator[_Edit]:
+        """Yields the changes of a call in the condition of an outer join.
+
+        Args:
+            search: the search for the pairs.
+            table: the table on the right of the join.
+            place: which of the two entities is its row.
+            name: the name of the table of pairs.
+        """
+        start, end = _start_of(table), _end_of(table)
+        assert start is not None
+        assert end is not None
+        pairs, condition = self._pair_table(search, name), self._is_in_pair(place, name)
+        yield _Edit(start, start, "(")
+        yield _Edit(end, end, f" JOIN {pairs} ON {condition})")
+        condition = self._is_in_pair(1 - place, name)
+        if not search.is_exact:
+            condition += f" AND {self.formula()}"
+        yield from self._expanded_stars()
+        yield _Edit(self.start, self.end, f"({condition})")
+
+    def _outer_table(self) -> tuple[exp.Table, int] | None:
+        """Returns the table on the right of an outer join, and which entity is its row.
+
+        None unless the call is a part of the join's condition that has to hold, and the other
+        entity is on the left.
+        """
+        parent = self._position().parent
+        if self.search is None or not (isinstance(parent, exp.Join) and is_one_sided(parent)):
+            return None
+        sources, table = self.scope.sources, parent.this
+        if _owner(parent) is not self.scope.select or not isinstance(table, exp.Table):
+            return None
+        right = sources.get(table.alias_or_name.lower())
+        is_known = right in self.entities and all(e in sources.values() for e in self.entities)
+        if right is None or not is_known or None in (_start_of(table), _end_of(table)):
+            return None
+        if not self._can_expand_stars():
+            return None
+        return table, self.entities.index(right)
+
+    def _position(self) -> exp.Expr:
+        """Returns the condition of which the call is a part that has to hold."""
+        position = self.node
+        while isinstance(position.parent, exp.Paren | exp.And):
+            position = position.parent
+        return position
 
     def join_place(self) -> int | None:
         """Returns the index at which a table of pairs can be joined; None if it cannot be.
 
         The call is a condition of all rows of its SELECT, and the table follows the first source.
         """
-        select, position = self.scope.select, self.node
-        while isinstance(position.parent, exp.Paren | exp.And):
-            position = position.parent
+        select, position = self.scope.select, self._position()
         parent = position.parent
         is_condition = (parent is not None and parent is select.args.get("where")) or (
             isinstance(parent, exp.Join) and is_inner(parent) and parent.args.get("on") is position
@@ -265,7 +324,7 @@ class _Call:
             is_written = self.sql[star.meta.get("start", 0) :][:1] == "*"
             if star.parent is not select or any(star.args.values()) or not is_written:
                 return False
-        is_plain = all(is_inner(join) or join.side == "LEFT" for join in self.scope.joins)
+        is_plain = all(is_inner(join) or is_one_sided(join) for join in self.scope.joins)
         is_plain = is_plain and not any(join.args.get("using") for join in self.scope.joins)
         is_plain = is_plain and all(source.text for source in self.scope.sources.values())
         has_columns = any(_owner(part) is select for part in select.find_all(exp.Columns))
@@ -274,7 +333,9 @@ class _Call:
     def _expanded_stars(self) -> Iterator[_Edit]:
         """Yields the changes of `*` to the columns of all sources but the table of pairs."""
         select = self.scope.select
-        columns = ", ".join(f"{_quoted(s.text)}.*" for s in self.scope.sources.values())
+        hidden = {j.this.alias_or_name for j in self.scope.joins if j.kind in ("SEMI", "ANTI")}
+        sources = [s.text for s in self.scope.sources.values() if s.text not in hidden]
+        columns = ", ".join(f"{_quoted(source)}.*" for source in sources)
         for star in select.expressions:
             if isinstance(star, exp.Star):
                 start = star.meta["start"]
@@ -377,7 +438,7 @@ def _calls(sql: str, tree: exp.Expr, names: WorldNames, tokens: list[Token]) -> 
         if schema is None or len(sources) < entity_count or not (is_of_world and is_one_pair):
             continue
         call = _Call(sql, outer, start, end, relation, tuple(sources), numbers, schema, scope)
-        if relation.geometry is not None or call.join_place() is not None:
+        if relation.geometry is not None or call.is_joined:
             yield call
 
 
@@ -448,6 +509,13 @@ def _end_of(source: exp.Expr) -> int | None:
         names.append(source.this)
     ends = [name.meta.get("end") for name in names]
     return None if not ends or None in ends else max(ends) + 1
+
+
+def _start_of(table: exp.Table) -> int | None:
+    """Returns the index of the first character of a table behind FROM; None if it is not known."""
+    first = table.args.get("db") or table.this
+    start = first.meta.get("start")
+    return None if start is None or table.args.get("catalog") else int(start)
 
 
 def _entity_value(schema: str, alias: str) -> SqlValue:

@@ -223,6 +223,13 @@ def is_inner(join: exp.Join) -> bool:
     return not join.side and not join.method and join.kind in ("", "INNER", "CROSS")
 
 
+def is_one_sided(join: exp.Join) -> bool:
+    """Checks whether a join is a LEFT, SEMI or ANTI one."""
+    if join.method:
+        return False
+    return (join.side, join.kind) in (("LEFT", ""), ("LEFT", "OUTER"), ("", "SEMI"), ("", "ANTI"))
+
+
 def _conjuncts(condition: exp.Expr) -> Iterator[exp.Expr]:
     condition = condition.unnest()
     if isinstance(condition, exp.And):

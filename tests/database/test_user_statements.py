@@ -38,6 +38,13 @@ SPELLINGS = (
     "FROM entities a, entities b SELECT a.name, b.z WHERE {r}",
     "FROM entities a, entities b WHERE {r}",
     "SELECT a.name, b.name FROM entities a LEFT JOIN entities b ON {r}",
+    "SELECT * FROM entities a LEFT OUTER JOIN sim.entities AS b ON a.id <> b.id AND ({r})",
+    "SELECT a.name, count(b.id) FROM entities a LEFT JOIN entities b ON b.z > 0.1 AND {r} GROUP BY ALL",
+    "SELECT a.name, c.name FROM entities a LEFT JOIN entities b ON {r} LEFT JOIN entities c "
+    "ON c.id = b.id",
+    "SELECT b.name, a.name FROM entities b LEFT JOIN entities a ON {r}",
+    "SELECT a.name FROM entities a LEFT JOIN entities b ON NOT {r}",
+    "SELECT a.name, b.name FROM entities a FULL JOIN entities b ON {r}",
     "SELECT a.name, b.name FROM entities a RIGHT JOIN entities b ON b.z > 0.2 WHERE {r}",
     "SELECT a.name FROM entities a WHERE EXISTS (SELECT 1 FROM entities b WHERE {r})",
     "SELECT a.name FROM entities a WHERE NOT EXISTS (FROM entities b WHERE {r})",
@@ -200,6 +207,32 @@ def test_unknown_pairs_are_unknown(ss):
     assert found
     assert all("lost" in row for row in found)
     assert "all_unknown" in query(ss, sql).lower()
+
+
+JOINS = (
+    "LEFT JOIN entities b ON {r}",
+    "SEMI JOIN entities b ON {r}",
+    "ANTI JOIN sim.entities b ON {r}",
+)
+
+
+@sampled("join", JOINS, every=2)
+@pytest.mark.parametrize("relation", ["collides", "near", "supports", "onTop", "above"])
+def test_outer_and_semi_joins_take_the_pairs_of_the_tick(ss, relation, join):
+    """With the rows of EXISTS, which DuckDB runs right with macros."""
+    called = f'("{relation}"(a, b{SEARCHED[relation]}))'
+    sql = f"SELECT * FROM entities a {join.format(r=called + ' AND b.z > 0.05')} WHERE a.z < 10"
+    exists = f"EXISTS (FROM entities b WHERE {called} AND b.z > 0.05)"
+    same = f"SELECT * FROM entities a WHERE {'NOT ' * ('ANTI' in join)}{exists} AND a.z < 10"
+    if "LEFT" in join:
+        same = f"SELECT * FROM entities a, entities b WHERE {called} AND b.z > 0.05 AND a.z < 10 "
+        same += "UNION ALL SELECT a.*, b.* FROM entities a LEFT JOIN entities b ON false "
+        same += f"WHERE NOT {exists.replace('entities b', 'entities c').replace('(a, b', '(a, c')}"
+        same = same.replace("AND b.z > 0.05)", "AND c.z > 0.05)") + " AND a.z < 10"
+    expected = rows(row_by_row(ss, same))
+    assert expected
+    assert [rows(ss.sql(sql)) for _ in range(3)] == [expected] * 3
+    assert "ssduck pairs" in query(ss, sql)
 
 
 @pytest.mark.parametrize("relation", ["collides", "onTop", "supports"])
