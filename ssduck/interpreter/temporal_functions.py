@@ -8,9 +8,9 @@ computes the result from these.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -237,10 +237,28 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
 }
 
 
+class SeriesReader(Protocol):
+    """Reads the values of an expression at ticks, for several records at once."""
+
+    def rows(self, key: Hashable, past: Past, rows_of: RowsOf) -> Sequence[Sequence[Any]]:
+        """Returns the rows [tick, time, value] of some ticks.
+
+        Args:
+            key: what identifies the expression, with its entities and values.
+            past: the ticks.
+            rows_of: a function that returns the rows of any ticks.
+        """
+
+
 class TemporalEvaluator:
-    """Turns expressions into queries, and caches these: each is planned once."""
+    """Turns expressions into queries, and caches these: each is planned once.
+
+    Attributes:
+        reader: reads the values of expressions; None to read those of the requested ticks only.
+    """
 
     def __init__(self) -> None:
+        self.reader: SeriesReader | None = None
         self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
 
     def series(
@@ -285,7 +303,14 @@ class TemporalEvaluator:
             }
             return run(query, placeholders)
 
-        return TickSeries(record, rows, expression)
+        reader = self.reader
+        if reader is None:
+            return TickSeries(record, rows, expression)
+        key = query, tuple(
+            (value.id, value.TABLE) if is_entity else (type(value), repr(value))
+            for value, is_entity in zip(values, handles, strict=True)
+        )
+        return TickSeries(record, lambda past: reader.rows(key, past, rows), expression)
 
     def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
         queries = self._queries.setdefault(call, {})
