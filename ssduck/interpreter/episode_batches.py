@@ -35,11 +35,13 @@ from ssduck.language.tree import (
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.replay.checked_rows import CheckedRows
+from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import geometries_of, members_of
+from ssduck.recording.stores.base import PairRequest
 from ssduck.recording.stores.episode_batch import (
     BatchedEpisode,
     DamagedEpisodeError,
@@ -129,6 +131,7 @@ class BatchInterpreter:
         self._present = 0
         self._offset = 0
         self._series: dict[Hashable, list[Rows] | None] = {}
+        self._least: dict[tuple[int, int], list[tuple[int, float] | None]] = {}
         self._execution.temporal.reader = self
 
     def load(self, episodes: Sequence[BatchedEpisode]) -> None:
@@ -140,6 +143,7 @@ class BatchInterpreter:
             DamagedEpisodeError: a file of an episode is damaged or missing.
         """
         self._series.clear()
+        self._least.clear()
         self._archive.load(episodes)
         self._episodes = episodes
         self._numbers = np.concatenate([episode.numbers for episode in episodes])
@@ -208,6 +212,21 @@ class BatchInterpreter:
         ends = np.searchsorted(numbers, [e.numbers[-1] for e in self._episodes], side="right")
         starts = [0, *ends[:-1].tolist()]
         return [rows[start:end] for start, end in zip(starts, ends.tolist(), strict=True)]
+
+    def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
+        """Returns the least clearance of two entities, found for all episodes at once."""
+        episode = self._episodes[self._present]
+        queries = PairQueries(self._record, self._execution.meter)
+        if past.first != episode.numbers[0] or past.last != episode.numbers[-1]:
+            request = PairRequest(past.first, past.last, a, b, 0.0)
+            return queries.least_clearances(request, np.array([past.first]))[0]
+        key = min(a, b), max(a, b)
+        if key not in self._least:
+            first, last = int(self._numbers[0]), int(self._numbers[-1])
+            starts = np.array([one.numbers[0] for one in self._episodes])
+            request = PairRequest(first, last, a, b, 0.0)
+            self._least[key] = queries.least_clearances(request, starts)
+        return self._least[key][self._present]
 
     def close(self) -> None:
         """Closes the interpreter."""

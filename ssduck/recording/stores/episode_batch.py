@@ -211,13 +211,11 @@ class EpisodeBatch(TickArchive):
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
         parts = [
-            _rows(self._content(file, index), types, self._episodes[index].offset)
+            _rows(self._content(file, index), types, self._episodes[index].offset, first, last)
             for index in range(begin, end)
             for file in self._episodes[index].files[table]
         ]
-        rows = pa.concat_tables([types.empty_table(), *parts])
-        ticks = rows["tick"].to_numpy()
-        rows = rows.filter(pa.array((ticks >= first) & (ticks <= last)))
+        rows = parts[0] if len(parts) == 1 else pa.concat_tables([types.empty_table(), *parts])
         if table == "links":  # the rows of bodies with one link repeat the pose of the body
             rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
         return rows
@@ -259,12 +257,28 @@ def _text(text: str) -> str:
     return exp.Literal.string(text).sql("duckdb")
 
 
-def _rows(content: bytes, types: pa.Schema, offset: int) -> pa.Table:
-    """Returns the columns of a part that change with the tick, its ticks moved by an offset."""
+def _rows(content: bytes, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
+    """Returns the columns of a part that change with the tick, its ticks moved by an offset.
+
+    Args:
+        content: the bytes of the part.
+        types: the columns.
+        offset: the offset.
+        first: the first tick whose rows are returned, with the offset.
+        last: the last of them.
+    """
     part = pq.ParquetFile(pa.BufferReader(content))
-    rows = part.read(columns=types.names, use_threads=False).select(types.names).cast(types)
-    ticks = pa.array(rows["tick"].to_numpy() + offset)
-    return rows.set_column(rows.column_names.index("tick"), types.field("tick"), ticks)
+    rows = part.read(columns=types.names, use_threads=False).select(types.names)
+    ticks = rows["tick"].to_numpy() + offset
+    if (np.diff(ticks) < 0).any():
+        chosen = (ticks >= first) & (ticks <= last)
+        rows, ticks = rows.filter(pa.array(chosen)), ticks[chosen]
+    else:
+        start, end = np.searchsorted(ticks, [first, last + 1]).tolist()
+        rows, ticks = rows.slice(start, end - start), ticks[start:end]
+    place = rows.column_names.index("tick")
+    rows = rows.set_column(place, types.field("tick"), pa.array(ticks))
+    return rows if rows.schema.equals(types) else rows.cast(types)
 
 
 def has_current_columns(file: Path, table: str) -> bool:
