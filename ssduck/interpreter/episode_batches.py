@@ -196,9 +196,7 @@ class BatchInterpreter:
         self._archive.show(0, len(self._episodes))
         ticks.replace(self._numbers, self._times)
         try:
-            whole = Past(
-                past.record, int(self._numbers[0]), int(self._numbers[-1]), is_window=True
-            )
+            whole = Past(past.record, int(self._numbers[0]), int(self._numbers[-1]), is_window=True)
             rows = rows_of(whole)
         except DamagedEpisodeError:
             raise

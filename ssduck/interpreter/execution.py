@@ -265,9 +265,7 @@ class Execution(Namespace):
             return fetched
 
         with self.worlds_pinned(node):
-            series = self.temporal.series(
-                node, frame, self.database.record_of, rows, self.meter
-            )
+            series = self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
             return TEMPORAL_FUNCTIONS[node.name].make(
                 series, None if age is None else validation.seconds(age)
             )

@@ -337,14 +337,17 @@ class TemporalEvaluator:
             return run(query, placeholders)
 
         reader, least = self.reader, None
-        if all(handles) and _is_clearance(expression) and len({v.id for v in values}) == 2:
-            if all(value.TABLE == "entities" for value in values):
-                least = partial(self._least_clearance, meter, values[0].id, values[1].id)
+        are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
+        if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
+            least = partial(self._least_clearance, meter, values[0].id, values[1].id)
         if reader is None:
             return TickSeries(record, rows, expression, least)
-        key = query, tuple(
-            (value.id, value.TABLE) if is_entity else (type(value), repr(value))
-            for value, is_entity in zip(values, handles, strict=True)
+        key = (
+            query,
+            tuple(
+                (value.id, value.TABLE) if is_entity else (type(value), repr(value))
+                for value, is_entity in zip(values, handles, strict=True)
+            ),
         )
         return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least)
 

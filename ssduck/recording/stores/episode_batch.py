@@ -1,7 +1,7 @@
 """Reads many episodes with the same entities as one: an archive of a batch of episodes.
 
-The ticks of an episode are moved by an offset, so that those of no two episodes are equal. SQL reads
-the files of all episodes at once, or those of one: the views name variables of DuckDB, which
+The ticks of an episode are moved by an offset, so that those of no two episodes are equal. SQL
+reads the files of all episodes at once, or those of one: the views name variables of DuckDB, which
 `EpisodeBatch.show` sets. A file is read only if its bytes have the checksum that its episode has in
 a manifest.
 """
@@ -95,7 +95,6 @@ class EpisodeBatch(TickArchive):
         recording: what was recorded of each tick.
         tables: the tables, `ticks` among them.
         models: the rows of each model.
-        model_files: the files of the models of one of the episodes, by table.
         run: the number of the run, which all rows get.
         connection: the archive's own connection, which reads the files.
         run_statement: runs a statement on the connection that has the views.
@@ -121,7 +120,7 @@ class EpisodeBatch(TickArchive):
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
         self._in_sql: set[str] = set()
-        self._shown: tuple[int, int] = (0, 0)
+        self._shown: tuple[int, int] | None = None
 
     def load(self, episodes: Sequence[BatchedEpisode]) -> None:
         """Replaces the episodes.
@@ -136,11 +135,12 @@ class EpisodeBatch(TickArchive):
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
         for table in sorted(self._read):
             self._check(table)
+        self._shown = None
         self.show(0, len(episodes))
 
     def show(self, first: int, end: int) -> None:
         """Lets SQL see the episodes from `first` to `end - 1` only."""
-        if (first, end) != self._shown or end - first > 1:
+        if (first, end) != self._shown:
             self._shown = first, end
             for table in self._in_sql:
                 self._set_variables(table)
@@ -181,7 +181,7 @@ class EpisodeBatch(TickArchive):
 
     def _set_variables(self, table: str) -> None:
         """Sets the files of a table that SQL reads, and the offsets of their ticks."""
-        shown = self._episodes[slice(*self._shown)]
+        shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
         paths = [(exact_path(f.path), e.offset) for e in shown for f in e.files[table]]
         files = ", ".join(_text(path) for path, _ in paths)
         offsets = ", ".join(str(int(offset)) for _, offset in paths)

@@ -252,7 +252,7 @@ def _scan(files: Sequence[Path]) -> str:
 
 
 def exact_path(place: Path) -> str:
-    """Returns the path of a file or folder with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
+    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
 
     Raises:
         RecordError: the path also has a backslash, which DuckDB takes for a slash then.

@@ -1,6 +1,6 @@
 """The engines that answer the batches of a question: processes of this machine, Ray, Spark.
 
-Each runs `ssduck.lake.workers.answer_episodes` on batches of episodes. What is lost with a killed
+Each runs `ssduck.lakes.workers.answer_episodes` on batches of episodes. What is lost with a killed
 process is Ray's or Spark's to compute again; the pool of this machine ends with an error, and the
 answers that were kept are there when the question is asked again.
 """
@@ -20,9 +20,9 @@ from typing import Any, Literal, TypeAlias
 import pyarrow as pa
 
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
-from ssduck.lake.manifest import EpisodeEntry, from_bytes, to_bytes
-from ssduck.lake.questions import Question
-from ssduck.lake.workers import Answer, answer_episodes
+from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
+from ssduck.lakes.questions import Question
+from ssduck.lakes.workers import Answer, answer_episodes
 
 EngineName: TypeAlias = Literal["local", "ray", "spark"]
 Batch: TypeAlias = Sequence[EpisodeEntry]

@@ -16,15 +16,15 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, RecordError
+from ssduck.errors import ArgumentError, RecordError, SqlError
 from ssduck.gym.terms import Reward, Terms
-from ssduck.lake.answers import AnsweredEpisode, KeptAnswers, answer_table
-from ssduck.lake.engines import EngineName, engine_of
-from ssduck.lake.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
-from ssduck.lake.progress import shown_progress
-from ssduck.lake.questions import ProgramQuestion, Question, ScoreQuestion
-from ssduck.lake.scan import entries_of_records, missing, records_of
-from ssduck.lake.where import condition
+from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
+from ssduck.lakes.engines import EngineName, engine_of
+from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
+from ssduck.lakes.progress import shown_progress
+from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
+from ssduck.lakes.scan import entries_of_records, missing, records_of
+from ssduck.lakes.where import condition
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.parquet import write_tags
@@ -42,8 +42,10 @@ class Lake:
     """All episodes of the records below a path.
 
     Args:
-        path: a folder with records in it, at any depth; a record; or a pattern such as
-            `runs/*/night`, in which `**` stands for folders at any depth.
+        path: as `open_lake` takes it.
+
+    Attributes:
+        path: the absolute path.
 
     Raises:
         RecordError: there is no such path.
@@ -68,7 +70,7 @@ class Lake:
         if place.is_file():
             return place.with_name(f"{place.name}.{MANIFEST}.parquet")
         parts = place.parts
-        fixed = next(i for i, part in enumerate(parts) if glob.has_magic(part))
+        fixed = next((i for i, part in enumerate(parts) if glob.has_magic(part)), len(parts) - 1)
         checksum = zlib.crc32(self.path.encode())
         return Path(*parts[:fixed]) / f"{MANIFEST}-{checksum:08x}.parquet"
 
@@ -116,6 +118,19 @@ class Lake:
                 columns[name] = _tag_column([entry.tags.get(name) for entry in self._entries])
         return pa.table(columns)
 
+    def select(self, where: str | None = None) -> pa.Table:
+        """Returns the rows of `episodes` for which a condition holds.
+
+        Args:
+            where: the condition, an expression of SQL over the columns of `episodes`, tags among
+                them: `"task = 'pick' AND NOT success"`. It may have comparisons, AND, OR, NOT, IN,
+                BETWEEN, LIKE, IS NULL, arithmetic and a few functions. None for all episodes.
+
+        Raises:
+            ArgumentError: it is no such condition.
+        """
+        return self.episodes.take(pa.array(self._places(where), pa.int64()))
+
     def __len__(self) -> int:
         return len(self._entries)
 
@@ -123,26 +138,31 @@ class Lake:
         return f"<Lake {self.path!r}: {len(self)} episodes>"
 
     def _selected(self, where: str | None) -> list[EpisodeEntry]:
-        """Returns the episodes for which a condition holds; all if there is none.
+        """Returns the episodes for which a condition holds; all if there is none."""
+        return [self._entries[place] for place in self._places(where)]
+
+    def _places(self, where: str | None) -> Sequence[int]:
+        """Returns the rows of the episodes for which a condition holds; all if there is none.
 
         Raises:
             ArgumentError: it is no condition on the columns of `episodes`.
         """
         if where is None:
-            return self._entries
+            return range(len(self._entries))
         rows = self.episodes
         test = condition(where, rows.column_names)
-        numbered = rows.append_column("ssduck row", pa.array(range(rows.num_rows), pa.int64()))
+        place = exp.to_identifier("ssduck row", quoted=True)
+        numbered = rows.append_column(place.name, pa.array(range(rows.num_rows), pa.int64()))
+        select = exp.select(exp.column(place)).from_("episodes").where(test)
         database = Database(":memory:", None)
         try:
             database.connection.register("episodes", numbered)
-            select = (
-                exp.select('"ssduck row"').from_("episodes").where(test).order_by('"ssduck row"')
-            )
-            places = database.connection.rows(select.sql("duckdb"))
+            found = database.connection.rows(select.sql("duckdb"))
+        except SqlError as error:
+            raise ArgumentError(f"where: {where!r} is no condition: {error.message}") from error
         finally:
             database.close()
-        return [self._entries[place] for (place,) in places]
+        return sorted(row for (row,) in found)
 
     # -- questions --------------------------------------------------------------------------
 
@@ -370,6 +390,27 @@ class Lake:
             write_tags(FolderRun(Path(path), world, number), tags[path, world, number])
         before = self._entries
         self._replace([_with_tags(entry, tags.get(entry.key)) for entry in before], before)
+
+
+def open_lake(path: str | Path) -> Lake:
+    """Returns the episodes of all records below a path, to ask them one question.
+
+    Args:
+        path: a folder with records in it, at any depth; a record; or a pattern such as
+            `runs/*/night`, in which `**` stands for folders at any depth.
+
+    Raises:
+        RecordError: there is no such path.
+
+    >>> import ssduck, tempfile
+    >>> with ssduck.load("kitchen") as ss, tempfile.TemporaryDirectory() as folder:
+    ...     for _ in range(2):
+    ...         ss.run(0.1)
+    ...         _ = ss.export(folder)
+    ...     ssduck.lake(folder).ask("heldFor(z(kitchen.sink) > 0) > 0.15;")["answer"].to_pylist()
+    [False, True]
+    """
+    return Lake(path)
 
 
 def _with_tags(entry: EpisodeEntry, tags: Mapping[str, Tag] | None) -> EpisodeEntry:

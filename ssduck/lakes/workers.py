@@ -20,8 +20,8 @@ import pyarrow.parquet as pq
 from ssduck.errors import ProgramWarning, RecordError, SelectScriptError
 from ssduck.interpreter.episode_batches import BatchInterpreter
 from ssduck.interpreter.opening import open_record
-from ssduck.lake.manifest import EpisodeEntry
-from ssduck.lake.questions import Answering, Question, to_text
+from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.questions import Answering, Question, to_text
 from ssduck.limits import Limits
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.spec import Recording
@@ -195,3 +195,9 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
         return None, str(error)
     except Exception as error:  # noqa: BLE001  # a damaged file must not end the others' answers
         return None, f"{type(error).__name__}: {error}"
+
+
+def forget_readers() -> None:
+    """Closes what this process keeps of groups of episodes."""
+    while _readers:
+        _readers.popitem()[1].close()

@@ -10,9 +10,9 @@ from typing import Any
 
 import pyarrow as pa
 
-from ssduck.lake.manifest import EpisodeEntry
-from ssduck.lake.questions import Question, from_text, to_text
-from ssduck.lake.workers import Answer
+from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.questions import Question, from_text, to_text
+from ssduck.lakes.workers import Answer
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 
 KEYS = ("world", "episode", "path")

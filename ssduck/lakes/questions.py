@@ -20,7 +20,7 @@ from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import reads_present
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import CompiledProgram
-from ssduck.lake.manifest import EpisodeEntry
+from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Name, Node, Program, QualifiedName
 from ssduck.limits import Limits

@@ -62,8 +62,8 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
     Raises:
         ArgumentError: it is no such expression, or names another column.
 
-    >>> condition("task = 'pick' AND NOT success", ["task", "success"]).sql("duckdb")
-    '"task" = \\'pick\\' AND NOT "success"'
+    >>> condition("ticks > 100 AND NOT success", ["ticks", "success"]).sql("duckdb")
+    '"ticks" > 100 AND NOT "success"'
     """
     if not isinstance(text, str) or not text.strip():
         raise ArgumentError("where: give a condition, such as \"task = 'pick' AND NOT success\"")

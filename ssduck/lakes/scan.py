@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
-from ssduck.lake.manifest import EpisodeEntry, FileEntry
+from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.stores.checksums import parquet_problem
 from ssduck.recording.stores.episode_batch import has_current_columns
 from ssduck.recording.stores.parquet_layout import (
@@ -206,9 +206,7 @@ def _described(found: FoundEpisode) -> EpisodeEntry | None:
     run = FolderRun(found.path, found.world, found.episode)
     try:
         if not run.about_file.is_file():
-            raise RecordError(  # noqa: TRY301
-                f"{run.about_file} is missing, and ticks of its episode are there"
-            )
+            raise RecordError(f"{run.about_file} is missing, and ticks of its episode are there")
         check_about(found.path)
         if not run.has_begun:
             return None

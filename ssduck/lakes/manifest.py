@@ -2,7 +2,7 @@
 
 It has a row for each episode, with its files, their sizes and checksums, so that an episode is
 asked without being listed, parsed and checked anew. Whatever it lacks, or has of files that were
-changed since, is read anew from the records (`ssduck.lake.scan`).
+changed since, is read anew from the records (`ssduck.lakes.scan`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -174,9 +174,14 @@ def from_bytes(content: bytes) -> list[EpisodeEntry]:
 
 
 def write_manifest(entries: Iterable[EpisodeEntry], file: Path) -> bool:
-    """Writes a manifest, all or nothing; returns whether the folder can be written."""
+    """Writes a manifest, all or nothing; returns whether the folder can be written.
+
+    Its paths begin in its folder, so that a lake can be moved.
+    """
+    base = file.parent
+    relative = [replace(e, path=Path(e.path).relative_to(base).as_posix()) for e in entries]
     with suppress(OSError):
-        write_parquet(table_of(entries), file, compression="zstd")
+        write_parquet(table_of(relative), file, compression="zstd")
         return True
     return False
 
@@ -191,6 +196,6 @@ def read_manifest(file: Path) -> list[EpisodeEntry]:
         rows = content.read()
         if rows.schema.remove_metadata() != SCHEMA.remove_metadata():
             return []
-        return entries_of(rows)
+        return [replace(e, path=str(file.parent / e.path)) for e in entries_of(rows)]
     except (OSError, pa.ArrowException, ValueError, TypeError):  # a RecordError is an OSError
         return []
