@@ -28,7 +28,7 @@ EngineName: TypeAlias = Literal["local", "ray", "spark"]
 Batch: TypeAlias = Sequence[EpisodeEntry]
 # Yields the index of each batch with its answers, in any order.
 Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
-# How often Ray starts a task again whose process was killed.
+# How often Ray, or Spark on this machine, starts a task again whose process was killed.
 RETRIES = 3
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
@@ -123,7 +123,8 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
     if session is None:
         # The workers of this machine have ssduck in the same Python.
         os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
-        builder = SparkSession.builder.master("local[*]").appName("ssduck")
+        # Without the second number, a task that fails once would end the job.
+        builder = SparkSession.builder.master(f"local[*,{RETRIES + 1}]").appName("ssduck")
         settings = {
             "spark.ui.enabled": "false",
             "spark.driver.host": "127.0.0.1",
@@ -171,9 +172,9 @@ def engine_of(
     """
     match name:
         case "local":
-            count = processes or os.cpu_count() or 1
+            count = processes or 1
             return lambda question, batches: answer_locally(
-                question, batches, min(count, len(batches)) or 1
+                question, batches, max(1, min(count, len(batches)))
             )
         case "ray":
             return lambda question, batches: answer_on_ray(question, batches, options)

@@ -34,6 +34,8 @@ from ssduck.recording.tags import Tag, checked_tags
 MANIFEST = "ssduck-manifest"
 # The number of episodes that are asked together, at most.
 BATCH = 100
+# To start a process takes as long as to ask so many episodes.
+FEW = 50
 _FILE_SCHEME = "file://"
 _INTERNAL = ("group", "tags", "files", "error")
 
@@ -98,6 +100,11 @@ class Lake:
         self.__dict__.pop("episodes", None)
         if entries != list(before):
             write_manifest(entries, self.manifest)
+
+    @property
+    def entries(self) -> tuple[EpisodeEntry, ...]:
+        """What the manifest has of each episode, in the order of `episodes`."""
+        return tuple(self._entries)
 
     @cached_property
     def episodes(self) -> pa.Table:
@@ -188,7 +195,8 @@ class Lake:
             where: a condition on the columns of `episodes`, in SQL; None for all episodes.
             engine: `"local"`: processes of this machine; `"ray"`; `"spark"`.
             limits: the limits of the program; `Limits.strict()` for programs from elsewhere.
-            processes: the number of processes of this machine; by default one for each core.
+            processes: the number of processes of this machine; by default one for each core, and
+                fewer for few episodes.
             batch: the number of episodes that are asked together, by default at most 100.
             resume: a folder that keeps the answers of finished batches, so that the same question
                 goes on from there when it is asked again; None to keep nothing.
@@ -296,8 +304,11 @@ class Lake:
             engines["processes"] = validation.integer(
                 engines["processes"], "ask: processes", minimum=1
             )
-        answer = engine_of(engine, **engines)
         entries = self._selected(where)
+        if engine == "local" and engines["processes"] is None:
+            most = max(1, len(entries) // FEW)
+            engines["processes"] = min(os.cpu_count() or 1, most)
+        answer = engine_of(engine, **engines)
         batches = _batches(entries, batch, engines["processes"] or os.cpu_count() or 1)
         kept = KeptAnswers(None if resume is None else expand_path(resume), question)
         known = [kept.read(entries) for entries in batches]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeAlias
 
@@ -107,6 +108,7 @@ class _Reader:
     def _episode(self, entry: EpisodeEntry) -> BatchedEpisode:
         """Returns an episode whose ticks come after those of all others so far."""
         assert entry.tables is not None
+        root = _resolved(entry.path)
         folders = {
             f"{table}/world={entry.world}/episode={entry.episode}": table for table in entry.tables
         }
@@ -114,11 +116,11 @@ class _Reader:
         for file in entry.files:
             folder, _, _ = file.name.rpartition("/")
             if folder in folders:
-                place = Path(entry.path, file.name)
+                place = f"{root}/{file.name}"
                 files[folders[folder]].append(BatchedFile(place, file.checksum))
         parts = [
             pq.ParquetFile(pa.BufferReader(file.content())).read(
-                columns=["tick", "time"], use_threads=False
+                columns=["tick", "time", "wall_time"], use_threads=False
             )
             for file in files["ticks"]
         ]
@@ -129,11 +131,17 @@ class _Reader:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
-        return BatchedEpisode(offset, ticks, times, files)
+        return BatchedEpisode(offset, rows, files)
 
     def close(self) -> None:
         """Closes the interpreter."""
         self._batch.close()
+
+
+@lru_cache(maxsize=1024)
+def _resolved(path: str) -> str:
+    """Returns the path of a record without links."""
+    return Path(path).resolve().as_posix()
 
 
 _readers: OrderedDict[tuple[str, Limits | None], _Reader] = OrderedDict()

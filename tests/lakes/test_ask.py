@@ -101,7 +101,7 @@ def row(text, error=None):
         (["true", "null"], pa.bool_(), [True, None]),
         (["[0.1, 2]", "[3.5, 4.5]"], pa.list_(pa.float64()), [[0.1, 2], [3.5, 4.5]]),
         (["true", "1"], pa.string(), ["true", "1"]),
-        (["[1, \"a\"]", "null"], pa.string(), ["[1, \"a\"]", None]),
+        (['[1, "a"]', "null"], pa.string(), ['[1, "a"]', None]),
         (["Infinity", "0.1"], pa.float64(), [math.inf, 0.1]),
         ([str(2**80)], pa.string(), [str(2**80)]),
     ],

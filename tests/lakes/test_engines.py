@@ -1,16 +1,15 @@
 """Ray and Spark give what this machine's processes give, also if a worker is killed midway."""
 
-import os
 import shutil
-import signal
+import tempfile
 from pathlib import Path
 
 import pytest
 
 import ssduck
 from ssduck.errors import EvaluationError, UnsupportedError
-from ssduck.lakes import engines
-from tests.support.lake_questions import PROGRAMS
+from ssduck.lakes.answers import answer_table
+from tests.support.lake_questions import PROGRAMS, KillingQuestion
 
 QUESTION = PROGRAMS["last tick"]
 pytestmark = [
@@ -26,16 +25,23 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def ray():
     ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'ssduck[ray]'")
-    yield ray
-    ray.shutdown()
+    # The paths of its sockets have at most 107 bytes.
+    with tempfile.TemporaryDirectory(prefix="ray", dir="/tmp", ignore_cleanup_errors=True) as place:
+        options = {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+        ray.init(num_cpus=2, log_to_driver=False, _temp_dir=place, **options)
+        yield ray
+        ray.shutdown()
 
 
 @pytest.fixture(scope="module")
-def spark():
+def spark(request):
     pytest.importorskip("pyspark", reason="PySpark is not installed: pip install 'ssduck[spark]'")
     if shutil.which("java") is None:
         pytest.skip("Spark needs Java: openjdk-17-jre-headless")
-    yield
+    # Its workers have to find the tests.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(Path(request.config.rootpath)))
+        yield
     from pyspark.sql import SparkSession
 
     session = SparkSession.getActiveSession()
@@ -43,29 +49,27 @@ def spark():
         session.stop()
 
 
-def killed_once(question, entries, answer=engines.answer_episodes):
-    """Answers episodes; the first process that answers some is killed."""
-    mark = Path(entries[0].path).parent / "killed"
-    try:
-        mark.touch(exist_ok=False)
-    except FileExistsError:
-        return answer(question, entries)
-    os.kill(os.getpid(), signal.SIGKILL)
+def answers_after_a_kill(lake, tmp_path, engine, **engines):
+    """Returns the answers to a question that kills one of the processes that answer it."""
+    question = KillingQuestion(QUESTION, mark=str(tmp_path / "killed"))
+    settings = {"processes": None, "options": None, "session": None} | engines
+    kept = tmp_path / "kept"
+    answered = lake._answered(question, None, engine, 1, kept, False, settings)
+    table = answer_table(answered)
+    assert (tmp_path / "killed").exists()
+    return table
 
 
 def test_ray(ray, folder):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
-    options = {"num_cpus": 2, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
-    assert lake.ask(QUESTION, engine="ray", batch=2, options=options).equals(wanted)
+    assert lake.ask(QUESTION, engine="ray", batch=2).equals(wanted)
 
 
-def test_a_killed_worker_of_ray(ray, folder, monkeypatch):
+def test_a_killed_worker_of_ray(ray, folder, tmp_path):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
-    monkeypatch.setattr(engines, "answer_episodes", killed_once)
-    assert lake.ask(QUESTION, engine="ray", batch=2).equals(wanted)
-    assert (folder.parent / "killed").exists()
+    assert answers_after_a_kill(lake, tmp_path, "ray").equals(wanted)
 
 
 def test_spark(spark, folder):
@@ -74,14 +78,19 @@ def test_spark(spark, folder):
     assert lake.ask(QUESTION, engine="spark", batch=2).equals(wanted)
 
 
-def test_a_killed_process_of_this_machine_is_an_error(folder, tmp_path, monkeypatch):
+def test_a_killed_worker_of_spark(spark, folder, tmp_path):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
-    with monkeypatch.context() as patch:
-        patch.setattr(engines, "answer_episodes", killed_once)
-        with pytest.raises(EvaluationError, match="a process was killed"):
-            lake.ask(QUESTION, processes=2, batch=1, resume=tmp_path / "kept")
-    assert lake.ask(QUESTION, processes=2, batch=1, resume=tmp_path / "kept").equals(wanted)
+    assert answers_after_a_kill(lake, tmp_path, "spark").equals(wanted)
+
+
+def test_a_killed_process_of_this_machine_is_an_error(folder, tmp_path):
+    lake = ssduck.lake(folder)
+    wanted = lake.ask(QUESTION, processes=1)
+    with pytest.raises(EvaluationError, match="a process was killed"):
+        answers_after_a_kill(lake, tmp_path, "local", processes=2)
+    # The second time, what was answered is read, and the rest is asked.
+    assert answers_after_a_kill(lake, tmp_path, "local", processes=2).equals(wanted)
 
 
 @pytest.mark.parametrize("engine", ["ray", "spark"])

@@ -46,11 +46,11 @@ def test_columns(recorded):
 
 def test_duckdb_polars_and_pandas_read_it(recorded):
     import duckdb
-    import polars
+    import polars as pl
 
-    episodes = ssduck.lake(recorded).episodes  # noqa: F841  # DuckDB reads it by its name
+    episodes = ssduck.lake(recorded).episodes  # DuckDB reads it by its name
     assert duckdb.sql("SELECT count(*) FROM episodes WHERE NOT success").fetchall() == [(EPISODES,)]
-    assert polars.from_arrow(episodes)["episode"].to_list() == list(range(EPISODES))
+    assert pl.from_arrow(episodes)["episode"].to_list() == list(range(EPISODES))
     assert episodes.to_pandas()["ticks"].tolist() == [STEPS + 1] * EPISODES
 
 

@@ -1,8 +1,13 @@
 """Questions for the episodes of `lake_episodes`, and the answers that each gives by itself."""
 
+import os
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+
 import ssduck
 from ssduck.gym import score
-from ssduck.lakes.questions import plain, to_text
+from ssduck.lakes.questions import ProgramQuestion, plain, to_text
 from tests.support.lake_episodes import REWARD, SUCCESS
 
 # Those of the last tick, the first touch, the longest rest and the least clearance.
@@ -57,3 +62,28 @@ def answer_of(ss, program):
 def scores(folder):
     """Returns the scores of all episodes."""
     return [(one.total, one.succeeded) for one in score(folder, SUCCESS, reward=REWARD)]
+
+
+@dataclass(frozen=True)
+class KillingQuestion(ProgramQuestion):
+    """A program; the process that begins to answer episode 2 is killed, but for the second time."""
+
+    mark: str = ""
+
+    @property
+    def key(self):
+        return f"{super().key} {self.mark}"
+
+    def answering(self, interpreter):
+        answer = super().answering(interpreter)
+
+        def answer_or_die(present, entry):
+            if entry.episode == 2:
+                try:
+                    Path(self.mark).touch(exist_ok=False)
+                except FileExistsError:
+                    return answer(present, entry)
+                os.kill(os.getpid(), signal.SIGKILL)
+            return answer(present, entry)
+
+        return answer_or_die

@@ -11,18 +11,25 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 from sqlglot import exp
 
 from ssduck.errors import RecordError
+from ssduck.geometry.arrays import Array
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
-from ssduck.recording.stores.parquet_archive import arrow_types, exact_path, multi_link_bodies
+from ssduck.recording.stores.parquet_archive import (
+    arrow_types,
+    multi_link_bodies,
+    pattern_of,
+)
 from ssduck.schema import MODELS, RECORDED, TABLES
 
 # The column in which the parts have the number of the run.
@@ -38,7 +45,7 @@ class BatchedFile:
         checksum: the CRC-32 of its bytes.
     """
 
-    path: Path
+    path: str
     checksum: int
 
     def content(self) -> bytes:
@@ -48,7 +55,8 @@ class BatchedFile:
             OSError: it cannot be read.
             RecordError: they are not those that the manifest knows.
         """
-        content = self.path.read_bytes()
+        with open(self.path, "rb", buffering=0) as file:  # noqa: PTH123  # a Path takes longer
+            content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
         return content
@@ -60,20 +68,25 @@ class BatchedEpisode:
 
     Attributes:
         offset: is added to the numbers of its ticks.
-        ticks: the numbers of its ticks, without the offset, (n,).
-        times: their simulated times, s, (n,).
+        ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
     """
 
     offset: int
-    ticks: np.ndarray
-    times: np.ndarray
+    ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
 
-    @property
-    def numbers(self) -> np.ndarray:
+    @cached_property
+    def numbers(self) -> npt.NDArray[np.int64]:
         """The numbers of its ticks in the batch, (n,)."""
-        return self.ticks + self.offset
+        numbers: npt.NDArray[np.int64] = self.ticks["tick"].to_numpy() + self.offset
+        return numbers
+
+    @cached_property
+    def times(self) -> Array:
+        """Their simulated times, s, (n,)."""
+        times: Array = self.ticks["time"].to_numpy()
+        return times
 
 
 class DamagedEpisodeError(RecordError):
@@ -182,7 +195,7 @@ class EpisodeBatch(TickArchive):
     def _set_variables(self, table: str) -> None:
         """Sets the files of a table that SQL reads, and the offsets of their ticks."""
         shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
-        paths = [(exact_path(f.path), e.offset) for e in shown for f in e.files[table]]
+        paths = [(pattern_of(f.path), e.offset) for e in shown for f in e.files[table]]
         files = ", ".join(_text(path) for path, _ in paths)
         offsets = ", ".join(str(int(offset)) for _, offset in paths)
         names = [quoted(name) for name in _variables(table)]
@@ -205,16 +218,23 @@ class EpisodeBatch(TickArchive):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
-        if table not in self._read:
-            self._read.add(table)
         types = arrow_types(table)
+        if table == "links" and not len(self._linked):
+            return types.empty_table()
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
-        parts = [
-            _rows(self._content(file, index), types, self._episodes[index].offset, first, last)
-            for index in range(begin, end)
-            for file in self._episodes[index].files[table]
-        ]
+        parts = (
+            [
+                _moved(e.ticks.select(types.names), types, e.offset, first, last)
+                for e in self._episodes[begin:end]
+            ]
+            if table == "ticks"
+            else [
+                _rows(self._content(file, index), types, self._episodes[index].offset, first, last)
+                for index in range(begin, end)
+                for file in self._episodes[index].files[table]
+            ]
+        )
         rows = parts[0] if len(parts) == 1 else pa.concat_tables([types.empty_table(), *parts])
         if table == "links":  # the rows of bodies with one link repeat the pose of the body
             rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
@@ -225,7 +245,7 @@ class EpisodeBatch(TickArchive):
         begin = max(int(np.searchsorted(self._starts, request.first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, request.last, side="right"))
         paths = [
-            (exact_path(file.path), episode.offset)
+            (pattern_of(file.path), episode.offset)
             for episode in self._episodes[begin:end]
             for file in episode.files["entities"]
         ]
@@ -269,6 +289,11 @@ def _rows(content: bytes, types: pa.Schema, offset: int, first: int, last: int) 
     """
     part = pq.ParquetFile(pa.BufferReader(content))
     rows = part.read(columns=types.names, use_threads=False).select(types.names)
+    return _moved(rows, types, offset, first, last)
+
+
+def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
+    """Returns the rows of some ticks, their numbers moved by an offset."""
     ticks = rows["tick"].to_numpy() + offset
     if (np.diff(ticks) < 0).any():
         chosen = (ticks >= first) & (ticks <= last)

@@ -257,7 +257,11 @@ def exact_path(place: Path) -> str:
     Raises:
         RecordError: the path also has a backslash, which DuckDB takes for a slash then.
     """
-    path = str(place.resolve())
+    return pattern_of(str(place.resolve()))
+
+
+def pattern_of(path: str) -> str:
+    """Returns the same for an absolute path without links."""
     if not _PATTERN.search(path):
         return path
     if "\\" in path and os.sep != "\\":
