@@ -3,6 +3,7 @@
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so do the tables raw, strict and
 checksums. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
+`python -m benchmarks lake [FOLDER]` needs gymnasium and MuJoCo, and Ray and Spark for their rows.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
 """
@@ -16,6 +17,7 @@ from benchmarks import (
     adapters,
     checksums,
     gym_steps,
+    lake,
     language,
     mujoco_ticks,
     pair_relations,
@@ -41,7 +43,12 @@ TABLES = {
 LONG_TABLES = {"raw": raw, "strict": strict, "checksums": checksums}
 # Tables that need an extra.
 EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks, "view": view}
-LONG = {"pairs": pairs.main, "relations": pair_relations.main, "time": recorded.main}
+LONG = {
+    "lake": lake.main,
+    "pairs": pairs.main,
+    "relations": pair_relations.main,
+    "time": recorded.main,
+}
 
 
 def main() -> None:

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from ssduck.interpreter.record_check import check
     from ssduck.interpreter.triggers.diff import Changed
     from ssduck.interpreter.triggers.trigger import TriggerWarning
+    from ssduck.lakes.lake import Lake
+    from ssduck.lakes.lake import open_lake as lake
     from ssduck.limits import Limits
     from ssduck.recording.episode import Episode
     from ssduck.recording.folder_check import Damage
@@ -31,6 +33,7 @@ __all__ = [
     "Episode",
     "Interpreter",
     "KinBody",
+    "Lake",
     "Limits",
     "Link",
     "OccupancyGrid",
@@ -47,6 +50,7 @@ __all__ = [
     "check",
     "episodes",
     "height_field",
+    "lake",
     "load",
     "open",
 ]
@@ -58,6 +62,7 @@ _HOMES = {
     "Episode": "recording.episode",
     "Interpreter": "interpreter.interpreter",
     "KinBody": "world.entities",
+    "Lake": "lakes.lake",
     "Limits": "limits",
     "Link": "world.links",
     "OccupancyGrid": "adapters.grid_values",
@@ -74,11 +79,12 @@ _HOMES = {
     "check": "interpreter.record_check",
     "episodes": "interpreter.archives",
     "height_field": "geometry.height_fields",
+    "lake": "lakes.lake",
     "load": "interpreter.opening",
     "open": "interpreter.opening",
 }
-# Names that differ in their module, as Python has a function of that name.
-_ORIGINALS = {"open": "open_record"}
+# Names that differ in their module, as Python or the package has others of that name.
+_ORIGINALS = {"lake": "open_lake", "open": "open_record"}
 
 
 def __getattr__(name: str) -> Any:

@@ -24,6 +24,20 @@ import typer
 from typer.core import TyperGroup
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
+from ssduck.cli.lakes import (
+    Batch,
+    Engine,
+    EngineOption,
+    ForgetMissing,
+    Lake,
+    Processes,
+    Resume,
+    Strict,
+    Where,
+    ask_lake,
+    list_episodes,
+    tag,
+)
 from ssduck.cli.records import check, episodes, export, open_or_load, record, whole_steps
 from ssduck.cli.rendering import render
 from ssduck.cli.viewing import view
@@ -307,44 +321,50 @@ _Strict = Annotated[
 ]
 
 
+_ProgramFile = Annotated[
+    Path | None,
+    typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
+]
+_Format = Annotated[
+    Format | None,
+    typer.Option(
+        "--format",
+        "-F",
+        metavar="table|csv|json|parquet|markdown",
+        help="The format of the result.",
+        show_default="that of the ending of --output, or table",
+    ),
+]
+_Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Write the whole result to a file; an existing one is replaced.",
+        show_default="standard output",
+    ),
+]
+_Rows = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Print at most N rows of a table: the first and the last ones.",
+        show_default="40 on a terminal, otherwise all",
+    ),
+]
+
+
 @app.command()
 def query(
     context: typer.Context,
     scene: _SceneOrRecord,
     program: _Program = None,
-    file: Annotated[
-        Path | None,
-        typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
-    ] = None,
-    format: Annotated[
-        Format | None,
-        typer.Option(
-            "--format",
-            "-F",
-            metavar="table|csv|json|parquet|markdown",
-            help="The format of the result.",
-            show_default="that of the ending of --output, or table",
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            metavar="FILE",
-            help="Write the whole result to a file; an existing one is replaced.",
-            show_default="standard output",
-        ),
-    ] = None,
-    rows: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            metavar="N",
-            help="Print at most N rows of a table: the first and the last ones.",
-            show_default="40 on a terminal, otherwise all",
-        ),
-    ] = None,
+    file: _ProgramFile = None,
+    format: _Format = None,
+    output: _Output = None,
+    rows: _Rows = None,
     sql: Annotated[
         bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
     ] = False,
@@ -416,8 +436,52 @@ def _writer_of_result(
     return partial(print_value, format=format, max_rows=rows)
 
 
-for command in (record, export, episodes, check):
+for command in (record, export, episodes, check, tag):
     app.command()(command)
+
+
+@app.command()
+def lake(
+    path: Lake,
+    where: Where = None,
+    format: _Format = None,
+    output: _Output = None,
+    rows: _Rows = None,
+    forget_missing: ForgetMissing = False,
+) -> None:
+    """List the episodes of all records below a path, with their tags."""
+    write = _writer_of_result(format, output, rows)
+    list_episodes(path, where, write, forget_missing=forget_missing)
+
+
+@app.command()
+def ask(
+    path: Lake,
+    program: _Program = None,
+    file: _ProgramFile = None,
+    where: Where = None,
+    engine: EngineOption = Engine.LOCAL,
+    processes: Processes = None,
+    batch: Batch = None,
+    resume: Resume = None,
+    format: _Format = None,
+    output: _Output = None,
+    rows: _Rows = None,
+    strict: Strict = False,
+) -> None:
+    """Ask all episodes below a path one question, and write their answers."""
+    write = _writer_of_result(format, output, rows)
+    ask_lake(
+        path,
+        _program_text(program, file),
+        write,
+        where=where,
+        engine=engine,
+        processes=processes,
+        batch=batch,
+        resume=resume,
+        strict=strict,
+    )
 
 
 @app.command()

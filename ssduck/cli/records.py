@@ -15,6 +15,7 @@ import typer
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.formatting import count_of
 from ssduck.recording.paths import is_record
+from ssduck.recording.tags import parsed_tag
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -59,6 +60,16 @@ _Entities = Annotated[
     ),
 ]
 
+_Tags = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tag",
+        metavar="NAME=VALUE",
+        help="What you say of the run, such as task=pick or success=true; may be repeated.",
+        show_default="none",
+    ),
+]
+
 
 def record(
     scene: Annotated[str, typer.Argument(metavar="SCENE", help="The name or the path of a scene.")],
@@ -75,6 +86,7 @@ def record(
             help="The real time, s, after which a step is on the disk.",
         ),
     ] = 1.0,
+    tag: _Tags = None,
 ) -> None:
     """Simulate a scene and record it; each step of the simulator is a tick."""
     from ssduck.interpreter.opening import load
@@ -90,11 +102,16 @@ def record(
         every=every,
         flush_every=flush_every,
     )
+    tags = dict(map(parsed_tag, tag or ()))
     to_file = output.suffix == _DUCKDB_SUFFIX
     with _deferred_signals() as received:
         database = output if to_file else ":memory:"
-        with load(scene, database, recording=recording if to_file else None) as ss:
-            writer = None if to_file else ss.record_to(output, recording=recording)
+        with load(scene, database, recording=None) as ss:
+            writer = None
+            if to_file:
+                ss.record(description.name, recording, tags=tags)
+            else:
+                writer = ss.record_to(output, recording=recording, tags=tags)
             with writer or nullcontext():
                 _run(ss.call_variable(description.name), steps, received)
     (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
@@ -193,24 +210,31 @@ def export(
     end: Annotated[
         float | None, typer.Option(metavar="T", help="The simulated time of the last tick, s.")
     ] = None,
+    tag: _Tags = None,
 ) -> None:
     """Write an episode of a record, or a part of it, to a folder of Parquet files."""
     from ssduck.interpreter.opening import open_record
 
+    tags = dict(map(parsed_tag, tag or ()))
     with open_record(path, world, episode) as ss:
-        for name, folder in ss.export(output, entities=entities, start=start, end=end).items():
+        folders = ss.export(output, entities=entities, start=start, end=end, tags=tags)
+        for name, folder in folders.items():
             print_line(f"{name}: {folder}")
 
 
 def episodes(
     path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
 ) -> None:
-    """List the episodes of a record: world, number, start, ticks, simulated times and tables."""
+    """List the episodes of a record: number, start, ticks, simulated times, tables and tags."""
+    listed = _episodes(path)
     columns = ["world", "episode", "started", "ticks", "from", "to", "tables"]
     rows = [
-        (e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables))
-        for e in _episodes(path)
+        [e.world, e.number, e.started, e.ticks, e.start, e.end, " ".join(e.tables)] for e in listed
     ]
+    if any(e.tags for e in listed):
+        columns.append("tags")
+        for row, e in zip(rows, listed, strict=True):
+            row.append(" ".join(f"{name}={tag}" for name, tag in sorted(e.tags.items())))
     print_table(DisplayTable(columns, rows))
 
 

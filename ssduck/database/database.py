@@ -46,6 +46,7 @@ from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
 from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.recording.tags import Tags
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
@@ -285,7 +286,7 @@ class Database:
 
     # -- recording --------------------------------------------------------------------------
 
-    def record(self, world: World, recording: Recording | None) -> None:
+    def record(self, world: World, recording: Recording | None, tags: Tags | None = None) -> None:
         """Records the ticks of a world from now on in a history of its own; None for none.
 
         The history before is dropped, unless it is in a file.
@@ -295,7 +296,7 @@ class Database:
             check_is_live(world)
             if recording is not None:
                 check_names(recording, world.snapshot.entities)
-            self._worlds.record(bound, recording)
+            self._worlds.record(bound, recording, tags)
 
     def observe_episodes(self, observer: EpisodeObserver) -> None:
         """Lets an observer know of new episodes of the worlds that are bound from now on."""
@@ -309,15 +310,18 @@ class Database:
             for bound in self._worlds.bound:
                 history = bound.history
                 if bound.reference() is world and history and history.recorder is not None:
-                    self._worlds.record(bound, history.store.recording)
+                    self._worlds.record(bound, history.store.recording, history.record.tags)
             self._recorders.begin_episodes(world)
 
-    def record_to(self, world: World, recording: Recording, path: Path) -> ParquetRecording:
+    def record_to(
+        self, world: World, recording: Recording, path: Path, tags: Tags | None = None
+    ) -> ParquetRecording:
         """Writes the ticks of a world to a folder, too, from now on."""
         with self._lock:
             check_is_live(world)
             check_names(recording, world.snapshot.entities)
-            return self._recorders.to_folder(world, recording, path, self.schema_of(world))
+            name = self.schema_of(world)
+            return self._recorders.to_folder(world, recording, path, name, tags)
 
     def record_of(self, world: World) -> Record:
         """Returns the record of a world.
@@ -341,6 +345,7 @@ class Database:
         path: Path,
         names: tuple[str, ...] | None,
         time_range: tuple[float | None, float | None],
+        tags: Tags | None = None,
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
@@ -353,7 +358,8 @@ class Database:
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording
-            return export(record, recording, self.schema_of(world), path, names, time_range)
+            name = self.schema_of(world)
+            return export(record, recording, name, path, names, time_range, tags)
 
     def flush(self) -> dict[str, int]:
         """Stores waiting ticks; returns the last tick of each world, by its schema."""

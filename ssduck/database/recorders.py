@@ -16,6 +16,7 @@ from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording
+from ssduck.recording.tags import Tags
 from ssduck.world.world import World
 
 
@@ -32,7 +33,9 @@ class Recorders:
         self.running = running
         self._folders: list[ParquetRecording] = []
 
-    def start(self, bound: BoundWorld, recording: Recording, name: str) -> None:
+    def start(
+        self, bound: BoundWorld, recording: Recording, name: str, tags: Tags | None = None
+    ) -> None:
         """Starts to record the ticks of a world in a history that is named after `name`."""
         world, is_file = bound.world, self._connection.is_file
         check_names(recording, world.snapshot.entities)
@@ -43,7 +46,7 @@ class Recorders:
         if in_memory:
             store = MemoryStore(schema, connection, recording, name)
         else:
-            store = DuckDBStore(schema, connection, recording, name)
+            store = DuckDBStore(schema, connection, recording, name, tags=tags)
             if is_file:
                 store.create_views()
         # In a file, few ticks may wait: a killed process loses them.
@@ -60,6 +63,7 @@ class Recorders:
             recorder.near_pairs,
             mass_changes=recorder.mass_changes,
             recording=recording,
+            tags=tags,
         )
         bound.history = WorldHistory(
             store, record, recorder, (*store.visible_rows, *recorder.visible_rows)
@@ -109,10 +113,15 @@ class Recorders:
         bound.history = None
 
     def to_folder(
-        self, world: World, recording: Recording, path: Path, name: str
+        self,
+        world: World,
+        recording: Recording,
+        path: Path,
+        name: str,
+        tags: Tags | None = None,
     ) -> ParquetRecording:
         """Starts to write the ticks of a world to a folder as well, under a name."""
-        running = ParquetRecording(world, recording, path, name, PART_TICKS, self.running)
+        running = ParquetRecording(world, recording, path, name, PART_TICKS, self.running, tags)
         self._folders = [one for one in self._folders if one.is_running]
         self._folders.append(running)
         return running

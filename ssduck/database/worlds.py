@@ -18,6 +18,7 @@ from ssduck.errors import ArgumentError
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
+from ssduck.recording.tags import Tags
 from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
@@ -191,12 +192,14 @@ class WorldRegistry:
             raise
         return bound
 
-    def record(self, bound: BoundWorld, recording: Recording | None) -> None:
+    def record(
+        self, bound: BoundWorld, recording: Recording | None, tags: Tags | None = None
+    ) -> None:
         """Records the ticks of a world in a new history from now on; None for no recording."""
         with bound.world.pinned():
             self._recorders.stop(bound)
         if recording is not None:
-            self._recorders.start(bound, recording, bound.schemas[0])
+            self._recorders.start(bound, recording, bound.schemas[0], tags)
         self.register(bound)
         for schema in bound.schemas:
             self._schemas.make_history(schema, bound)

@@ -143,17 +143,22 @@ class PairBatch:
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
 
-    def answers(self, question: PairQuestion) -> Answers:
+    def answers(self, question: PairQuestion, groups: Indices | None = None) -> Answers:
         """Returns the answers to a question.
 
         Of the entities, the one with the lower number is the first argument.
+
+        Args:
+            question: the question.
+            groups: the group of each pair, (n,), if only the least clearance of each group matters:
+                other pairs may be infinitely far apart.
         """
         is_open = np.zeros(self._count, dtype=bool)
         predicate = question.predicate
         if predicate is not None:
             values = self._matching(predicate)
         elif question.kind == "clearance":
-            values = self._clearances()
+            values = self._clearances() if groups is None else self._least_clearances(groups)
         elif question.kind == "penetration":
             values = self._penetrations()
         elif question.kind == "resting":
@@ -239,6 +244,45 @@ class PairBatch:
             best[row] = min(best[row], self._nearest(members)[0])
         return best
 
+    def _least_clearances(self, groups: Indices) -> Array:
+        """Returns the clearance of each pair that may have the least one of its group, m.
+
+        The others are infinite. Of a group, the pair whose bounding spheres are nearest is compared
+        first; its clearance mostly proves that others are farther apart.
+        """
+        clearances, least = np.full(self._count, math.inf), np.full(groups.max() + 1, math.inf)
+        zero = np.full(len(least), self._count)  # the first pair that meets, of each group
+        gaps = self._sphere_gaps(np.arange(len(self._rows)))
+        pairs = np.arange(len(self._rows))
+        for _ in range(MAX_ROUNDS):
+            if not len(pairs):
+                return clearances
+            rows = self._rows[pairs]
+            order = np.lexsort((gaps[pairs], groups[rows]))
+            is_first = np.diff(groups[rows[order]], prepend=-1) != 0
+            for row in rows[order[is_first]].tolist():
+                start, end = np.searchsorted(rows, [row, row + 1]).tolist()
+                clearances[row], _ = self._nearest(pairs[start:end])
+                least[groups[row]] = min(least[groups[row]], clearances[row])
+                if clearances[row] == 0.0:
+                    zero[groups[row]] = min(zero[groups[row]], row)
+            is_open = (clearances[rows] == math.inf) & (rows < zero[groups[rows]])
+            bounds = np.maximum(least, _SURELY_INSIDE)[groups]
+            pairs = self._nearer_than(bounds, pairs[is_open])
+        for row, members in _groups(self._rows[pairs], pairs):
+            clearances[row], _ = self._nearest(members)
+        return clearances
+
+    def _sphere_gaps(self, pairs: Indices) -> Array:
+        """Returns the distances of the bounding spheres of pairs of shapes, m; negative if met."""
+        scene = self._scene
+        first, second = self._first[pairs], self._second[pairs]
+        with np.errstate(over="ignore", invalid="ignore"):
+            offsets = scene.centres[first] - scene.centres[second]
+            radii = scene.table.bounding_radius[first] + scene.table.bounding_radius[second]
+            gaps: Array = np.sqrt((offsets * offsets).sum(axis=1)) - radii
+        return gaps
+
     def _places(self) -> Array:
         """Returns numbers that are equal for pairs of corresponding shapes of different rows."""
         first = self._first - self._starts[self._rows]
@@ -248,12 +292,8 @@ class PairBatch:
 
     def _nearest(self, pairs: Indices) -> tuple[float, int]:
         """Returns the least distance among pairs of shapes of one row, and the pair."""
-        scene, best, nearest = self._scene, math.inf, int(pairs[0])
-        first, second = self._first[pairs], self._second[pairs]
-        with np.errstate(over="ignore", invalid="ignore"):
-            offsets = scene.centres[first] - scene.centres[second]
-            radii = scene.table.bounding_radius[first] + scene.table.bounding_radius[second]
-            pairs = pairs[np.argsort(np.sqrt((offsets * offsets).sum(axis=1)) - radii)]
+        best, nearest = math.inf, int(pairs[0])
+        pairs = pairs[np.argsort(self._sphere_gaps(pairs))]
         while len(pairs):
             distance = self._distance(int(pairs[0]))
             if distance < best:

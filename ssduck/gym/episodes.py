@@ -23,6 +23,7 @@ from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import Value, check_description, read_description
 from ssduck.recording.stores.parquet_layout import check_inside
+from ssduck.recording.tags import Tag
 
 # The folder of these files in a record.
 FOLDER = "gym"
@@ -85,6 +86,12 @@ class EpisodeSteps:
     def total(self) -> float:
         """The return: the sum of the rewards, in the order of the steps."""
         return float(sum(self.rewards))
+
+    @property
+    def tags(self) -> dict[str, Tag]:
+        """The tags of the episode: `return`, as far as it is finite, and `success`."""
+        tags: dict[str, Tag] = {"return": self.total} if math.isfinite(self.total) else {}
+        return tags if self.success is None else tags | {"success": self.success}
 
     def write(self, folder: Path, world: str, number: int) -> None:
         """Writes the file of the episode.

@@ -96,8 +96,26 @@ def _score(
     steps = EpisodeSteps.read(folder, world, number)
     with open_record(folder, world, number, limits=limits) as interpreter:
         interpreter.strict = True
-        judge = Judge(terms, interpreter, world, tuple(steps.variables))
-        judgements = list(_judgements(interpreter, world, judge, steps))
+        return score_with(interpreter, world, number, steps, terms)
+
+
+def score_with(
+    interpreter: Interpreter, world: str, number: int, steps: EpisodeSteps, terms: Terms
+) -> EpisodeScore:
+    """Returns the score of an episode that an interpreter has open.
+
+    Args:
+        interpreter: the interpreter, strict.
+        world: the name of the world.
+        number: the number of the episode.
+        steps: the steps of the episode.
+        terms: the terms.
+
+    Raises:
+        SelectScriptError: a term is wrong, or ticks are missing.
+    """
+    judge = Judge(terms, interpreter, world, tuple(steps.variables))
+    judgements = list(_judgements(interpreter, world, judge, steps))
 
     def series(name: str) -> tuple[Any, ...]:
         return tuple(getattr(one, name) for one in judgements)

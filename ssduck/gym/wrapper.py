@@ -245,6 +245,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         if self._record is not None and self._folder is not None:
             self._record.flush()
             self._steps.write(self._folder, self._world, self._record.number)
+            self._record.tag(self._steps.tags)
         self._is_saved = True
 
 

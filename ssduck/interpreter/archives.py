@@ -29,6 +29,7 @@ from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION
 from ssduck.recording.stores.parquet_archive import ParquetArchive
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from ssduck.recording.stores.record_file import RecordFile
+from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
 from ssduck.world.run_numbers import new_run
 
@@ -58,6 +59,10 @@ class RecordedRun(Protocol):
     @property
     def has_ticks(self) -> bool:
         """Whether ticks were stored."""
+
+    @property
+    def tags(self) -> Tags:
+        """What the user says of the run, by name."""
 
     @property
     def episode(self) -> Episode:
@@ -172,6 +177,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         geometries_of(models),
         number,
         source=rows.source,
+        tags=run.tags,
     )
     return ReplayedWorld(run.world, record, archive)
 
@@ -227,6 +233,12 @@ class StoredRun:
         """Whether it is said what is recorded, as it is from the beginning."""
         return True
 
+    @property
+    def tags(self) -> Tags:
+        """What the user says of the run, by name."""
+        tags: Tags = self.description.get("tags", {})
+        return tags
+
     @cached_property
     def episode(self) -> Episode:
         """The contents of the run."""
@@ -241,6 +253,8 @@ class StoredRun:
             entities=history.recording.entities,
             ticks=history.ticks(),
             complete=self.description.get("complete"),
+            id=self.description.get("id"),
+            tags=self.tags,
         )
 
 

@@ -79,7 +79,7 @@ class Execution(Namespace):
             self.type_of_relation,
         )
         self.planner = Planner(database, self, limits, row_by_row=row_by_row)
-        self._temporal = TemporalEvaluator()
+        self.temporal = TemporalEvaluator()
         self._relation_queries: WeakKeyDictionary[Call, Query] = WeakKeyDictionary()
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
@@ -265,7 +265,7 @@ class Execution(Namespace):
             return fetched
 
         with self.worlds_pinned(node):
-            series = self._temporal.series(node, frame, self.database.record_of, rows)
+            series = self.temporal.series(node, frame, self.database.record_of, rows, self.meter)
             return TEMPORAL_FUNCTIONS[node.name].make(
                 series, None if age is None else validation.seconds(age)
             )

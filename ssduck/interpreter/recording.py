@@ -19,6 +19,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
 from ssduck.world.world import World
@@ -40,7 +41,9 @@ class RecordingMethods(ABC):
     def eval(self, program: str | CompiledProgram) -> Any:
         """Runs a program."""
 
-    def record(self, world: str | World, recording: Recording | None) -> None:
+    def record(
+        self, world: str | World, recording: Recording | None, *, tags: Tags | None = None
+    ) -> None:
         """Records the ticks of a world from now on, instead of as before.
 
         The recording begins with the current tick. The previous one is dropped, unless it is in a
@@ -49,10 +52,11 @@ class RecordingMethods(ABC):
         Args:
             world: the world, or the name of its variable.
             recording: the tables, entities and ticks to record; None for none.
+            tags: what you say of the run: texts, True, False or finite numbers, by name.
 
         Raises:
             ArgumentError: the world is not of this interpreter, or lacks an entity of the
-                recording.
+                recording; or a tag is another value.
             UnsupportedError: the world is itself a record.
 
         >>> import ssduck
@@ -64,7 +68,7 @@ class RecordingMethods(ABC):
         """
         validation.instance(recording, Recording, "record: recording")
         with self._lock:
-            self._database.record(self._world(world), recording)
+            self._database.record(self._world(world), recording, checked_tags(tags))
             self._planner.forget()
 
     def episode_began(self, world: World) -> None:
@@ -103,6 +107,8 @@ class RecordingMethods(ABC):
         path: str | Path,
         world: str | World | None = None,
         recording: Recording | None = None,
+        *,
+        tags: Tags | None = None,
     ) -> ParquetRecording:
         """Writes the ticks of a world to a folder of Parquet files from now on, as a new episode.
 
@@ -113,6 +119,8 @@ class RecordingMethods(ABC):
             path: the folder; it is made if it does not exist, and may hold other episodes.
             world: the world, or the name of its variable; None for the first world.
             recording: the tables, entities and ticks to write; None for all tables.
+            tags: what you say of the run: texts, True, False or finite numbers, by name, such as
+                `{"task": "pick", "success": True}`. `Episode.tags` gives them back.
 
         Returns:
             The running recording, to be closed: `with ss.record_to("run/"): …`.
@@ -120,7 +128,7 @@ class RecordingMethods(ABC):
         Raises:
             RecordError: the folder holds other files, or cannot be written.
             ArgumentError: the world is not of this interpreter, or lacks an entity of the
-                recording.
+                recording; or a tag is another value.
         """
         recording = recording or Recording(tables=RECORDABLE)
         if recording.is_bounded:
@@ -134,7 +142,8 @@ class RecordingMethods(ABC):
                 raise ArgumentError("there is no world to record")
             chosen = worlds[0] if world is None else self._world(world)
             # The working directory may change while the recording runs.
-            return self._database.record_to(chosen, recording, expand_path(path).absolute())
+            folder = expand_path(path).absolute()
+            return self._database.record_to(chosen, recording, folder, checked_tags(tags))
 
     def export(
         self,
@@ -144,6 +153,7 @@ class RecordingMethods(ABC):
         entities: Iterable[str | Entity] | str | CompiledProgram | None = None,
         start: float | None = None,
         end: float | None = None,
+        tags: Tags | None = None,
     ) -> dict[str, Path]:
         """Writes the records of worlds to a folder of Parquet files, each as a new episode.
 
@@ -154,6 +164,7 @@ class RecordingMethods(ABC):
                 None for all. A sensor includes the body that it is mounted on.
             start: the simulated time of the first tick, s.
             end: the simulated time of the last tick, s.
+            tags: what you say of the runs, added to the tags of the records.
 
         Returns:
             The folder of each episode's ticks, by the name of its world.
@@ -181,9 +192,11 @@ class RecordingMethods(ABC):
             )
             if not worlds:
                 raise EvaluationError("no world is recorded here")
-            database, folder = self._database, expand_path(path)
+            database, folder, added = self._database, expand_path(path), checked_tags(tags)
             return {
-                database.schema_of(chosen): database.export(chosen, folder, names, (start, end))
+                database.schema_of(chosen): database.export(
+                    chosen, folder, names, (start, end), added
+                )
                 for chosen in worlds
             }
 

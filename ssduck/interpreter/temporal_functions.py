@@ -8,9 +8,10 @@ computes the result from these.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from functools import partial
+from typing import Any, Protocol, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -33,8 +34,11 @@ from ssduck.language.tree import (
     TimeIndex,
     UnresolvedName,
 )
+from ssduck.limits import UsageMeter
+from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.replay.record import Record
+from ssduck.recording.stores.base import PairRequest
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
@@ -42,6 +46,8 @@ from ssduck.world.world import World
 FIRST_TICKS = 240
 # Returns rows [tick, time, value] of some ticks.
 RowsOf: TypeAlias = Callable[[Past], Sequence[Sequence[Any]]]
+# Returns the first tick with the least clearance of two entities, and the clearance, m.
+LeastClearance: TypeAlias = Callable[[Past], tuple[int, float] | None]
 _PLACES = (Name, This, Index, TimeIndex, Placeholder, UnresolvedName)
 
 
@@ -75,11 +81,21 @@ class TickSeries:
         record: the record of the world.
         run: a function that returns rows [tick, time, value] of some ticks.
         node: the expression.
+        least_clearance: returns the least value of the expression at some ticks, of which no two
+            have the same time, with its first tick; None if it is not the clearance of two
+            entities.
     """
 
-    def __init__(self, record: Record, run: RowsOf, node: Node) -> None:
+    def __init__(
+        self,
+        record: Record,
+        run: RowsOf,
+        node: Node,
+        least_clearance: LeastClearance | None = None,
+    ) -> None:
         self.record = record
         self.node = node
+        self.least_clearance = least_clearance
         self._run = run
 
     def at(self, past: Past) -> tuple[list[float], list[Any]]:
@@ -152,6 +168,12 @@ def _initially(series: TickSeries, age: Any) -> Any:
 
 
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
+    if series.least_clearance is not None:
+        past = past_of(series.record, age)
+        ticks, times = past.ticks, past.times
+        found = series.least_clearance(past) if len(set(times)) == len(times) else None
+        if found is not None:
+            return [times[ticks.index(found[0])], found[1]]
     return _extreme(series, age, "least", min)
 
 
@@ -237,10 +259,37 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
 }
 
 
+class SeriesReader(Protocol):
+    """Reads the values of an expression at ticks, for several records at once."""
+
+    def rows(self, key: Hashable, past: Past, rows_of: RowsOf) -> Sequence[Sequence[Any]]:
+        """Returns the rows [tick, time, value] of some ticks.
+
+        Args:
+            key: what identifies the expression, with its entities and values.
+            past: the ticks.
+            rows_of: a function that returns the rows of any ticks.
+        """
+
+    def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
+        """Returns the first tick with the least clearance of two entities, and the clearance, m.
+
+        Args:
+            past: the ticks.
+            a: the id of an entity.
+            b: the id of another one.
+        """
+
+
 class TemporalEvaluator:
-    """Turns expressions into queries, and caches these: each is planned once."""
+    """Turns expressions into queries, and caches these: each is planned once.
+
+    Attributes:
+        reader: reads the values of expressions; None to read those of the requested ticks only.
+    """
 
     def __init__(self) -> None:
+        self.reader: SeriesReader | None = None
         self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
 
     def series(
@@ -249,6 +298,7 @@ class TemporalEvaluator:
         frame: Frame,
         record_of: Callable[[World], Record],
         run: Callable[[Query, dict[str, Any]], Sequence[Sequence[Any]]],
+        meter: UsageMeter,
     ) -> TickSeries:
         """Returns the values of the first argument of a call, tick by tick.
 
@@ -257,6 +307,7 @@ class TemporalEvaluator:
             frame: the scope, which has the entities in the expression and its other values.
             record_of: a function that returns the record of a world.
             run: a function that returns the rows of a query, from the values of its placeholders.
+            meter: checks the limits of the running program.
 
         Raises:
             ArgumentError: the expression contains no entity.
@@ -285,13 +336,45 @@ class TemporalEvaluator:
             }
             return run(query, placeholders)
 
-        return TickSeries(record, rows, expression)
+        reader, least = self.reader, None
+        are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
+        if are_entities and _is_clearance(expression) and len({v.id for v in values}) == 2:
+            least = partial(self._least_clearance, meter, values[0].id, values[1].id)
+        if reader is None:
+            return TickSeries(record, rows, expression, least)
+        key = (
+            query,
+            tuple(
+                (value.id, value.TABLE) if is_entity else (type(value), repr(value))
+                for value, is_entity in zip(values, handles, strict=True)
+            ),
+        )
+        return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least)
+
+    def _least_clearance(
+        self, meter: UsageMeter, a: int, b: int, past: Past
+    ) -> tuple[int, float] | None:
+        """Returns the first tick with the least clearance of two entities, and the clearance, m."""
+        if self.reader is not None:
+            return self.reader.least_clearance(past, a, b)
+        request = PairRequest(past.first, past.last, a, b, 0.0)
+        starts = np.array([past.first])
+        return PairQueries(past.record, meter).least_clearances(request, starts)[0]
 
     def _query(self, call: Call, places: Sequence[Node], handles: tuple[bool, ...]) -> Query:
         queries = self._queries.setdefault(call, {})
         if handles not in queries:
             queries[handles] = _query_of(call, places, handles)
         return queries[handles]
+
+
+def _is_clearance(expression: Node) -> bool:
+    """Checks whether an expression is the clearance of two entities."""
+    return (
+        isinstance(expression, Call)
+        and expression.name == "clearance"
+        and len(expression.arguments) == 2
+    )
 
 
 def _of_entity(past: Past, entity: Handle) -> Past:

@@ -218,6 +218,11 @@ class TickBuffer:
         ticks._end = len(ticks._numbers)
         return ticks
 
+    def replace(self, numbers: npt.NDArray[np.int64], times: Array) -> None:
+        """Replaces the ticks by others in ascending order, without copying them."""
+        self._numbers, self._times = numbers, times
+        self._first, self._end = 0, len(numbers)
+
     def append(self, number: int, time: float) -> None:
         """Adds a tick."""
         if self._end == len(self._numbers):

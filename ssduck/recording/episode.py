@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from uuid import uuid4
 
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.tags import Tag, Tags
+
+
+def new_id() -> str:
+    """Returns a random UUID for an episode."""
+    return str(uuid4())
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,8 @@ class Episode:
         end: the simulated time of the last stored tick, s; None if there is none.
         complete: whether the recording was closed, and not killed; None for a record of an older
             ssduck, which does not say so.
+        id: a UUID of the run, which no other episode has; None for a record of an older ssduck.
+        tags: what the user says of the run: texts, True, False or numbers, by name.
     """
 
     path: Path
@@ -43,6 +52,8 @@ class Episode:
     start: float | None
     end: float | None
     complete: bool | None = None
+    id: str | None = None
+    tags: Tags = field(default_factory=dict[str, Tag], hash=False)
 
     @classmethod
     def of(
@@ -57,11 +68,14 @@ class Episode:
         entities: tuple[str, ...] | None,
         ticks: TickBuffer,
         complete: bool | None,
+        id: str | None,
+        tags: Mapping[str, Tag],
     ) -> Episode:
         """Makes the description of an episode with these ticks; sorts the tables."""
         common = started, tuple(sorted(tables)), every, entities, len(ticks)
+        about = complete, id, dict(tags)
         if not len(ticks):
-            return cls(path, world, number, *common, None, None, None, None, complete)
+            return cls(path, world, number, *common, None, None, None, None, *about)
         first, last = ticks.numbers[[0, -1]].tolist()
         start, end = ticks.times[[0, -1]].tolist()
-        return cls(path, world, number, *common, first, last, start, end, complete)
+        return cls(path, world, number, *common, first, last, start, end, *about)

@@ -11,6 +11,7 @@ from ssduck.errors import EvaluationError
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, chosen_members
 from ssduck.recording.stores.parquet import ParquetStore
+from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE, RECORDED
 
 # About so many rows of entities make a part: ten megabytes.
@@ -24,6 +25,7 @@ def export(
     path: Path,
     names: tuple[str, ...] | None,
     between: tuple[float | None, float | None],
+    tags: Tags | None = None,
 ) -> Path:
     """Writes recorded ticks of a world as a new episode, and returns the folder of its ticks.
 
@@ -34,6 +36,7 @@ def export(
         path: the folder of episodes.
         names: the names of the exported entities; None for all.
         between: the first and the last simulated time, s; None for no limit.
+        tags: what the user says of the run, added to the tags of the record.
 
     Raises:
         RecordError: the folder has something else in it, or cannot be written.
@@ -51,7 +54,7 @@ def export(
     check_names(Recording(entities=names), members)
     selected = members if names is None else chosen_members(members, names)
     ids = None if names is None else pa.array([member.id for member in selected])
-    store = ParquetStore(path, world, chosen, is_export=True)
+    store = ParquetStore(path, world, chosen, is_export=True, tags={**record.tags, **(tags or {})})
     try:
         store.add_members(selected, record.world.snapshot)
         for first, last in _parts(numbers, max(len(selected), 1)):

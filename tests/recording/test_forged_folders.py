@@ -249,7 +249,7 @@ def mutations(value: Any) -> Iterator[Any]:
 
 @pytest.mark.parametrize(
     ("name", "every"),
-    [(name, 7) for name in ("ssduck.json", ABOUT)]
+    [(name, 6) for name in ("ssduck.json", ABOUT)]
     + [pytest.param(name, 1, marks=pytest.mark.slow) for name in ("ssduck.json", ABOUT)],
 )
 def test_each_value_of_a_description(folder: Path, name: str, every: int) -> None:

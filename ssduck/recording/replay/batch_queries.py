@@ -204,6 +204,7 @@ class EntityShapes:
         question: PairQuestion,
         calls: CallCounter,
         advance: Callable[[int], object] = int,
+        groups: Indices | None = None,
     ) -> Answers:
         """Returns the answers to a question about n pairs of entities.
 
@@ -213,6 +214,7 @@ class EntityShapes:
             question: the question.
             calls: counts comparisons.
             advance: is called with the number of pairs that were answered since the last call.
+            groups: the group of each pair, if only the least clearance of each group matters.
         """
         values = np.zeros(len(first.ids))
         is_open = np.zeros(len(first.ids), dtype=bool)
@@ -221,7 +223,7 @@ class EntityShapes:
                 values[rows] = self._placed_answers(first, second, rows, question.kind, calls)
             else:
                 batch = self._batch(first, second, rows, calls)
-                answers = batch.answers(question)
+                answers = batch.answers(question, None if groups is None else groups[rows])
                 if question.kind != "resting":
                     calls.pairs += batch.compared_count
                 values[rows], is_open[rows] = answers.values, answers.is_open

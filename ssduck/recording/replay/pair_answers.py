@@ -89,10 +89,40 @@ class PairQueries:
                 values[others] = values[new][np.searchsorted(ticks[new], ticks[others])]
         return PairAnswers(ticks, first, second, values)
 
-    def _computed(self, rows: pa.Table, selected: Indices, question: PairQuestion) -> Array:
-        """Returns the answers for some rows of near pairs."""
-        if len(selected) < rows.num_rows:
-            rows = rows.take(pa.array(selected))
+    def least_clearances(
+        self, request: PairRequest, starts: Ticks
+    ) -> list[tuple[int, float] | None]:
+        """Returns the least clearance of two entities in each of some ranges of ticks.
+
+        Args:
+            request: the entities, and the ticks of all ranges.
+            starts: the first tick of each range, ascending.
+
+        Returns:
+            The first tick that has it, and the clearance, m; None where it is nowhere known.
+        """
+        question = PairQuestion("clearance")
+        rows = self._record.near_pairs(replace(request, max_gap=question.max_gap))
+        ticks = rows["tick"].to_numpy()
+        if not len(ticks):
+            return [None] * len(starts)
+        groups = np.searchsorted(starts, ticks, side="right") - 1
+        first, second = self._sides(rows)
+        with task(self._meter, "comparing shapes at recorded ticks", len(ticks)) as advance:
+            values = self._record.entity_shapes.answers(
+                first, second, question, self._record.calls, advance, groups
+            ).values
+        values = np.where(np.isnan(values), np.inf, values)
+        ends = np.searchsorted(groups, np.arange(len(starts) + 1))
+        found: list[tuple[int, float] | None] = []
+        for start, end in pairwise(ends.tolist()):
+            place = start + int(np.argmin(values[start:end])) if end > start else -1
+            is_known = place >= 0 and values[place] < np.inf
+            found.append((int(ticks[place]), float(values[place])) if is_known else None)
+        return found
+
+    def _sides(self, rows: pa.Table) -> tuple[PairSide, PairSide]:
+        """Returns the two entities of each of some rows of near pairs."""
         ticks = rows["tick"].to_numpy()
         first, second = (
             PairSide(
@@ -102,6 +132,14 @@ class PairQueries:
             )
             for side in "ab"
         )
+        return first, second
+
+    def _computed(self, rows: pa.Table, selected: Indices, question: PairQuestion) -> Array:
+        """Returns the answers for some rows of near pairs."""
+        if len(selected) < rows.num_rows:
+            rows = rows.take(pa.array(selected))
+        ticks = rows["tick"].to_numpy()
+        first, second = self._sides(rows)
         with task(self._meter, "comparing shapes at recorded ticks", len(ticks)) as advance:
             answers = self._record.entity_shapes.answers(
                 first, second, question, self._record.calls, advance

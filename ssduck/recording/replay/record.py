@@ -27,6 +27,7 @@ from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
 from ssduck.recording.spec import Recording, longer_recording_message, not_recorded_message
 from ssduck.recording.stores.base import PairRequest
+from ssduck.recording.tags import Tags
 from ssduck.schema import LINK_FACTOR, ON_DEMAND, POSE, RECORDABLE, TABLES, entity_of, link_of
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world.entities import HANDLES, Entity
@@ -63,6 +64,7 @@ class Record:
         mass_changes: the bodies whose masses changed after they were recorded; None for none.
         recording: what is recorded; None for a record of another time.
         source: the folder or the file that has it, for messages.
+        tags: what the user says of the run, by name.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -82,7 +84,9 @@ class Record:
         mass_changes: MassChanges | None = None,
         recording: Recording | None = None,
         source: str = "the record",
+        tags: Tags | None = None,
     ) -> None:
+        self.tags: Tags = tags or {}
         self.recording = recording
         self.source = source
         self._world: weakref.ref[World] | None = None

@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck import validation
 from ssduck.errors import EvaluationError, RecordError
+from ssduck.geometry.arrays import Array
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.record import Record, index_at
 from ssduck.recording.stores.base import TickArchive
@@ -36,17 +38,44 @@ class ReplayedWorld(PastWorld):
     """
 
     _record: Record
+    # Whether the tables of the current tick are those of another one.
+    _is_elsewhere: bool = False
 
     def __init__(self, name: str, record: Record, archive: TickArchive) -> None:
         self._begin(name, Camera())
         record.world = self
         self._record = record
         self.archive = archive
-        self._tick = int(record.ticks.numbers[-1])
-        self._times, first = np.unique(record.ticks.times, return_index=True)
-        self._first_ticks = record.ticks.numbers[first]
+        self._begin_at_end()
+
+    def _begin_at_end(self) -> None:
+        """Reads the times of the record, and goes to the last tick without restoring it."""
+        ticks = self._record.ticks
+        self._tick = int(ticks.numbers[-1])
+        self._times, first = np.unique(ticks.times, return_index=True)
+        self._first_ticks = ticks.numbers[first]
         steps = np.diff(self._times)
         self._timestep = float(np.median(steps)) if len(steps) else 0.0
+
+    def replace_ticks(
+        self, numbers: npt.NDArray[np.int64], times: Array, *, is_read: bool = True
+    ) -> None:
+        """Replaces the ticks of the record by others of its entities; goes to the last of them.
+
+        Args:
+            numbers: the numbers of the ticks, (n,), ascending; none of them was there before.
+            times: their simulated times, s, (n,).
+            is_read: whether the tables of the current tick are read until the ticks are replaced
+                again. Otherwise they may be those of another tick with the same entities.
+        """
+        with self.lock:
+            self._check_not_pinned()
+            self._record.ticks.replace(numbers, times)
+            self._begin_at_end()
+            if self.is_restored and is_read:
+                self._take_tick()
+            else:
+                self._is_elsewhere = self.is_restored
 
     if not TYPE_CHECKING:  # the base classes declare the attributes
 
@@ -67,15 +96,19 @@ class ReplayedWorld(PastWorld):
         return self.__dict__.keys() >= _STATE
 
     @property
+    def _is_at_its_tick(self) -> bool:
+        return self.is_restored and not self._is_elsewhere
+
+    @property
     def tick_number(self) -> int:
         """The number of the current tick."""
-        return self.snapshot.number if self.is_restored else self._tick
+        return self.snapshot.number if self._is_at_its_tick else self._tick
 
     @property
     def time(self) -> float:
         """The simulated time of the current tick, s."""
         ticks = self._record.ticks
-        if self.is_restored:
+        if self._is_at_its_tick:
             return self.snapshot.time
         return float(ticks.times[np.searchsorted(ticks.numbers, self._tick)])
 
@@ -144,6 +177,7 @@ class ReplayedWorld(PastWorld):
             self._take_tick()
 
     def _take(self) -> None:
+        self._is_elsewhere = False
         self._simulator = self._record.restore_into(self.snapshot, self._tick)
         self._restore_wall_time(self.snapshot)
 

@@ -6,6 +6,7 @@ A record may come from a stranger, so that any value may be of any type, missing
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +15,12 @@ from typing import Any
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.stores.checksums import CHECKSUM_KEY, WRONG_CHECKSUM, pop_checksum
+from ssduck.recording.tags import are_tags
 from ssduck.schema import RECORDED
 
 # A description that names a million entities is shorter, bytes.
 MAX_DESCRIPTION = 1 << 26
+_ID = re.compile("-".join(f"[0-9a-f]{{{digits}}}" for digits in (8, 4, 4, 4, 12)))
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,10 @@ def _is_parts(value: Any) -> bool:
     return isinstance(value, list) and all(_is_whole(number, 0) for number in value)
 
 
+def _is_id(value: Any) -> bool:
+    return isinstance(value, str) and _ID.fullmatch(value) is not None
+
+
 def _is_tables(value: Any) -> bool:
     """Checks a list of recorded tables, whose names are those of folders."""
     has_right_names = _is_names(value) and RECORDED.keys() >= set(value)
@@ -59,6 +66,11 @@ def _is_tables(value: Any) -> bool:
 
 _TEXT = Value("a text", lambda value: isinstance(value, str))
 _OBJECT = Value("an object", lambda value: isinstance(value, dict))
+# Of a record of an older ssduck, neither is known.
+_IDENTITY = {
+    "id": Value("a UUID", _is_id, is_required=False),
+    "tags": Value("an object of texts and numbers", are_tags, is_required=False),
+}
 _COUNT = Value("a number of parts", lambda value: _is_whole(value, 0), is_required=False)
 # What describes an episode in a folder.
 EPISODE: Description = {
@@ -71,6 +83,7 @@ EPISODE: Description = {
     "parts": Value("an object", lambda value: isinstance(value, dict), is_required=False),
     "checksums": Value("a text", lambda value: isinstance(value, str), is_required=False),
     "removed": Value("a list of parts", _is_parts, is_required=False),
+    **_IDENTITY,
 }
 # What it says of the recording, and of the number of complete parts.
 RECORDING: Description = {
@@ -88,6 +101,7 @@ DATABASE_EPISODE: Description = {
     "world": _TEXT,
     "started": _TEXT,
     "recording": _OBJECT,
+    **_IDENTITY,
 }
 
 

@@ -40,6 +40,7 @@ from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.recording.stores.record_file import RecordFile
 from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
+from ssduck.recording.tags import Tags
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, recorded_tables
 from ssduck.world.layout import EntityInfo
 
@@ -55,6 +56,7 @@ class DuckDBStore(TickStore, TickArchive):
         recording: what is recorded of each tick.
         world: the name of the world, to create the schema; None to read an existing one.
         file: the attached file that has the schema; None for the database itself.
+        tags: what the user says of the run.
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class DuckDBStore(TickStore, TickArchive):
         world: str | None = None,
         *,
         file: RecordFile | None = None,
+        tags: Tags | None = None,
     ) -> None:
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
@@ -81,7 +84,7 @@ class DuckDBStore(TickStore, TickArchive):
         self._max_bytes = bytes_before_dropping(recording)
         if world is not None:
             with self._models.transaction():
-                self._models.create(world, recording)
+                self._models.create(world, recording, tags)
                 for table in self.tables:
                     for slot in range(self._slots):
                         self._create_slot(table, slot)

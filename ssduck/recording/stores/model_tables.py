@@ -11,6 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
+from ssduck.recording.episode import new_id
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import IdProvider, default_values, model_rows
@@ -18,6 +19,7 @@ from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.recording.stores.record_file import RecordFile
 from ssduck.recording.stores.stored_columns import types_of
+from ssduck.recording.tags import Tags
 from ssduck.schema import MODELS
 from ssduck.world.layout import EntityInfo
 
@@ -48,13 +50,15 @@ class ModelTables:
         # A SELECT of all columns of each model of an older record.
         self._completed: dict[str, str] = {}
 
-    def create(self, world: str, recording: Recording) -> None:
+    def create(self, world: str, recording: Recording, tags: Tags | None = None) -> None:
         """Creates the schema, a table that describes the record, and empty models."""
         about = {
             "version": VERSION,
             "world": world,
+            "id": new_id(),
             "started": datetime.now(UTC).isoformat(timespec="seconds"),
             "recording": description_of(recording),
+            "tags": dict(tags or {}),
             "complete": False,
         }
         self._about = about

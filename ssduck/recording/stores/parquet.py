@@ -21,7 +21,7 @@ from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
-from ssduck.recording.episode import Episode
+from ssduck.recording.episode import Episode, new_id
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, model_rows
@@ -35,7 +35,7 @@ from ssduck.recording.stores.atomic_files import (
 from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
-from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.descriptions import EPISODE, check_description, read_description
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     DESCRIPTION,
@@ -43,10 +43,12 @@ from ssduck.recording.stores.parquet_layout import (
     LOG,
     FolderRun,
     check_about,
+    check_inside,
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
+from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import MODELS, recorded_tables
 from ssduck.world.layout import EntityInfo
 
@@ -69,6 +71,7 @@ class ParquetStore(TickStore):
         world: the name of the world.
         recording: what is recorded of each tick.
         is_export: whether the episode exists only when it is finished.
+        tags: what the user says of the run.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
@@ -76,12 +79,19 @@ class ParquetStore(TickStore):
     """
 
     def __init__(
-        self, path: str | Path, world: str, recording: Recording, *, is_export: bool = False
+        self,
+        path: str | Path,
+        world: str,
+        recording: Recording,
+        *,
+        is_export: bool = False,
+        tags: Tags | None = None,
     ) -> None:
         self.path = Path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
-        self.run = _begin_episode(self.path, world, self.tables, recording, is_export=is_export)
+        about = _description(world, self.tables, recording, tags or {}, is_export=is_export)
+        self.run = _begin_episode(self.path, world, about)
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
@@ -200,6 +210,22 @@ class ParquetStore(TickStore):
         return 0
 
 
+def write_tags(run: FolderRun, tags: Tags) -> None:
+    """Adds tags to the description of an episode, and replaces those of the same names.
+
+    Raises:
+        ArgumentError: a tag is no text, boolean or finite number.
+        RecordError: the file that describes the episode is damaged, or cannot be written.
+    """
+    added = checked_tags(tags)
+    check_inside(run.path, run.about_file)
+    about = read_description(run.about_file)
+    check_description(about, EPISODE, str(run.about_file), "what is recorded")
+    content = about | {"tags": checked_tags({**about.get("tags", {}), **added})}
+    with _writing(run.about_file):
+        write_atomically(run.about_file, lambda file: write_json(content, file))
+
+
 def _fill_a_part(rows: Mapping[str, pa.Table]) -> bool:
     """Checks whether rows are as many as a part has, or would be with a further tick."""
     ticks: int = rows["ticks"].num_rows
@@ -242,6 +268,7 @@ class ParquetRecording:
         name: the name of the world there.
         part_ticks: the largest number of ticks of a part.
         recorders: the running recorders of the database, to which it adds its own.
+        tags: what the user says of the run, of each of its episodes.
 
     Attributes:
         world: the recorded world.
@@ -255,8 +282,10 @@ class ParquetRecording:
         name: str,
         part_ticks: int,
         recorders: list[Recorder],
+        tags: Tags | None = None,
     ) -> None:
         self.world = world
+        self._tags = tags
         self._recording, self._path, self._name = recording, path, name
         self._part_ticks = part_ticks
         self._recorders = recorders
@@ -265,7 +294,7 @@ class ParquetRecording:
     def _start(self) -> None:
         """Starts a new episode."""
         recording, world = self._recording, self.world
-        self._folder = ParquetStore(self._path, self._name, recording)
+        self._folder = ParquetStore(self._path, self._name, recording, tags=self._tags)
         self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
         self._recorders.append(self._recorder)
         try:
@@ -297,6 +326,18 @@ class ParquetRecording:
     def episode(self) -> Episode:
         """The episode as it is on the disk so far."""
         return self._folder.run.episode
+
+    def tag(self, tags: Tags) -> None:
+        """Adds tags to the present episode, at any time, and replaces those of the same names.
+
+        Args:
+            tags: texts, True, False or finite numbers, by name.
+
+        Raises:
+            ArgumentError: a tag is another value.
+            RecordError: the file that describes the episode cannot be written.
+        """
+        write_tags(self._folder.run, tags)
 
     def flush(self) -> int | None:
         """Writes the buffered ticks as a part; returns the last tick on the disk, or None.
@@ -330,9 +371,24 @@ class ParquetRecording:
         self.close()
 
 
-def _begin_episode(
-    path: Path, world: str, tables: Collection[str], recording: Recording, *, is_export: bool
-) -> FolderRun:
+def _description(
+    world: str, tables: Collection[str], recording: Recording, tags: Tags, *, is_export: bool
+) -> dict[str, Any]:
+    """Returns what a new episode says of itself, but for its number."""
+    about = {
+        "world": world,
+        "id": new_id(),
+        "key": secrets.token_hex(8),
+        "checksums": "crc32",
+        "tables": list(tables),
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "recording": {"every": recording.every, "entities": recording.entities},
+        "tags": dict(tags),
+    }
+    return about | {"exporting": True} if is_export else about
+
+
+def _begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
     """Begins a new episode in a folder; creates the folder if necessary."""
     if not world.isidentifier():
         raise RecordError(
@@ -359,7 +415,7 @@ def _begin_episode(
             create_file(about_file, json_text(DESCRIPTION))
         check_about(path)
         (path / "episodes").mkdir(exist_ok=True)
-        return _claim_episode(path, world, tables, recording, is_export=is_export)
+        return _claim_episode(path, world, about)
     except RecordError:
         raise
     except (OSError, ValueError) as error:  # a null character is a ValueError
@@ -388,25 +444,12 @@ def _check_name_length(path: Path, world: str) -> None:
         )
 
 
-def _claim_episode(
-    path: Path, world: str, tables: Collection[str], recording: Recording, *, is_export: bool
-) -> FolderRun:
+def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
     """Creates the file of an episode under a number that is free, after those that are not."""
     numbers = count(_free_number(path, world))
     while True:
         run = FolderRun(path, world, next(numbers))
-        about = {
-            "world": world,
-            "episode": run.number,
-            "key": secrets.token_hex(8),
-            "checksums": "crc32",
-            "tables": list(tables),
-            "started": datetime.now(UTC).isoformat(timespec="seconds"),
-            "recording": {"every": recording.every, "entities": recording.entities},
-        }
-        if is_export:
-            about["exporting"] = True
-        if create_file(run.about_file, json_text(about)):
+        if create_file(run.about_file, json_text({**about, "episode": run.number})):
             return run
 
 

@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 from sqlglot import exp
@@ -55,7 +56,7 @@ class ParquetArchive(TickArchive):
         self._connection = connection
         self._starts, self.ticks = run.ticks()
         # Fails now if files are missing, or DuckDB cannot read them, rather than in a later query.
-        _exact_path(run.path)
+        exact_path(run.path)
         # The working directory may change.
         self._files = {t: [file.absolute() for file in run.listed_files(t)] for t in run.tables}
         self._columns: dict[str, list[str]] = {}
@@ -66,8 +67,7 @@ class ParquetArchive(TickArchive):
             self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         check_models(self._models, lambda table: str(run.place(f"models/{table}")))
-        entities = self._models["entities"]
-        self._linked = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
+        self._linked = multi_link_bodies(self._models["entities"])
         self._log = _logged_rows(run, self._models)
         self.visible_rows = (self._log,) if self._log else ()
 
@@ -143,7 +143,7 @@ class ParquetArchive(TickArchive):
         self._opened.check_process()
         found = self._parts_with(table, first, last)
         self._check(table, found)
-        types, files = _arrow_types(table), self._files[table][found.start : found.stop]
+        types, files = arrow_types(table), self._files[table][found.start : found.stop]
         parts = [_rows_of_ticks(file, types, first, last) for file in files]
         if self._log:
             logged = self._log[table].arrow.select(types.names).cast(types)
@@ -171,6 +171,12 @@ class ParquetArchive(TickArchive):
         self._connection.close()
 
 
+def multi_link_bodies(entities: pa.Table) -> npt.NDArray[np.int64]:
+    """Returns the ids of the bodies with several links, from the rows of the model of entities."""
+    ids: npt.NDArray[np.int64] = entities["id"].to_numpy()[entities["links"].to_numpy() > 1]
+    return ids
+
+
 @dataclass(frozen=True)
 class _LoggedRows:
     """The rows of the log of a table, which remain as they are."""
@@ -191,8 +197,8 @@ def _logged_rows(run: FolderRun, models: Mapping[str, pa.Table]) -> dict[str, _L
 
 
 @cache
-def _arrow_types(table: str) -> pa.Schema:
-    """Returns the columns of a table that a record stores with each tick."""
+def arrow_types(table: str) -> pa.Schema:
+    """Returns the columns of a table that a record stores with each tick, and their types."""
     columns = RECORDED[table].tick_columns
     return pa.schema(
         [
@@ -240,18 +246,22 @@ def _columns_in(file: Path) -> list[str]:
 
 def _scan(files: Sequence[Path]) -> str:
     """Returns the rows of files of a folder, in SQL."""
-    folder = exp.Literal.string(_exact_path(files[0].parent) + os.sep).sql("duckdb")
+    folder = exp.Literal.string(exact_path(files[0].parent) + os.sep).sql("duckdb")
     names = ", ".join(f"{folder[:-1]}{file.name}'" for file in files)  # `part_name` names them
     return f"read_parquet([{names}], hive_partitioning = false)"
 
 
-def _exact_path(place: Path) -> str:
-    """Returns the path of a folder with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
+def exact_path(place: Path) -> str:
+    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
 
     Raises:
         RecordError: the path also has a backslash, which DuckDB takes for a slash then.
     """
-    path = str(place.resolve())
+    return pattern_of(str(place.resolve()))
+
+
+def pattern_of(path: str) -> str:
+    """Returns the same for an absolute path without links."""
     if not _PATTERN.search(path):
         return path
     if "\\" in path and os.sep != "\\":

@@ -56,6 +56,7 @@ from ssduck.recording.stores.descriptions import (
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
 from ssduck.recording.stores.stored_columns import check_parquet, part_columns
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
+from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
 from ssduck.world.live_tables import ARROW_TYPES
 
@@ -190,6 +191,18 @@ class FolderRun:
         if log and set(log) != set(self.tables):
             raise RecordError(f"{self.place(LOG)} is damaged: its tables are not those recorded")
         return [part for part in parts if part not in self.removed_parts], log
+
+    @property
+    def id(self) -> str | None:
+        """The UUID of the run; None for an older record."""
+        id: str | None = self._about.get("id")
+        return id
+
+    @property
+    def tags(self) -> Tags:
+        """What the user says of the run, by name."""
+        tags: Tags = self._about.get("tags", {})
+        return tags
 
     @property
     def key(self) -> str | None:
@@ -425,7 +438,9 @@ class FolderRun:
             every=self.recording.get("every", 1),
             entities=None if entities is None else tuple(entities),
             ticks=ticks,
-            complete=self.is_complete,
+            complete=run.is_complete,
+            id=run.id,
+            tags=run.tags,
         )
 
 

@@ -1,0 +1,176 @@
+"""Defines the commands about many records: `ssduck lake`, `ask` and `tag`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ssduck.adapters.display import print_line
+from ssduck.errors import ArgumentError
+from ssduck.formatting import count_of
+from ssduck.recording.tags import parsed_tag
+
+
+class Engine(StrEnum):
+    """The engines of `ssduck ask`."""
+
+    LOCAL = "local"
+    RAY = "ray"
+    SPARK = "spark"
+
+
+Lake = Annotated[
+    str,
+    typer.Argument(
+        metavar="LAKE", help="A folder with records at any depth, a record, or a pattern of paths."
+    ),
+]
+Where = Annotated[
+    str | None,
+    typer.Option(
+        "--where",
+        "-w",
+        metavar="CONDITION",
+        help="Only episodes for which it holds, in SQL: \"task = 'pick' AND NOT success\".",
+        show_default="all",
+    ),
+]
+EngineOption = Annotated[
+    Engine,
+    typer.Option(
+        "--engine", "-e", metavar="local|ray|spark", help="What runs the program: see the guide."
+    ),
+]
+Processes = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="The number of processes of this machine.",
+        show_default="one a core",
+    ),
+]
+Batch = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="The number of episodes that are asked together.",
+        show_default="at most 100",
+    ),
+]
+Resume = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FOLDER",
+        help="Keep the answers of finished batches there, and go on from them.",
+        show_default="keep nothing",
+    ),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="For programs from elsewhere: limit time, memory and rows.")
+]
+ForgetMissing = Annotated[
+    bool,
+    typer.Option("--forget-missing", help="List episodes whose files are gone no longer."),
+]
+
+
+def list_episodes(
+    path: str, where: str | None, write: Callable[[Any], object], *, forget_missing: bool
+) -> None:
+    """Writes the episodes of a lake."""
+    from ssduck.adapters.result import Result
+    from ssduck.lakes.lake import Lake as Episodes
+
+    lake = Episodes(path)
+    if forget_missing:
+        lake.refresh(forget_missing=True)
+    write(Result(lake.select(where)))
+
+
+def ask_lake(
+    path: str,
+    program: str,
+    write: Callable[[Any], object],
+    *,
+    where: str | None,
+    engine: Engine,
+    processes: int | None,
+    batch: int | None,
+    resume: Path | None,
+    strict: bool,
+) -> None:
+    """Writes the answers of the episodes of a lake; fails if an episode has an error."""
+    from ssduck.adapters.result import Result
+    from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.limits import Limits
+
+    lake = Episodes(path)
+    with redirect_stdout(sys.stderr):  # the output of a program is not its result
+        answers = lake.ask(
+            program,
+            where,
+            engine.value,
+            limits=Limits.strict() if strict else None,
+            processes=processes,
+            batch=batch,
+            resume=resume,
+        )
+    write(Result(answers))
+    failed = answers.num_rows - answers["error"].null_count
+    if failed:
+        sys.stderr.write(f"{count_of(failed, 'episode')} without an answer: see the column error\n")
+        raise typer.Exit(1)
+
+
+def tag(
+    path: Lake,
+    tags: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="NAME=VALUE", help="A tag, such as task=pick; may be repeated."),
+    ] = None,
+    program: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--program",
+            "-p",
+            metavar="NAME=PROGRAM",
+            help="A tag whose value is the answer of each episode to a program; may be repeated.",
+            show_default="none",
+        ),
+    ] = None,
+    where: Where = None,
+    processes: Processes = None,
+) -> None:
+    """Tag episodes: with values, or with their answers to programs.
+
+    ssduck tag runs task=pick --program "success=on(sim.table, sim.cup);"
+    """
+    from ssduck.lakes.lake import Lake as Episodes
+
+    if not tags and not program:
+        raise typer.BadParameter("there is no tag: give NAME=VALUE, or --program NAME=PROGRAM")
+    values = dict(map(parsed_tag, tags or ()))
+    programs = []
+    for text in program or ():
+        name, separator, source = text.partition("=")
+        if not (separator and name.strip()):
+            raise ArgumentError(f"--program: {text!r} has no name; write NAME=PROGRAM")
+        programs.append((name.strip(), source))
+    lake = Episodes(path)
+    if values:
+        count = lake.set_tags(values, where)
+        print_line(f"{', '.join(values)}: {count_of(count, 'episode')}")
+    for name, source in programs:
+        answers = lake.tag(name, source, where, processes=processes)
+        failed = answers.num_rows - answers["error"].null_count
+        print_line(f"{name}: {count_of(answers.num_rows - failed, 'episode')}")
+        if failed:
+            sys.stderr.write(f"{count_of(failed, 'episode')} without an answer\n")

@@ -1,0 +1,231 @@
+"""Runs a program on many recorded episodes with the same entities, one after the other.
+
+The episodes of a batch are one record (`ssduck.recording.stores.episode_batch`), of which the world
+sees those ticks that belong to the present episode. So shapes and plans are made once, and an
+expression over time, as in `holds(near(gripper, cup, 0.02))`, is evaluated at the ticks of all
+episodes by one statement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.errors import SelectScriptError
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, RowsOf
+from ssduck.language.builtins import BUILTINS
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.language.tree import (
+    Binary,
+    Branch,
+    Call,
+    If,
+    ListLiteral,
+    Literal,
+    Node,
+    OperatorChain,
+    Program,
+    Unary,
+)
+from ssduck.limits import Limits
+from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.replay.checked_rows import CheckedRows
+from ssduck.recording.replay.pair_answers import PairQueries
+from ssduck.recording.replay.past import Past
+from ssduck.recording.replay.record import Record
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.spec import Recording
+from ssduck.recording.static_tables import geometries_of, members_of
+from ssduck.recording.stores.base import PairRequest
+from ssduck.recording.stores.episode_batch import (
+    BatchedEpisode,
+    DamagedEpisodeError,
+    EpisodeBatch,
+    model_table,
+)
+
+Rows = Sequence[Sequence[Any]]
+# Parts of a program that give the same value in any world, if their own parts do.
+_OF_VALUES = (Literal, ListLiteral, Unary, Binary, OperatorChain, Branch, If)
+
+
+def reads_present(program: Program) -> bool:
+    """Checks whether a program may read more of the current tick than its number and its time.
+
+    One that consists of functions of expressions over time, such as `holds(above(table, cup))`,
+    reads the past only, where the current tick is one of the recorded ones.
+    """
+    return any(map(_reads_present, program.statements))
+
+
+def _reads_present(node: Node) -> bool:
+    if isinstance(node, Call):
+        if node.name in TEMPORAL_FUNCTIONS:
+            return any(map(_reads_present, node.arguments[1:]))
+        is_of_values = node.name in BUILTINS or node.name in RELATIONS_OF_INTERVALS
+        if not is_of_values:
+            return True
+    elif not isinstance(node, _OF_VALUES):
+        return True
+    return any(map(_reads_present, node.children()))
+
+
+class BatchInterpreter:
+    """An interpreter with the world of recorded episodes that have the same entities.
+
+    Args:
+        world: the name of the world.
+        recording: what was recorded of each tick.
+        tables: the recorded tables, `ticks` among them.
+        models: the rows of each model.
+        run: the number of the run of one of the episodes.
+        limits: the limits of programs.
+        source: the folder of one of the episodes, for messages.
+
+    Attributes:
+        interpreter: the interpreter.
+        world: the world.
+    """
+
+    world: ReplayedWorld
+
+    def __init__(
+        self,
+        world: str,
+        recording: Recording,
+        tables: Sequence[str],
+        models: Mapping[str, pa.Table],
+        run: int,
+        limits: Limits | None,
+        source: str,
+    ) -> None:
+        self.interpreter = Interpreter(recording=None, limits=limits)
+        self._execution = self.interpreter._execution  # noqa: SLF001  # a part of this package
+        database = self.interpreter._database  # noqa: SLF001
+        connection = database.connection
+        for table, rows in models.items():
+            connection.register(model_table(table), rows)
+        self._archive = EpisodeBatch(
+            recording, tables, models, run, connection.reader(), connection.run
+        )
+        members = members_of(models)
+        rows = CheckedRows(self._archive, members, source)
+        self._record = Record(
+            None,
+            TickBuffer(),
+            members,
+            self._archive.tables,
+            rows.fetch,
+            rows.near_pairs,
+            geometries_of(models),
+            run,
+            source=source,
+        )
+        self._name = world
+        self._episodes: Sequence[BatchedEpisode] = ()
+        self._present = 0
+        self._offset = 0
+        self._series: dict[Hashable, list[Rows] | None] = {}
+        self._least: dict[tuple[int, int], list[tuple[int, float] | None]] = {}
+        self._execution.temporal.reader = self
+
+    def load(self, episodes: Sequence[BatchedEpisode]) -> None:
+        """Replaces the episodes.
+
+        Their numbers of ticks are all larger than those of any episode before.
+
+        Raises:
+            DamagedEpisodeError: a file of an episode is damaged or missing.
+        """
+        self._series.clear()
+        self._least.clear()
+        self._archive.load(episodes)
+        self._episodes = episodes
+        self._numbers = np.concatenate([episode.numbers for episode in episodes])
+        self._times = np.concatenate([episode.times for episode in episodes])
+        if not hasattr(self, "world"):
+            self._record.ticks.replace(episodes[0].numbers, episodes[0].times)
+            self.world = ReplayedWorld(self._name, self._record, self._archive)
+            self.interpreter.add_variable(self._name, self.world)
+
+    @contextmanager
+    def episode(self, index: int, *, is_present_read: bool = True) -> Iterator[Interpreter]:
+        """Yields the interpreter, with the world at the last tick of an episode.
+
+        Variables that are set in the context are gone after it.
+
+        Args:
+            index: the index of the episode in the batch.
+            is_present_read: whether the tables of the last tick are read; see `reads_present`.
+        """
+        self._present = index
+        episode = self._episodes[index]
+        self.world.replace_ticks(episode.numbers, episode.times, is_read=is_present_read)
+        before = dict(self._execution.variables)
+        try:
+            yield self.interpreter
+        finally:
+            self._execution.variables = before
+
+    def rows(self, key: Hashable, past: Past, rows_of: RowsOf) -> Rows:
+        """Returns the rows of an expression over time, evaluated for all episodes at once."""
+        if key not in self._series:
+            self._series[key] = self._rows_of_all(past, rows_of)
+        of_all = self._series[key]
+        if of_all is None:
+            self._archive.show(self._present, self._present + 1)
+            return rows_of(past)
+        rows = of_all[self._present]
+        if not rows or (past.first <= rows[0][0] and rows[-1][0] <= past.last):
+            return rows
+        return [row for row in rows if past.first <= row[0] <= past.last]
+
+    def _rows_of_all(self, past: Past, rows_of: RowsOf) -> list[Rows] | None:
+        """Returns the rows of each episode; None if an episode has an error.
+
+        Raises:
+            DamagedEpisodeError: a file of an episode is damaged or missing.
+        """
+        episode = self._episodes[self._present]
+        ticks = self._record.ticks
+        self._archive.show(0, len(self._episodes))
+        ticks.replace(self._numbers, self._times)
+        try:
+            whole = Past(past.record, int(self._numbers[0]), int(self._numbers[-1]), is_window=True)
+            rows = rows_of(whole)
+        except DamagedEpisodeError:
+            raise
+        except SelectScriptError:
+            return None
+        finally:
+            ticks.replace(episode.numbers, episode.times)
+        numbers = np.array([row[0] for row in rows], dtype=np.int64)
+        if (np.diff(numbers) < 0).any():
+            return None
+        ends = np.searchsorted(numbers, [e.numbers[-1] for e in self._episodes], side="right")
+        starts = [0, *ends[:-1].tolist()]
+        return [rows[start:end] for start, end in zip(starts, ends.tolist(), strict=True)]
+
+    def least_clearance(self, past: Past, a: int, b: int) -> tuple[int, float] | None:
+        """Returns the least clearance of two entities, found for all episodes at once."""
+        episode = self._episodes[self._present]
+        queries = PairQueries(self._record, self._execution.meter)
+        if past.first != episode.numbers[0] or past.last != episode.numbers[-1]:
+            request = PairRequest(past.first, past.last, a, b, 0.0)
+            return queries.least_clearances(request, np.array([past.first]))[0]
+        key = min(a, b), max(a, b)
+        if key not in self._least:
+            first, last = int(self._numbers[0]), int(self._numbers[-1])
+            starts = np.array([one.numbers[0] for one in self._episodes])
+            request = PairRequest(first, last, a, b, 0.0)
+            self._least[key] = queries.least_clearances(request, starts)
+        return self._least[key][self._present]
+
+    def close(self) -> None:
+        """Closes the interpreter."""
+        self.interpreter.close()

@@ -1,0 +1,142 @@
+"""Makes tables of answers, and keeps the answers of finished batches to go on later."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.questions import Question, from_text, to_text
+from ssduck.lakes.workers import Answer
+from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+
+KEYS = ("world", "episode", "path")
+ERROR = "error"
+
+
+@dataclass(frozen=True)
+class AnsweredEpisode:
+    """The answer of an episode.
+
+    Attributes:
+        entry: the episode.
+        text: the answer as a text of JSON; None if there is an error.
+        error: the error; None if there is an answer.
+    """
+
+    entry: EpisodeEntry
+    text: str | None
+    error: str | None
+
+    @property
+    def value(self) -> Any:
+        """The answer."""
+        return None if self.text is None else from_text(self.text)
+
+
+def answer_table(answered: Iterable[AnsweredEpisode]) -> pa.Table:
+    """Returns the answers as a table, with a row for each episode, in their order.
+
+    Its columns are `world`, `episode`, `path`, `answer` and `error`. If all answers are records, or
+    lists of such, the columns of these are there in place of `answer`, and each record is a row.
+    Answers that have no common type in Arrow are texts of JSON.
+    """
+    rows = list(answered)
+    values = [row.value for row in rows]
+    known = [value for row, value in zip(rows, values, strict=True) if row.error is None]
+    if known and all(map(_are_records, known)) and any(known):
+        return _table_of_records(rows, values)
+    columns = _key_columns([row.entry for row in rows])
+    columns["answer"] = _array(values)
+    columns[ERROR] = pa.array([row.error for row in rows], pa.string())
+    return pa.table(columns)
+
+
+def _are_records(value: Any) -> bool:
+    if isinstance(value, dict):
+        return True
+    return isinstance(value, list) and all(isinstance(one, dict) for one in value)
+
+
+def _table_of_records(rows: Sequence[AnsweredEpisode], values: Sequence[Any]) -> pa.Table:
+    records: list[tuple[AnsweredEpisode, dict[str, Any]]] = []
+    for row, value in zip(rows, values, strict=True):
+        listed = [{}] if row.error is not None else [value] if isinstance(value, dict) else value
+        records += [(row, record) for record in listed]
+    names = list(dict.fromkeys(name for _, record in records for name in record))
+    columns = _key_columns([row.entry for row, _ in records])
+    for name in names:
+        column = name
+        while column in columns or column == ERROR:
+            column += "_"
+        columns[column] = _array([record.get(name) for _, record in records])
+    columns[ERROR] = pa.array([row.error for row, _ in records], pa.string())
+    return pa.table(columns)
+
+
+def _key_columns(entries: Sequence[EpisodeEntry]) -> dict[str, pa.Array]:
+    return {
+        "world": pa.array([entry.world for entry in entries], pa.string()),
+        "episode": pa.array([entry.episode for entry in entries], pa.int64()),
+        "path": pa.array([entry.path for entry in entries], pa.string()),
+    }
+
+
+def _array(values: Sequence[Any]) -> pa.Array:
+    """Returns values of one type as an array, and other values as texts of JSON."""
+    try:
+        array = pa.array(values)
+    except (pa.ArrowException, OverflowError):
+        array = None
+    if array is not None and array.to_pylist() == list(values):
+        return array
+    # NaN differs from itself; its text does not.
+    if array is not None and list(map(to_text, array.to_pylist())) == list(map(to_text, values)):
+        return array
+    return pa.array([None if value is None else to_text(value) for value in values], pa.string())
+
+
+class KeptAnswers:
+    """The answers of finished batches, in a folder.
+
+    Args:
+        folder: the folder; it is made if it does not exist. None to keep nothing.
+        question: the question.
+    """
+
+    def __init__(self, folder: Path | None, question: Question) -> None:
+        self._folder, self._question = folder, question
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def _file(self, entries: Sequence[EpisodeEntry]) -> Path | None:
+        if self._folder is None:
+            return None
+        sums = hashlib.sha256(self._question.key.encode())
+        for entry in entries:
+            sums.update(repr((entry.key, entry.error, entry.files)).encode())
+        return self._folder / f"answers-{sums.hexdigest()[:32]}.parquet"
+
+    def read(self, entries: Sequence[EpisodeEntry]) -> list[Answer] | None:
+        """Returns the kept answers of a batch; None if there are none."""
+        file = self._file(entries)
+        if file is None or not file.is_file():
+            return None
+        try:
+            rows = verified_parquet(file, has_checksums=True).read()
+        except (OSError, pa.ArrowException):  # a RecordError is an OSError
+            return None
+        return list(zip(rows["answer"].to_pylist(), rows[ERROR].to_pylist(), strict=True))
+
+    def write(self, entries: Sequence[EpisodeEntry], answers: Sequence[Answer]) -> None:
+        """Keeps the answers of a batch."""
+        file = self._file(entries)
+        if file is not None:
+            texts, errors = zip(*answers, strict=True)
+            columns = {"answer": pa.array(texts, pa.string()), ERROR: pa.array(errors, pa.string())}
+            write_parquet(pa.table(columns), file, compression="zstd")

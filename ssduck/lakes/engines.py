@@ -1,0 +1,183 @@
+"""The engines that answer the batches of a question: processes of this machine, Ray, Spark.
+
+Each runs `ssduck.lakes.workers.answer_episodes` on batches of episodes. What is lost with a killed
+process is Ray's or Spark's to compute again; the pool of this machine ends with an error, and the
+answers that were kept are there when the question is asked again.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, Literal, TypeAlias
+
+import pyarrow as pa
+
+from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
+from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
+from ssduck.lakes.questions import Question
+from ssduck.lakes.workers import Answer, answer_episodes
+
+EngineName: TypeAlias = Literal["local", "ray", "spark"]
+Batch: TypeAlias = Sequence[EpisodeEntry]
+# Yields the index of each batch with its answers, in any order.
+Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
+# How often Ray, or Spark on this machine, starts a task again whose process was killed.
+RETRIES = 3
+_RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
+_SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
+_PARTS = "batch int, question binary, entries binary"
+_RESULTS = "batch int, place int, answer string, error string"
+
+
+def answer_locally(question: Question, batches: Sequence[Batch], processes: int) -> Answers:
+    """Answers batches in this process, or in several processes of this machine.
+
+    Raises:
+        EvaluationError: one of the processes was killed.
+    """
+    if processes == 1:
+        for index, batch in enumerate(batches):
+            yield index, answer_episodes(question, batch)
+        return
+    # A forked process lacks the threads of DuckDB.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context) as pool:
+        pending: deque[tuple[int, Future[list[Answer]]]] = deque()
+        waiting = iter(enumerate(batches))
+        try:
+            while True:
+                # The answers of a few batches wait in memory, and not those of all.
+                for index, batch in waiting:
+                    pending.append((index, pool.submit(answer_episodes, question, batch)))
+                    if len(pending) > 2 * processes:
+                        break
+                if not pending:
+                    return
+                index, future = pending.popleft()
+                yield index, future.result()
+        except BrokenProcessPool as error:
+            raise EvaluationError(
+                "a process was killed, by the system for lack of memory, say; what was answered is "
+                "kept if `resume` names a folder: ask again to go on, with fewer processes or "
+                "smaller batches"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def answer_on_ray(
+    question: Question, batches: Sequence[Batch], options: dict[str, Any] | None
+) -> Answers:
+    """Answers batches as tasks of Ray, which starts those again whose process was killed.
+
+    Args:
+        question: the question.
+        batches: the batches.
+        options: the arguments of `ray.init`, unless Ray runs already; by default, a cluster on
+            this machine only, without a dashboard.
+
+    Raises:
+        UnsupportedError: Ray is not installed.
+    """
+    try:
+        import ray
+    except ImportError as error:
+        raise UnsupportedError(_RAY_HINT) from error
+    if not ray.is_initialized():
+        local = {
+            "include_dashboard": False,
+            "_node_ip_address": "127.0.0.1",
+            "log_to_driver": False,
+        }
+        ray.init(**(local if options is None else options))
+    task = ray.remote(max_retries=RETRIES)(answer_episodes)
+    shared = ray.put(question)
+    references = {task.remote(shared, batch): index for index, batch in enumerate(batches)}
+    while references:
+        (done,), _ = ray.wait(list(references), num_returns=1)
+        yield references.pop(done), ray.get(done)
+
+
+def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) -> Answers:
+    """Answers batches as a job of Spark: `mapInArrow` over the batches, one a partition.
+
+    Args:
+        question: the question.
+        batches: the batches.
+        session: the `SparkSession`; None for one on this machine, `local[*]`.
+
+    Raises:
+        UnsupportedError: PySpark is not installed.
+    """
+    try:
+        from pyspark.sql import SparkSession
+    except ImportError as error:
+        raise UnsupportedError(_SPARK_HINT) from error
+    if session is None:
+        # The workers of this machine have ssduck in the same Python.
+        os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
+        # Without the second number, a task that fails once would end the job.
+        builder = SparkSession.builder.master(f"local[*,{RETRIES + 1}]").appName("ssduck")
+        settings = {
+            "spark.ui.enabled": "false",
+            "spark.driver.host": "127.0.0.1",
+            "spark.driver.bindAddress": "127.0.0.1",
+            "spark.ui.showConsoleProgress": "false",
+        }
+        for name, value in settings.items():
+            builder = builder.config(name, value)
+        session = builder.getOrCreate()
+    text = pickle.dumps(question)
+    rows = [(index, text, to_bytes(batch)) for index, batch in enumerate(batches)]
+    parts = session.createDataFrame(rows, _PARTS).repartition(len(batches), "batch")
+    answers: dict[int, list[tuple[int, str | None, str | None]]] = {}
+    for row in parts.mapInArrow(_answer_parts, _RESULTS).collect():
+        answers.setdefault(row["batch"], []).append((row["place"], row["answer"], row["error"]))
+    for index in range(len(batches)):
+        ordered = sorted(answers.pop(index))
+        yield index, [(answer, error) for _, answer, error in ordered]
+
+
+def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
+    """Answers the batches of a partition: the function that `mapInArrow` runs."""
+    for part in parts:
+        for row in part.to_pylist():
+            question = pickle.loads(row["question"])  # noqa: S301  # the driver made it
+            answers = answer_episodes(question, from_bytes(row["entries"]))
+            texts, errors = zip(*answers, strict=True)
+            columns = [
+                pa.array([row["batch"]] * len(answers), pa.int32()),
+                pa.array(range(len(answers)), pa.int32()),
+                pa.array(texts, pa.string()),
+                pa.array(errors, pa.string()),
+            ]
+            names = ["batch", "place", "answer", "error"]
+            yield pa.RecordBatch.from_arrays(columns, names=names)
+
+
+def engine_of(
+    name: str, *, processes: int | None, options: dict[str, Any] | None, session: Any
+) -> Callable[[Question, Sequence[Batch]], Answers]:
+    """Returns the function of an engine that answers batches.
+
+    Raises:
+        ArgumentError: there is no such engine.
+    """
+    match name:
+        case "local":
+            count = processes or 1
+            return lambda question, batches: answer_locally(
+                question, batches, max(1, min(count, len(batches)))
+            )
+        case "ray":
+            return lambda question, batches: answer_on_ray(question, batches, options)
+        case "spark":
+            return lambda question, batches: answer_on_spark(question, batches, session)
+    raise ArgumentError(f"there is no engine {name!r}; engines are 'local', 'ray' and 'spark'")

@@ -1,0 +1,467 @@
+"""A lake: all records below a path, which answer one question together (`Lake`)."""
+
+from __future__ import annotations
+
+import glob
+import os
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from sqlglot import exp
+
+from ssduck import validation
+from ssduck.database.database import Database
+from ssduck.errors import ArgumentError, RecordError, SqlError
+from ssduck.gym.terms import Reward, Terms
+from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
+from ssduck.lakes.engines import EngineName, engine_of
+from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
+from ssduck.lakes.progress import shown_progress
+from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
+from ssduck.lakes.scan import entries_of_records, missing, records_of
+from ssduck.lakes.where import condition
+from ssduck.limits import Limits
+from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.parquet import write_tags
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.tags import Tag, checked_tags
+
+MANIFEST = "ssduck-manifest"
+# The number of episodes that are asked together, at most.
+BATCH = 100
+# To start a process takes as long as to ask so many episodes.
+FEW = 50
+_FILE_SCHEME = "file://"
+_INTERNAL = ("group", "tags", "files", "error")
+
+
+class Lake:
+    """All episodes of the records below a path.
+
+    Args:
+        path: as `open_lake` takes it.
+
+    Attributes:
+        path: the absolute path.
+
+    Raises:
+        RecordError: there is no such path.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        text = str(validation.path(path, "lake: path"))
+        if text.startswith(_FILE_SCHEME):
+            text = text.removeprefix(_FILE_SCHEME)
+        self.path = str(expand_path(text).absolute())
+        self._entries: list[EpisodeEntry] = []
+        self.refresh()
+
+    # -- the manifest -----------------------------------------------------------------------
+
+    @property
+    def manifest(self) -> Path:
+        """The file of the manifest; it is there if its folder can be written."""
+        place = Path(self.path)
+        if place.is_dir():
+            return place / f"{MANIFEST}.parquet"
+        if place.is_file():
+            return place.with_name(f"{place.name}.{MANIFEST}.parquet")
+        parts = place.parts
+        fixed = next((i for i, part in enumerate(parts) if glob.has_magic(part)), len(parts) - 1)
+        checksum = zlib.crc32(self.path.encode())
+        return Path(*parts[:fixed]) / f"{MANIFEST}-{checksum:08x}.parquet"
+
+    def refresh(self, *, forget_missing: bool = False) -> None:
+        """Reads what is new, was changed or is missing since the manifest was made.
+
+        Args:
+            forget_missing: whether episodes whose files are gone are no longer listed, with an
+                error.
+
+        Raises:
+            RecordError: there is no such path.
+        """
+        before = read_manifest(self.manifest)
+        known = {entry.key: entry for entry in before}
+        entries = list(entries_of_records(records_of(self.path), known))
+        found = {entry.key for entry in entries}
+        if not forget_missing:
+            gone = [entry for entry in before if entry.key not in found and entry.ticks is not None]
+            entries += [missing(entry) for entry in gone if entry.path]
+        self._replace(sorted(entries, key=lambda entry: entry.key), before)
+
+    def _replace(self, entries: list[EpisodeEntry], before: Sequence[EpisodeEntry]) -> None:
+        self._entries = entries
+        self.__dict__.pop("episodes", None)
+        if entries != list(before):
+            write_manifest(entries, self.manifest)
+
+    @property
+    def entries(self) -> tuple[EpisodeEntry, ...]:
+        """What the manifest has of each episode, in the order of `episodes`."""
+        return tuple(self._entries)
+
+    @cached_property
+    def episodes(self) -> pa.Table:
+        """The episodes, sorted by path, world and number.
+
+        Each is a row with `path`, `world`, `episode`, `id`, `started`, `complete`, `version`,
+        `ticks`, `first_tick`, `last_tick`, `start` and `end` (s), `every`, `tables`, `entities`,
+        `size` (bytes) and `error`, and with a column for each tag that an episode has, such as
+        `success`. DuckDB, polars and pandas take the table as it is.
+        """
+        table = table_of(self._entries)
+        columns = {name: table[name] for name in table.column_names if name not in _INTERNAL}
+        sizes = [sum(file.size for file in entry.files) for entry in self._entries]
+        columns["size"] = pa.array(sizes, pa.int64())
+        columns["error"] = table["error"]
+        for name in sorted({name for entry in self._entries for name in entry.tags}):
+            if name not in columns:
+                columns[name] = _tag_column([entry.tags.get(name) for entry in self._entries])
+        return pa.table(columns)
+
+    def select(self, where: str | None = None) -> pa.Table:
+        """Returns the rows of `episodes` for which a condition holds.
+
+        Args:
+            where: the condition, an expression of SQL over the columns of `episodes`, tags among
+                them: `"task = 'pick' AND NOT success"`. It may have comparisons, AND, OR, NOT, IN,
+                BETWEEN, LIKE, IS NULL, arithmetic and a few functions. None for all episodes.
+
+        Raises:
+            ArgumentError: it is no such condition.
+        """
+        return self.episodes.take(pa.array(self._places(where), pa.int64()))
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def __repr__(self) -> str:
+        return f"<Lake {self.path!r}: {len(self)} episodes>"
+
+    def _selected(self, where: str | None) -> list[EpisodeEntry]:
+        """Returns the episodes for which a condition holds; all if there is none."""
+        return [self._entries[place] for place in self._places(where)]
+
+    def _places(self, where: str | None) -> Sequence[int]:
+        """Returns the rows of the episodes for which a condition holds; all if there is none.
+
+        Raises:
+            ArgumentError: it is no condition on the columns of `episodes`.
+        """
+        if where is None:
+            return range(len(self._entries))
+        rows = self.episodes
+        test = condition(where, rows.column_names)
+        place = exp.to_identifier("ssduck row", quoted=True)
+        numbered = rows.append_column(place.name, pa.array(range(rows.num_rows), pa.int64()))
+        select = exp.select(exp.column(place)).from_("episodes").where(test)
+        database = Database(":memory:", None)
+        try:
+            database.connection.register("episodes", numbered)
+            found = database.connection.rows(select.sql("duckdb"))
+        except SqlError as error:
+            raise ArgumentError(f"where: {where!r} is no condition: {error.message}") from error
+        finally:
+            database.close()
+        return sorted(row for (row,) in found)
+
+    # -- questions --------------------------------------------------------------------------
+
+    def ask(
+        self,
+        program: str,
+        where: str | None = None,
+        engine: EngineName = "local",
+        *,
+        limits: Limits | None = None,
+        processes: int | None = None,
+        batch: int | None = None,
+        resume: str | Path | None = None,
+        progress: bool = True,
+        options: Mapping[str, Any] | None = None,
+        session: Any = None,
+    ) -> pa.Table:
+        """Returns the answer of each episode to a program, as `ssduck.open` would give it.
+
+        Args:
+            program: a program of SelectScript; each episode's world has the name that it was
+                recorded under, and is at its last tick.
+            where: a condition on the columns of `episodes`, in SQL; None for all episodes.
+            engine: `"local"`: processes of this machine; `"ray"`; `"spark"`.
+            limits: the limits of the program; `Limits.strict()` for programs from elsewhere.
+            processes: the number of processes of this machine; by default one for each core, and
+                fewer for few episodes.
+            batch: the number of episodes that are asked together, by default at most 100.
+            resume: a folder that keeps the answers of finished batches, so that the same question
+                goes on from there when it is asked again; None to keep nothing.
+            progress: whether to show the progress, if standard error is a terminal.
+            options: the arguments of `ray.init`.
+            session: the `SparkSession`; None for one on this machine.
+
+        Returns:
+            A table with the columns `world`, `episode`, `path`, `answer` and `error`, sorted by
+            path, world and number. If all answers are records, it has their columns in place of
+            `answer`, and a row for each record. An episode that is damaged, or at which the program
+            fails, has the message in `error`.
+
+        Raises:
+            ParseError: the text is no program.
+            ArgumentError: an argument is wrong, or the condition is none.
+            UnsupportedError: the engine is not installed.
+        """
+        question = ProgramQuestion(program, limits)
+        question.check()
+        engines = {"processes": processes, "options": options, "session": session}
+        answered = self._answered(question, where, engine, batch, resume, progress, engines)
+        return answer_table(answered)
+
+    def stream(
+        self,
+        program: str,
+        where: str | None = None,
+        engine: EngineName = "local",
+        *,
+        limits: Limits | None = None,
+        processes: int | None = None,
+        batch: int | None = None,
+        resume: str | Path | None = None,
+        progress: bool = True,
+        options: Mapping[str, Any] | None = None,
+        session: Any = None,
+    ) -> Iterator[pa.Table]:
+        """Yields the same answers batch by batch, in the same order, as soon as they are there.
+
+        The arguments and the errors are those of `ask`. Each table has the types of its own
+        answers.
+        """
+        question = ProgramQuestion(program, limits)
+        question.check()
+        engines = {"processes": processes, "options": options, "session": session}
+        pending: list[AnsweredEpisode] = []
+        size = batch or BATCH
+        for one in self._answered(question, where, engine, batch, resume, progress, engines):
+            pending.append(one)
+            if len(pending) == size:
+                yield answer_table(pending)
+                pending = []
+        if pending:
+            yield answer_table(pending)
+
+    def score(
+        self,
+        success: str | None = None,
+        failure: str | None = None,
+        reward: Reward | None = None,
+        stop_when: str | None = None,
+        *,
+        where: str | None = None,
+        engine: EngineName = "local",
+        limits: Limits | None = None,
+        processes: int | None = None,
+        batch: int | None = None,
+        resume: str | Path | None = None,
+        progress: bool = True,
+        options: Mapping[str, Any] | None = None,
+        session: Any = None,
+    ) -> pa.Table:
+        """Returns the return and the success of each episode of an environment of gymnasium.
+
+        They are those of `ssduck.gym.score`; its arguments are the terms.
+
+        Returns:
+            A table with the columns `world`, `episode`, `path`, `return`, `success`, `failure`,
+            `steps`, `seed` and `error`.
+
+        Raises:
+            ArgumentError: a term is none, or another argument is wrong.
+            UnsupportedError: the engine is not installed.
+        """
+        question = ScoreQuestion(Terms.of(success, failure, reward, stop_when), limits)
+        engines = {"processes": processes, "options": options, "session": session}
+        answered = self._answered(question, where, engine, batch, resume, progress, engines)
+        return answer_table(answered)
+
+    def _answered(
+        self,
+        question: Question,
+        where: str | None,
+        engine: EngineName,
+        batch: int | None,
+        resume: str | Path | None,
+        progress: bool,
+        engines: dict[str, Any],
+    ) -> Iterator[AnsweredEpisode]:
+        """Yields the answers of the selected episodes, in order."""
+        if batch is not None:
+            batch = validation.integer(batch, "ask: batch", minimum=1)
+        if engines["processes"] is not None:
+            engines["processes"] = validation.integer(
+                engines["processes"], "ask: processes", minimum=1
+            )
+        entries = self._selected(where)
+        if engine == "local" and engines["processes"] is None:
+            most = max(1, len(entries) // FEW)
+            engines["processes"] = min(os.cpu_count() or 1, most)
+        answer = engine_of(engine, **engines)
+        batches = _batches(entries, batch, engines["processes"] or os.cpu_count() or 1)
+        kept = KeptAnswers(None if resume is None else expand_path(resume), question)
+        known = [kept.read(entries) for entries in batches]
+        open_batches = [index for index, answers in enumerate(known) if answers is None]
+        ready = {index: answers for index, answers in enumerate(known) if answers is not None}
+        following = 0
+        with shown_progress(len(entries), shown=progress) as advance:
+            advance(sum(map(len, ready.values())))
+            results = answer(question, [batches[index] for index in open_batches])
+            while following < len(batches):
+                if following in ready:
+                    pairs = zip(batches[following], ready.pop(following), strict=True)
+                    yield from (AnsweredEpisode(entry, *one) for entry, one in pairs)
+                    following += 1
+                    continue
+                place, answers = next(results)
+                index = open_batches[place]
+                kept.write(batches[index], answers)
+                ready[index] = answers
+                advance(len(answers))
+
+    # -- tags -------------------------------------------------------------------------------
+
+    def tag(
+        self,
+        name: str,
+        program: str,
+        where: str | None = None,
+        engine: EngineName = "local",
+        **arguments: Any,
+    ) -> pa.Table:
+        """Tags each episode with its answer to a program.
+
+        Args:
+            name: the name of the tag.
+            program: a program whose answer is a text, True, False or a finite number, or a list of
+                one such value, or a record of one; of an episode without such an answer, the tag
+                stays as it is.
+            where: a condition on the columns of `episodes`.
+            engine: the engine.
+            arguments: further arguments of `ask`.
+
+        Returns:
+            The answers, as `ask` gives them.
+
+        Raises:
+            ArgumentError: an argument is wrong, or an answer is no tag.
+            RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
+        """
+        checked_tags({name: True}, "tag")
+        question = ProgramQuestion(program, arguments.pop("limits", None))
+        question.check()
+        engines = {key: arguments.pop(key, None) for key in ("processes", "options", "session")}
+        batch, resume = arguments.pop("batch", None), arguments.pop("resume", None)
+        progress = arguments.pop("progress", True)
+        if arguments:
+            raise ArgumentError(f"tag: there is no argument {next(iter(arguments))!r}")
+        answered = list(self._answered(question, where, engine, batch, resume, progress, engines))
+        values = {
+            one.entry.key: _single_value(one.value)
+            for one in answered
+            if one.error is None and _single_value(one.value) is not None
+        }
+        for value in values.values():
+            checked_tags({name: value}, "tag")
+        self._write_tags({key: {name: value} for key, value in values.items()})
+        return answer_table(answered)
+
+    def set_tags(self, tags: Mapping[str, Tag], where: str | None = None) -> int:
+        """Gives the selected episodes tags; returns the number of these episodes.
+
+        Args:
+            tags: texts, True, False or finite numbers by name.
+            where: a condition on the columns of `episodes`; None for all.
+
+        Raises:
+            ArgumentError: a tag is another value, or the condition is none.
+            RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
+        """
+        added = checked_tags(tags)
+        entries = self._selected(where)
+        self._write_tags({entry.key: added for entry in entries if entry.error is None})
+        return sum(entry.error is None for entry in entries)
+
+    def _write_tags(self, tags: Mapping[tuple[str, str, int], Mapping[str, Tag]]) -> None:
+        """Writes tags of episodes, by their keys, and reads their descriptions again."""
+        for path, world, number in tags:
+            if Path(path).is_file():
+                raise RecordError(f"{path} is a DuckDB file: tags are given while it is recorded")
+            write_tags(FolderRun(Path(path), world, number), tags[path, world, number])
+        before = self._entries
+        self._replace([_with_tags(entry, tags.get(entry.key)) for entry in before], before)
+
+
+def open_lake(path: str | Path) -> Lake:
+    """Returns the episodes of all records below a path, to ask them one question.
+
+    Args:
+        path: a folder with records in it, at any depth; a record; or a pattern such as
+            `runs/*/night`, in which `**` stands for folders at any depth.
+
+    Raises:
+        RecordError: there is no such path.
+
+    >>> import ssduck, tempfile
+    >>> with ssduck.load("kitchen") as ss, tempfile.TemporaryDirectory() as folder:
+    ...     for _ in range(2):
+    ...         ss.run(0.1)
+    ...         _ = ss.export(folder)
+    ...     ssduck.lake(folder).ask("heldFor(z(kitchen.sink) > 0) > 0.15;")["answer"].to_pylist()
+    [False, True]
+    """
+    return Lake(path)
+
+
+def _with_tags(entry: EpisodeEntry, tags: Mapping[str, Tag] | None) -> EpisodeEntry:
+    """Returns the entry of an episode whose description was written anew, with tags."""
+    if tags is None:
+        return entry
+    name = f"episodes/{entry.world}-{entry.episode}.json"
+    place = Path(entry.path, name)
+    status, checksum = place.stat(), zlib.crc32(place.read_bytes())
+    files = tuple(
+        replace(file, size=status.st_size, modified=status.st_mtime_ns, checksum=checksum)
+        if file.name == name
+        else file
+        for file in entry.files
+    )
+    return replace(entry, tags={**entry.tags, **tags}, files=files)
+
+
+def _single_value(value: Any) -> Any:
+    """Returns the value of an answer that is a value, or a list or a record of one."""
+    while isinstance(value, list | dict) and len(value) == 1:
+        value = value[0] if isinstance(value, list) else next(iter(value.values()))
+    return value
+
+
+def _batches(
+    entries: Sequence[EpisodeEntry], batch: int | None, processes: int
+) -> list[Sequence[EpisodeEntry]]:
+    """Returns consecutive episodes as batches, so many that each process has some."""
+    size = batch or max(1, min(BATCH, -(-len(entries) // (2 * processes))))
+    return [entries[start : start + size] for start in range(0, len(entries), size)]
+
+
+def _tag_column(values: Sequence[Tag | None]) -> pa.Array:
+    """Returns a column of a tag; texts if it has values of several types."""
+    types = {type(value) for value in values if value is not None}
+    if types <= {bool}:
+        return pa.array(values, pa.bool_())
+    if types <= {int}:
+        return pa.array(values, pa.int64())
+    if types <= {int, float}:
+        return pa.array(values, pa.float64())
+    return pa.array([None if value is None else str(value) for value in values], pa.string())

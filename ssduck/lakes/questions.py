@@ -1,0 +1,195 @@
+"""What a lake is asked: a program, or the terms of a task. Any process can answer it."""
+
+from __future__ import annotations
+
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck.adapters.display import RowsOfColumns
+from ssduck.errors import ArgumentError
+from ssduck.formatting import short_repr
+from ssduck.gym.episodes import EpisodeSteps
+from ssduck.gym.scoring import score_with
+from ssduck.gym.terms import Terms
+from ssduck.interpreter.episode_batches import reads_present
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.program import CompiledProgram
+from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.language.parser import parse
+from ssduck.language.tree import Call, Name, Node, Program, QualifiedName
+from ssduck.limits import Limits
+from ssduck.world.handles import Handle
+
+# Answers an entry with the interpreter that has its world at the last tick.
+Answering: TypeAlias = Callable[[Interpreter, EpisodeEntry], Any]
+# Names of what is not the same in a batch of episodes: ticks are moved there, runs are one.
+_OF_EPISODE = frozenset(("tick", "run", "eval", "var"))
+
+
+class Question(ABC):
+    """A question that each episode answers by itself."""
+
+    limits: Limits | None
+    # Whether a probable mistake in it is an error.
+    is_strict = False
+
+    @property
+    @abstractmethod
+    def key(self) -> str:
+        """What tells it from other questions."""
+
+    @property
+    @abstractmethod
+    def is_batchable(self) -> bool:
+        """Whether episodes may be one record while they answer it."""
+
+    @property
+    @abstractmethod
+    def reads_present(self) -> bool:
+        """Whether it reads more of the last tick than its time."""
+
+    @abstractmethod
+    def answering(self, interpreter: Interpreter) -> Answering:
+        """Returns a function that answers episodes, with one interpreter for all of them."""
+
+
+@dataclass(frozen=True)
+class ProgramQuestion(Question):
+    """A program, whose value is the answer.
+
+    Attributes:
+        text: the program.
+        limits: the limits of the program.
+    """
+
+    text: str
+    limits: Limits | None = None
+
+    @property
+    def key(self) -> str:
+        """What tells it from other questions."""
+        return repr((self.text, self.limits))
+
+    @property
+    def _tree(self) -> Program:
+        return parse(self.text, None if self.limits is None else self.limits.words)
+
+    def check(self) -> None:
+        """Checks that the text is a program.
+
+        Raises:
+            ParseError: it is none.
+        """
+        _ = self._tree
+
+    @property
+    def is_batchable(self) -> bool:
+        """Whether episodes may be one record while they answer it."""
+        tree = self._tree
+        return not tree.explain and not any(map(_is_of_episode, tree.statements))
+
+    @property
+    def reads_present(self) -> bool:
+        """Whether it reads more of the last tick than its time."""
+        return reads_present(self._tree)
+
+    def answering(self, interpreter: Interpreter) -> Answering:
+        """Returns a function that answers episodes, with one interpreter for all of them."""
+        program: CompiledProgram = interpreter.compile(self.text)
+        return lambda present, _: plain(present.eval(program))
+
+
+def _is_of_episode(node: Node) -> bool:
+    """Checks whether a part names what is not the same in a batch of episodes."""
+    name = node.key if isinstance(node, QualifiedName) else getattr(node, "name", None)
+    is_named = isinstance(node, Call | Name | QualifiedName) or name is not None
+    return (is_named and name in _OF_EPISODE) or any(map(_is_of_episode, node.children()))
+
+
+@dataclass(frozen=True)
+class ScoreQuestion(Question):
+    """The terms of a task, evaluated after each step of an episode of `ssduck.gym`.
+
+    Attributes:
+        terms: the terms.
+        limits: the limits of the terms.
+    """
+
+    terms: Terms
+    limits: Limits | None = None
+    is_strict = True
+
+    @property
+    def key(self) -> str:
+        """What tells it from other questions."""
+        return repr((self.terms.texts, self.limits))
+
+    @property
+    def is_batchable(self) -> bool:
+        """Whether episodes may be one record while they answer it."""
+        trees = [parse(f"{term.text};") for term in self.terms]
+        return not any(_is_of_episode(node) for tree in trees for node in tree.statements)
+
+    @property
+    def reads_present(self) -> bool:
+        """Whether it reads more of the last tick than its time."""
+        return True
+
+    def answering(self, interpreter: Interpreter) -> Answering:  # noqa: ARG002
+        """Returns a function that answers episodes, with one interpreter for all of them."""
+
+        def answer(present: Interpreter, entry: EpisodeEntry) -> dict[str, Any]:
+            steps = EpisodeSteps.read(Path(entry.path), entry.world, entry.episode)
+            score = score_with(present, entry.world, entry.episode, steps, self.terms)
+            return {
+                "return": score.total,
+                "success": score.succeeded,
+                "failure": None if score.failure is None else bool(score.failure[-1:] == (True,)),
+                "steps": len(score.rewards),
+                "seed": score.seed,
+            }
+
+        return answer
+
+
+def plain(value: Any) -> Any:
+    """Returns an answer as None, True, False, numbers, texts, and lists and dicts of such.
+
+    Entities and links become their full names.
+
+    Raises:
+        ArgumentError: it is another value.
+    """
+    match value:
+        case None | bool() | int() | float() | str():
+            return value
+        case np.generic() | np.ndarray():
+            return plain(value.tolist())
+        case Handle():
+            return value.full_name
+        case RowsOfColumns():
+            columns = value.columns
+            return [dict(zip(columns, map(plain, row), strict=True)) for row in value]
+        case Mapping():
+            return {str(plain(key)): plain(element) for key, element in value.items()}
+        case list() | tuple():
+            return [plain(element) for element in value]
+    raise ArgumentError(
+        f"the answer is {short_repr(value)}: ask for numbers, texts, lists or records"
+    )
+
+
+def to_text(answer: Any) -> str:
+    """Returns a plain answer as a text, from which `from_text` makes exactly the same."""
+    return json.dumps(answer)
+
+
+def from_text(text: str) -> Any:
+    """Returns the answer that `to_text` wrote."""
+    return json.loads(text)

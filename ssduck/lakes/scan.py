@@ -1,0 +1,273 @@
+"""Finds the episodes below a path, and reads what a manifest has of each."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.errors import RecordError, SelectScriptError
+from ssduck.interpreter.archives import episodes
+from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.recording.stores.checksums import parquet_problem
+from ssduck.recording.stores.episode_batch import has_current_columns
+from ssduck.recording.stores.parquet_layout import (
+    ABOUT,
+    VERSION,
+    FolderRun,
+    check_about,
+    lost_runs,
+    runs_named,
+)
+from ssduck.schema import MODELS
+
+DUCKDB_SUFFIX = ".duckdb"
+MISSING = "is missing: its files were there when the manifest was made"
+# The size and the time of the last change of each file of an episode, by its name in the record.
+Listing = Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class FoundEpisode:
+    """An episode that was found in a record.
+
+    Attributes:
+        path: the record.
+        world: the name of the world.
+        episode: the number of the episode.
+        listing: its files.
+        entry: what is known of it, of a DuckDB file; None for an episode in a folder.
+    """
+
+    path: Path
+    world: str
+    episode: int
+    listing: Listing
+    entry: EpisodeEntry | None = None
+
+
+def records_below(place: Path) -> Iterator[Path]:
+    """Yields the records in a folder and its folders, or the path itself if it is a record."""
+    if place.is_file():
+        yield place
+        return
+    for folder, folders, files in os.walk(place):
+        folders.sort()
+        if ABOUT in files or {"episodes", "ticks"} <= set(folders):
+            folders.clear()
+            yield Path(folder)
+            continue
+        yield from (Path(folder, file) for file in sorted(files) if file.endswith(DUCKDB_SUFFIX))
+
+
+def records_of(pattern: str) -> list[Path]:
+    """Returns the records below a folder, or below whatever a pattern of paths matches.
+
+    Raises:
+        RecordError: there is no such path.
+    """
+    is_pattern = glob.has_magic(pattern) and not os.path.exists(pattern)  # noqa: PTH110
+    places = sorted(glob.glob(pattern, recursive=True)) if is_pattern else [pattern]  # noqa: PTH207
+    if not places or not os.path.exists(places[0]):  # noqa: PTH110
+        raise RecordError(f"there is no record {pattern}: neither a folder nor a DuckDB file")
+    found = {path.absolute(): None for place in places for path in records_below(Path(place))}
+    return sorted(found)
+
+
+def found_in(record: Path) -> list[FoundEpisode]:
+    """Returns the episodes of a record, with their files; reads none of a folder."""
+    if record.is_file():
+        return _found_in_file(record)
+    try:
+        runs = [*runs_named(record), *lost_runs(record, _keys(record))]
+    except (RecordError, OSError) as error:
+        message = error.message if isinstance(error, RecordError) else str(error)
+        entry = EpisodeEntry(str(record), "", 0, error=message)
+        return [FoundEpisode(record, "", 0, {}, entry)]
+    return [FoundEpisode(record, run.world, run.number, _listing(run)) for run in runs]
+
+
+def _keys(record: Path) -> list[tuple[str, int]]:
+    return [(run.world, run.number) for run in runs_named(record)]
+
+
+def _listing(run: FolderRun) -> dict[str, tuple[int, int]]:
+    """Returns the files of an episode in a folder."""
+    files: dict[str, tuple[int, int]] = {}
+    single = (ABOUT, f"episodes/{run.about_file.name}", f"gym/{run.about_file.name}")
+    for name in single:
+        try:
+            status = (run.path / name).stat()
+        except OSError:
+            continue
+        files[name] = (status.st_size, status.st_mtime_ns)
+    for table in _folders(run):
+        place = run.place(table)
+        prefix = place.relative_to(run.path).as_posix()
+        try:
+            entries = list(os.scandir(place))
+        except OSError:
+            continue
+        for entry in entries:
+            if not entry.name.startswith("."):
+                status = entry.stat()
+                files[f"{prefix}/{entry.name}"] = (status.st_size, status.st_mtime_ns)
+    return files
+
+
+def _folders(run: FolderRun) -> Iterator[str]:
+    try:
+        with os.scandir(run.path) as entries:
+            names = [e.name for e in entries if e.is_dir()]
+    except OSError:
+        names = []
+    yield from (name for name in names if name not in ("episodes", "gym", "models"))
+    yield from (f"models/{table}" for table in MODELS)
+
+
+def _found_in_file(file: Path) -> list[FoundEpisode]:
+    """Returns the episodes of a DuckDB file."""
+    status = file.stat()
+    listing = {file.name: (status.st_size, status.st_mtime_ns)}
+    try:
+        listed = episodes(file)
+    except SelectScriptError as error:
+        entry = EpisodeEntry(str(file), "", 0, error=error.message)
+        return [FoundEpisode(file, "", 0, listing, entry)]
+    entries = [
+        EpisodeEntry(
+            str(file),
+            one.world,
+            one.number,
+            one.id,
+            one.started,
+            one.complete,
+            VERSION,
+            one.ticks,
+            one.first_tick,
+            one.last_tick,
+            one.start,
+            one.end,
+            one.every,
+            one.tables,
+            one.entities,
+            dict(one.tags),
+        )
+        for one in listed
+    ]
+    return [FoundEpisode(file, e.world, e.episode, listing, e) for e in entries]
+
+
+def entries_of_records(
+    records: Iterable[Path], known: Mapping[tuple[str, str, int], EpisodeEntry]
+) -> Iterator[EpisodeEntry]:
+    """Yields an entry for each episode, those that are known and did not change as they are.
+
+    Args:
+        records: the records.
+        known: the entries of a manifest, by their keys.
+    """
+    for record in records:
+        for found in found_in(record):
+            before = known.get((str(found.path), found.world, found.episode))
+            if found.entry is not None:
+                yield found.entry
+            elif before is not None and _is_unchanged(before, found.listing):
+                yield before
+            else:
+                entry = _described(found)
+                if entry is not None:
+                    yield entry
+
+
+def _is_unchanged(entry: EpisodeEntry, listing: Listing) -> bool:
+    if entry.error is not None:  # it may have been the system's
+        return False
+    return {file.name: (file.size, file.modified) for file in entry.files} == listing
+
+
+def missing(entry: EpisodeEntry) -> EpisodeEntry:
+    """Returns the entry of an episode whose files are gone."""
+    message = f"episode {entry.episode} of {entry.world!r} in {entry.path} {MISSING}"
+    return replace(entry, error=message, group=None, files=())
+
+
+def _described(found: FoundEpisode) -> EpisodeEntry | None:
+    """Returns the entry of an episode in a folder; None if an export has not finished it."""
+    entry = EpisodeEntry(str(found.path), found.world, found.episode)
+    run = FolderRun(found.path, found.world, found.episode)
+    try:
+        if not run.about_file.is_file():
+            raise RecordError(f"{run.about_file} is missing, and ticks of its episode are there")
+        check_about(found.path)
+        if not run.has_begun:
+            return None
+        if not run.has_ticks:
+            raise RecordError(f"no tick of {run.world!r} was stored before the recording ended")
+        return _entry_of(run, entry, found.listing)
+    except RecordError as error:
+        return replace(entry, error=error.message)
+    except (OSError, pa.ArrowException) as error:
+        return replace(entry, error=f"{run.about_file} cannot be read: {error}")
+
+
+def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeEntry:
+    """Returns the entry of an episode that can be read."""
+    episode = run.episode
+    files = tuple(
+        FileEntry(name, size, modified, zlib.crc32((run.path / name).read_bytes()))
+        for name, (size, modified) in sorted(listing.items())
+    )
+    models = {table: run.read(f"models/{table}") for table in MODELS}
+    entities = models["entities"]
+    order = np.argsort(entities["id"].to_numpy(), kind="stable")
+    return replace(
+        entry,
+        id=episode.id,
+        started=episode.started,
+        complete=episode.complete,
+        version=VERSION,
+        ticks=episode.ticks,
+        first_tick=episode.first_tick,
+        last_tick=episode.last_tick,
+        start=episode.start,
+        end=episode.end,
+        every=episode.every,
+        tables=tuple(run.tables),
+        entities=tuple(entities["name"].take(pa.array(order)).to_pylist()),
+        tags=dict(episode.tags),
+        group=_group_of(run, models, episode.every),
+        files=files,
+    )
+
+
+def _group_of(run: FolderRun, models: Mapping[str, pa.Table], every: int) -> str | None:
+    """Returns what is the same for episodes that can be asked together; None for no others."""
+    if run.log or run.removed_parts or not run.has_checksums:
+        return None
+    for table in run.tables:
+        files = run.files(table)
+        if not all(has_current_columns(file, table) for file in files[:1]):
+            return None
+        if any(parquet_problem(file, has_checksums=True) for file in files):
+            return None
+    if "run" not in models["entities"].column_names:
+        return None
+    sink = hashlib.sha256(repr((run.world, run.tables, every, run.recording["entities"])).encode())
+    for table, rows in sorted(models.items()):
+        names = [name for name in rows.column_names if name != "run"]
+        columns = {name: rows[name].to_pylist() for name in names}
+        sink.update(repr((table, columns)).encode())
+    last = pq.ParquetFile(run.files("entities")[-1]).read(columns=["tick", "id"])
+    ticks = last["tick"].to_numpy()
+    present = np.sort(last["id"].to_numpy()[ticks == ticks.max()])
+    sink.update(present.tobytes())
+    return sink.hexdigest()

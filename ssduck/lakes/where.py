@@ -1,0 +1,92 @@
+"""Conditions on episodes: expressions of SQL over the columns of the manifest, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import sqlglot
+from sqlglot import exp
+
+from ssduck.errors import ArgumentError, nearest
+
+_FUNCTIONS = (
+    exp.Abs,
+    exp.ArrayContains,
+    exp.Coalesce,
+    exp.Length,
+    exp.Lower,
+    exp.Round,
+    exp.StartsWith,
+    exp.Upper,
+)
+# All that a condition may consist of.
+_PARTS = (
+    exp.Add,
+    exp.And,
+    exp.Between,
+    exp.Boolean,
+    exp.Column,
+    exp.Div,
+    exp.EQ,
+    exp.GT,
+    exp.GTE,
+    exp.ILike,
+    exp.Identifier,
+    exp.In,
+    exp.Is,
+    exp.LT,
+    exp.LTE,
+    exp.Like,
+    exp.Literal,
+    exp.Mul,
+    exp.NEQ,
+    exp.Neg,
+    exp.Not,
+    exp.Null,
+    exp.Or,
+    exp.Paren,
+    exp.Sub,
+    *_FUNCTIONS,
+)
+_NAMES = "abs, coalesce, length, list_contains, lower, round, starts_with, upper"
+
+
+def condition(text: str, columns: Collection[str]) -> exp.Expr:
+    """Returns a condition on rows with some columns.
+
+    Args:
+        text: an expression of SQL: comparisons, AND, OR, NOT, IN, BETWEEN, LIKE, IS NULL,
+            arithmetic, and a few functions. It has no queries.
+        columns: the columns.
+
+    Raises:
+        ArgumentError: it is no such expression, or names another column.
+
+    >>> condition("ticks > 100 AND NOT success", ["ticks", "success"]).sql("duckdb")
+    '"ticks" > 100 AND NOT "success"'
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise ArgumentError("where: give a condition, such as \"task = 'pick' AND NOT success\"")
+    try:
+        tree = sqlglot.parse_one(text, into=exp.Condition, dialect="duckdb")
+    except sqlglot.ParseError as error:
+        detail = error.errors[0]["description"] if error.errors else str(error)
+        raise ArgumentError(f"where: {text!r} is no condition: {detail}") from error
+    except sqlglot.TokenError as error:
+        raise ArgumentError(f"where: {text!r} is no condition: {error}") from error
+    names = {name.casefold(): name for name in columns}
+    for part in tree.walk():
+        if not isinstance(part, _PARTS):
+            raise ArgumentError(
+                f"where: {part.sql('duckdb')!r} cannot be in a condition; it has columns, values, "
+                f"comparisons, arithmetic and the functions {_NAMES}"
+            )
+        if isinstance(part, exp.Column):
+            name = part.name.casefold()
+            if part.table or name not in names:
+                raise ArgumentError(
+                    f"where: episodes have no column or tag {part.sql('duckdb')}",
+                    suggestions=nearest(part.name, list(columns)),
+                )
+            part.set("this", exp.to_identifier(names[name], quoted=True))
+    return tree

@@ -1,0 +1,211 @@
+"""Answers a question for some episodes: what each process of an engine does.
+
+Episodes of the same group are one record (`ssduck.interpreter.episode_batches`). Whatever fails
+there, a changed file as well as a program that has no value, is asked again of the episode by
+itself, as `ssduck.open` does: its answer or its error is the result.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections import OrderedDict
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.errors import ProgramWarning, RecordError, SelectScriptError
+from ssduck.interpreter.episode_batches import BatchInterpreter
+from ssduck.interpreter.opening import open_record
+from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.questions import Answering, Question, to_text
+from ssduck.limits import Limits
+from ssduck.recording.model_checks import check_models
+from ssduck.recording.spec import Recording
+from ssduck.recording.static_tables import run_of
+from ssduck.recording.stores.episode_batch import (
+    BatchedEpisode,
+    BatchedFile,
+    DamagedEpisodeError,
+)
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.schema import MODELS, RECORDABLE
+
+# The answer as a text of JSON, and the error: one of them is None.
+Answer: TypeAlias = tuple[str | None, str | None]
+# The number of groups whose models and plans a process keeps.
+MAX_READERS = 4
+
+
+class _Reader:
+    """Asks episodes of one group.
+
+    Args:
+        entry: one of them.
+        limits: the limits of programs.
+
+    Raises:
+        RecordError: its models cannot be read.
+    """
+
+    def __init__(self, entry: EpisodeEntry, limits: Limits | None) -> None:
+        run = FolderRun(Path(entry.path), entry.world, entry.episode)
+        models = {table: run.read(f"models/{table}") for table in MODELS}
+        check_models(models, lambda table: str(run.place(f"models/{table}")))
+        number = run_of(models)
+        assert number is not None
+        assert entry.tables is not None
+        tables = [table for table in entry.tables if table in RECORDABLE]
+        self._batch = BatchInterpreter(
+            entry.world,
+            Recording(**{**run.recording, "tables": tables}),
+            entry.tables,
+            models,
+            number,
+            limits,
+            entry.path,
+        )
+        self._next_tick = 0
+        self._answering: tuple[str, Answering] | None = None
+
+    def answers(self, question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
+        """Returns the answers of episodes; None for those to be asked by themselves."""
+        batched, answers = self._load(entries), [None] * len(entries)
+        reads_present = question.reads_present
+        results: list[Answer | None] = list(answers)
+        for place, index in enumerate(batched):
+            try:
+                with self._batch.episode(place, is_present_read=reads_present) as interpreter:
+                    interpreter.strict = question.is_strict
+                    if self._answering is None or self._answering[0] != question.key:
+                        self._answering = question.key, question.answering(interpreter)
+                    value = self._answering[1](interpreter, entries[index])
+                    results[index] = to_text(value), None
+            except (SelectScriptError, OSError, pa.ArrowException):
+                continue
+        return results
+
+    def _load(self, entries: Sequence[EpisodeEntry]) -> list[int]:
+        """Loads episodes; returns the indices of those whose files are as the manifest says."""
+        episodes: dict[int, BatchedEpisode] = {}
+        for index, entry in enumerate(entries):
+            try:
+                episodes[index] = self._episode(entry)
+            except (RecordError, OSError, pa.ArrowException, KeyError):
+                continue
+        while episodes:
+            try:
+                self._batch.load(list(episodes.values()))
+                break
+            except DamagedEpisodeError as error:
+                del episodes[list(episodes)[error.index]]
+        return list(episodes)
+
+    def _episode(self, entry: EpisodeEntry) -> BatchedEpisode:
+        """Returns an episode whose ticks come after those of all others so far."""
+        assert entry.tables is not None
+        root = _resolved(entry.path)
+        folders = {
+            f"{table}/world={entry.world}/episode={entry.episode}": table for table in entry.tables
+        }
+        files: dict[str, list[BatchedFile]] = {table: [] for table in entry.tables}
+        for file in entry.files:
+            folder, _, _ = file.name.rpartition("/")
+            if folder in folders:
+                place = f"{root}/{file.name}"
+                files[folders[folder]].append(BatchedFile(place, file.checksum))
+        parts = [
+            pq.ParquetFile(pa.BufferReader(file.content())).read(
+                columns=["tick", "time", "wall_time"], use_threads=False
+            )
+            for file in files["ticks"]
+        ]
+        rows = pa.concat_tables(parts)
+        ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
+        ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
+        if not len(ticks) or not ascend or len(ticks) != entry.ticks:
+            raise RecordError(f"{entry.path} has other ticks than its manifest says")
+        offset = self._next_tick - int(ticks[0])
+        self._next_tick += int(ticks[-1] - ticks[0]) + 1
+        return BatchedEpisode(offset, rows, files)
+
+    def close(self) -> None:
+        """Closes the interpreter."""
+        self._batch.close()
+
+
+@lru_cache(maxsize=1024)
+def _resolved(path: str) -> str:
+    """Returns the path of a record without links."""
+    return Path(path).resolve().as_posix()
+
+
+_readers: OrderedDict[tuple[str, Limits | None], _Reader] = OrderedDict()
+
+
+def _reader_of(entry: EpisodeEntry, limits: Limits | None) -> _Reader:
+    """Returns the reader of the group of an episode; a process keeps the last ones."""
+    assert entry.group is not None
+    key = entry.group, limits
+    if key not in _readers:
+        reader = _Reader(entry, limits)
+        while len(_readers) >= MAX_READERS:
+            _readers.popitem(last=False)[1].close()
+        _readers[key] = reader
+    _readers.move_to_end(key)
+    return _readers[key]
+
+
+def answer_episodes(question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer]:
+    """Returns the answer or the error of each episode, in order."""
+    answers: list[Answer | None] = [None] * len(entries)
+    with warnings.catch_warnings():
+        # They are of the program, and would come from each process.
+        warnings.simplefilter("ignore", ProgramWarning)
+        groups: dict[str, list[int]] = {}
+        if question.is_batchable:
+            for index, entry in enumerate(entries):
+                if entry.group is not None and entry.error is None:
+                    groups.setdefault(entry.group, []).append(index)
+        for indices in groups.values():
+            chosen = [entries[index] for index in indices]
+            for index, answer in zip(indices, _answers_of_group(question, chosen), strict=True):
+                answers[index] = answer
+        return [
+            answer_by_itself(question, entry) if answer is None else answer
+            for entry, answer in zip(entries, answers, strict=True)
+        ]
+
+
+def _answers_of_group(question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
+    try:
+        reader = _reader_of(entries[0], question.limits)
+    except (SelectScriptError, OSError, pa.ArrowException):  # others of the group may be whole
+        return [None] * len(entries)
+    return reader.answers(question, entries)
+
+
+def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
+    """Returns the answer or the error of an episode, opened as `ssduck.open` does."""
+    if entry.error is not None:
+        return None, entry.error
+    try:
+        with open_record(
+            entry.path, entry.world, entry.episode, limits=question.limits
+        ) as interpreter:
+            interpreter.strict = question.is_strict
+            return to_text(question.answering(interpreter)(interpreter, entry)), None
+    except SelectScriptError as error:
+        return None, str(error)
+    except Exception as error:  # noqa: BLE001  # a damaged file must not end the others' answers
+        return None, f"{type(error).__name__}: {error}"
+
+
+def forget_readers() -> None:
+    """Closes what this process keeps of groups of episodes."""
+    while _readers:
+        _readers.popitem()[1].close()

@@ -1,0 +1,111 @@
+"""Checks the tags of episodes: what users say of a run, by name.
+
+    {"task": "pick", "success": True, "return": 12.5}
+
+A tag is a text, True, False or a finite number, so that it fits into a column of a table.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ssduck import validation
+from ssduck.errors import ArgumentError
+from ssduck.formatting import short_repr
+
+Tag: TypeAlias = str | bool | int | float
+Tags: TypeAlias = Mapping[str, Tag]
+# The largest number of tags of an episode, and the longest name of one.
+MAX_TAGS = 1000
+_MAX_NAME = 200
+
+
+def checked_tags(tags: Any, argument: str = "tags") -> dict[str, Tag]:
+    """Returns tags as plain values of Python; None for none.
+
+    Args:
+        tags: texts, True, False or finite numbers by name; None for no tags.
+        argument: the name of the argument, to begin the message.
+
+    Raises:
+        ArgumentError: they are no dict of such values.
+
+    >>> checked_tags({"task": "pick", "success": True, "return": 12.5})
+    {'task': 'pick', 'success': True, 'return': 12.5}
+    """
+    if tags is None:
+        return {}
+    given = validation.mapping(tags, f"{argument}: give a dict of texts and numbers by name")
+    if len(given) > MAX_TAGS:
+        raise ArgumentError(f"{argument}: an episode has at most {MAX_TAGS:,} tags")
+    for name in given:
+        if not _is_name(name):
+            raise ArgumentError(
+                f"{argument}: {short_repr(name)} is no name: give 1 to {_MAX_NAME} letters"
+            )
+    return {name: _plain(value, f"{argument}[{name!r}]") for name, value in given.items()}
+
+
+def are_tags(value: Any) -> bool:
+    """Checks a value of a description of an episode."""
+    return (
+        isinstance(value, dict)
+        and len(value) <= MAX_TAGS
+        and all(_is_name(name) and _is_tag(tag) for name, tag in value.items())
+    )
+
+
+def _is_name(name: Any) -> bool:
+    return isinstance(name, str) and 0 < len(name) <= _MAX_NAME and name.isprintable()
+
+
+def _is_tag(value: Any) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    return isinstance(value, str | bool) or (isinstance(value, int) and abs(value) < 1 << 53)
+
+
+def _plain(value: Any, what: str) -> Tag:
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if validation.is_integer(value):
+        value = int(value)
+    elif validation.is_number(value):
+        value = float(value)
+    if not _is_tag(value):
+        raise ArgumentError(
+            f"{what} is {short_repr(value)}: a tag is a text, True, False or a finite number"
+        )
+    tag: Tag = value
+    return tag
+
+
+def parsed_tag(text: str) -> tuple[str, Tag]:
+    """Returns the name and the value of a tag that is written as `name=value`.
+
+    The value is a text, unless it is true, false, a number or a text in quotes, as in JSON.
+
+    Raises:
+        ArgumentError: there is no name, or no value.
+
+    >>> parsed_tag("success=true"), parsed_tag("task=pick"), parsed_tag('batch="7"')
+    (('success', True), ('task', 'pick'), ('batch', '7'))
+    """
+    name, separator, value = text.partition("=")
+    if not separator:
+        raise ArgumentError(f"tag: {short_repr(text)} has no value; write name=value")
+    try:
+        parsed = json.loads(value, parse_constant=_no_number)
+    except ValueError:
+        parsed = value
+    ((name, tag),) = checked_tags({name: parsed if _is_tag(parsed) else value}, "tag").items()
+    return name, tag
+
+
+def _no_number(text: str) -> float:
+    raise ValueError(text)

@@ -1,0 +1,151 @@
+"""A lake gives the answers that each episode gives by itself."""
+
+import json
+import math
+
+import pyarrow as pa
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, ParseError
+from ssduck.lakes.answers import AnsweredEpisode, answer_table
+from ssduck.lakes.engines import answer_locally
+from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.questions import ProgramQuestion
+from tests.lakes.conftest import EPISODES
+from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
+from tests.support.lake_questions import FURTHER, PROGRAMS, answer_of, by_itself, scores
+
+pytestmark = pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning")
+
+
+@pytest.fixture(scope="module")
+def opened(recorded):
+    """Each episode by itself."""
+    records = [ssduck.open(recorded, "sim", number) for number in range(EPISODES)]
+    yield records
+    for record in records:
+        record.close()
+
+
+@pytest.mark.parametrize("program", [*PROGRAMS.values(), *FURTHER.values()], ids=str)
+def test_one_answer_for_each_episode(recorded, opened, program):
+    entries = ssduck.lake(recorded)._entries
+    ((_, answers),) = answer_locally(ProgramQuestion(program), [entries], 1)
+    assert answers == [answer_of(record, program) for record in opened]
+    is_error = program in (FURTHER["error"], FURTHER["no value"])
+    assert any(answer is not None for answer, _ in answers) != is_error
+
+
+def test_scores(recorded):
+    rows = ssduck.lake(recorded).score(SUCCESS, reward=REWARD, processes=1).to_pylist()
+    assert [(row["return"], row["success"]) for row in rows] == scores(recorded)
+    assert [row["error"] for row in rows] == [None] * EPISODES
+    assert rows[0]["seed"] == 0
+
+
+def test_processes_stream_and_resume(recorded, tmp_path):
+    lake = ssduck.lake(recorded)
+    program = PROGRAMS["least clearance"]
+    whole = lake.ask(program, processes=1)
+    assert whole.column_names == ["world", "episode", "path", "answer", "error"]
+    assert whole["episode"].to_pylist() == list(range(EPISODES))
+    kept = tmp_path / "kept"
+    first = next(lake.stream(program, batch=2, processes=2, resume=kept))
+    assert first["answer"].to_pylist() == whole["answer"].to_pylist()[:2]
+    begun = set(kept.iterdir())
+    assert begun
+    assert lake.ask(program, batch=2, processes=2, resume=kept).equals(whole)
+    assert {file: file.stat().st_mtime_ns for file in begun}.items() <= {
+        file: file.stat().st_mtime_ns for file in kept.iterdir()
+    }.items()
+    assert len(list(kept.iterdir())) == math.ceil(EPISODES / 2)
+
+
+def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch):
+    lake, program = ssduck.lake(recorded), PROGRAMS["last tick"]
+    whole = lake.ask(program, processes=1, resume=tmp_path)
+    monkeypatch.setattr("ssduck.lakes.engines.answer_episodes", None)
+    assert lake.ask(program, processes=1, resume=tmp_path).equals(whole)
+    with pytest.raises(TypeError):
+        lake.ask(f"{program} ", processes=1, resume=tmp_path)
+
+
+def test_where_selects(recorded):
+    lake = ssduck.lake(recorded)
+    answers = lake.ask(
+        "heldFor(z(sim.cup) > 0);", where="episode >= 3 AND error IS NULL", processes=1
+    )
+    assert answers["episode"].to_pylist() == [3, 4]
+    assert lake.ask("1;", where="episode > 99").num_rows == 0
+
+
+def test_mistakes_are_errors_at_once(recorded):
+    lake = ssduck.lake(recorded)
+    with pytest.raises(ParseError):
+        lake.ask("SELECT FROM;")
+    with pytest.raises(ArgumentError, match="there is no engine 'dusk'"):
+        lake.ask("1;", engine="dusk")
+    with pytest.raises(ArgumentError, match="batch"):
+        lake.ask("1;", batch=0)
+
+
+def row(text, error=None):
+    return AnsweredEpisode(EpisodeEntry("/r", "w", 1), text, error)
+
+
+@pytest.mark.parametrize(
+    ("texts", "type", "values"),
+    [
+        (["1", "2.5"], pa.float64(), [1.0, 2.5]),
+        (["true", "null"], pa.bool_(), [True, None]),
+        (["[0.1, 2]", "[3.5, 4.5]"], pa.list_(pa.float64()), [[0.1, 2], [3.5, 4.5]]),
+        (["true", "1"], pa.string(), ["true", "1"]),
+        (['[1, "a"]', "null"], pa.string(), ['[1, "a"]', None]),
+        (["Infinity", "0.1"], pa.float64(), [math.inf, 0.1]),
+        ([str(2**80)], pa.string(), [str(2**80)]),
+    ],
+)  # fmt: skip
+def test_types_of_answers(texts, type, values):
+    table = answer_table(map(row, texts))
+    assert table["answer"].type == type
+    assert table["answer"].to_pylist() == values
+
+
+def test_records_are_rows():
+    rows = [row('[{"id": "a", "path": 1}, {"id": "b", "path": 2}]'), row("[]"), row(None, "no")]
+    table = answer_table(rows)
+    assert table.select(["id", "path_", "error"]).to_pylist() == [
+        {"id": "a", "path_": 1, "error": None},
+        {"id": "b", "path_": 2, "error": None},
+        {"id": None, "path_": None, "error": "no"},
+    ]
+
+
+def test_nan_stays():
+    table = answer_table([row("NaN"), row("1.0")])
+    assert math.isnan(table["answer"][0].as_py())
+
+
+@pytest.mark.slow
+def test_sixty_episodes(tmp_path):
+    record_episodes(tmp_path / "record", 60, steps=10)
+    lake = ssduck.lake(tmp_path / "record")
+    for program in PROGRAMS.values():
+        wanted = [by_itself(tmp_path / "record", number, program) for number in range(60)]
+        values = [None if text is None else json.loads(text) for text, _ in wanted]
+        for processes in (1, 2):
+            answers = lake.ask(program, processes=processes)
+            assert answers["error"].to_pylist() == [error for _, error in wanted]
+            assert _values(answers) == values
+    rows = lake.score(SUCCESS, reward=REWARD, processes=2)
+    assert list(zip(rows["return"].to_pylist(), rows["success"].to_pylist(), strict=True)) == (
+        scores(tmp_path / "record")
+    )
+
+
+def _values(answers):
+    values = answers["answer"].to_pylist()
+    if answers["answer"].type == pa.string():
+        values = [None if value is None else json.loads(value) for value in values]
+    return values

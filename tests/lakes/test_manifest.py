@@ -1,0 +1,233 @@
+"""The manifest tells of each episode, and damage is one row of errors."""
+
+import json
+import shutil
+
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, RecordError
+from ssduck.lakes.lake import MANIFEST
+from ssduck.lakes.manifest import entries_of, from_bytes, table_of, to_bytes
+from ssduck.recording.stores.checksums import json_text
+from tests.lakes.conftest import EPISODES, STEPS
+from tests.support.lake_questions import PROGRAMS, by_itself
+
+QUESTION = PROGRAMS["last tick"]
+
+
+def part(folder, number, table="entities", name="part-000000.parquet"):
+    return folder / f"{table}/world=sim/episode={number}/{name}"
+
+
+def ask(folder, program=QUESTION, **arguments):
+    rows = ssduck.lake(folder).ask(program, processes=1, **arguments).to_pylist()
+    return {row["episode"]: (row["answer"], row["error"]) for row in rows}
+
+
+def test_columns(recorded):
+    lake = ssduck.lake(recorded)
+    rows = lake.episodes.to_pylist()
+    assert len(lake) == len(rows) == EPISODES
+    episode = ssduck.episodes(recorded)[2]
+    row = rows[2]
+    wanted = {
+        "path": str(recorded), "world": "sim", "episode": 2, "id": episode.id, "complete": True,
+        "ticks": STEPS + 1, "first_tick": episode.first_tick, "end": episode.end, "error": None,
+        "return": episode.tags["return"], "success": False, "every": 1,
+    }  # fmt: skip
+    assert {name: row[name] for name in wanted} == wanted
+    assert {"cup", "wall"} < set(row["entities"])
+    own = [f for f in recorded.rglob("*") if f.is_file() and "episode=2" in str(f)]
+    own += [recorded / "ssduck.json", recorded / "episodes/sim-2.json", recorded / "gym/sim-2.json"]
+    assert row["size"] == sum(file.stat().st_size for file in own)
+
+
+def test_duckdb_polars_and_pandas_read_it(recorded):
+    import duckdb
+    import polars as pl
+
+    episodes = ssduck.lake(recorded).episodes  # DuckDB reads it by its name
+    assert duckdb.sql("SELECT count(*) FROM episodes WHERE NOT success").fetchall() == [(EPISODES,)]
+    assert pl.from_arrow(episodes)["episode"].to_list() == list(range(EPISODES))
+    assert episodes.to_pandas()["ticks"].tolist() == [STEPS + 1] * EPISODES
+
+
+def test_entries_survive_their_formats(recorded):
+    entries = ssduck.lake(recorded)._entries
+    assert entries_of(table_of(entries)) == from_bytes(to_bytes(entries)) == entries
+
+
+def test_written_read_and_rebuilt(folder, monkeypatch):
+    lake = ssduck.lake(folder)
+    file = folder / f"{MANIFEST}.parquet"
+    assert lake.manifest == file
+    assert pq.read_table(file).num_rows == EPISODES
+    with monkeypatch.context() as patch:
+        patch.setattr("ssduck.lakes.scan._described", None)  # nothing is read anew
+        assert ssduck.lake(folder)._entries == lake._entries
+    for content in (b"", b"PAR1", file.read_bytes()[:-40], None):
+        file.unlink() if content is None else file.write_bytes(content)
+        assert ssduck.lake(folder)._entries == lake._entries
+        assert pq.read_table(file).num_rows == EPISODES
+
+
+def test_new_changed_and_missing_episodes(folder):
+    ssduck.lake(folder)
+    with ssduck.open(folder, "sim", 1) as ss:
+        ss.export(folder)
+    assert [e.episode for e in ssduck.lake(folder)._entries] == list(range(EPISODES + 1))
+    (folder / "episodes/sim-3.json").unlink()
+    for place in list(folder.rglob("episode=3")):
+        shutil.rmtree(place)
+    answers = ask(folder)
+    assert answers[3] == (None, f"episode 3 of 'sim' in {folder} is missing: its files were there "
+                          "when the manifest was made")  # fmt: skip
+    assert answers[EPISODES] == answers[1]
+    assert ask(folder)[3] == answers[3]  # it is known from then on
+    lake = ssduck.lake(folder)
+    lake.refresh(forget_missing=True)
+    assert [e.episode for e in lake._entries] == [0, 1, 2, 4, 5]
+    assert 3 not in ask(folder)
+
+
+def newer(folder):
+    content = json.loads((folder / "ssduck.json").read_text()) | {"version": 2}
+    (folder / "ssduck.json").write_text(json_text(content))
+
+
+def flipped(file, place=500):
+    content = bytearray(file.read_bytes())
+    content[place] ^= 1
+    file.write_bytes(content)
+
+
+DAMAGES = {
+    "a flipped byte": (lambda f: flipped(part(f, 1)), "its checksum is wrong"),
+    "a flipped footer": (lambda f: flipped(part(f, 1), -100), "is damaged"),
+    "a truncated part": (lambda f: part(f, 1).write_bytes(part(f, 1).read_bytes()[:900]), "damaged"),
+    "an empty description": (lambda f: (f / "episodes/sim-1.json").write_text(""), "sim-1.json"),
+    "half a description": (lambda f: (f / "episodes/sim-1.json").write_text('{"wor'), "sim-1.json"),
+    "no description": (lambda f: (f / "episodes/sim-1.json").unlink(), "sim-1.json is missing"),
+    "no part": (lambda f: part(f, 1).unlink(), "is missing"),
+    "no model": (lambda f: part(f, 1, "models/shapes").unlink(), "is missing"),
+    "another part": (lambda f: shutil.copy(part(f, 2), part(f, 1)), "another part"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("is_known", [False, True], ids=["before the manifest", "after it"])
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damage_is_one_row(folder, damage, is_known):
+    whole = {number: by_itself(folder, number, QUESTION) for number in (0, 2)}
+    if is_known:
+        ssduck.lake(folder)
+    break_it, message = DAMAGES[damage]
+    break_it(folder)
+    answers = ask(folder)
+    assert sorted(answers) == list(range(EPISODES))
+    assert answers[1][0] is None
+    assert message in answers[1][1]
+    assert {number: answers[number] for number in whole} == whole
+    assert [number for number, (_, error) in answers.items() if error] == [1]
+
+
+def test_damage_while_it_is_asked(folder):
+    """The manifest was read, and a file changes before its episode is asked."""
+    lake = ssduck.lake(folder)
+    flipped(part(folder, 2))
+    rows = lake.ask(QUESTION, processes=1).to_pylist()
+    assert [row["episode"] for row in rows if row["error"]] == [2]
+
+
+def test_a_newer_version_is_an_error_of_its_episodes(folder, recorded, tmp_path):
+    newer(folder)
+    shutil.copytree(recorded, tmp_path / "today")
+    answers = ssduck.lake(tmp_path).ask(QUESTION, processes=1).to_pylist()
+    errors = {row["path"]: row["error"] for row in answers}
+    assert len(answers) == 2 * EPISODES
+    assert "version 2" in errors[str(folder)]
+    assert errors[str(tmp_path / "today")] is None
+
+
+def test_a_half_written_episode(folder):
+    content = json.loads((folder / "episodes/sim-4.json").read_text())
+    del content["parts"]
+    (folder / "episodes/sim-4.json").write_text(json_text(content))
+    episodes = ssduck.lake(folder).episodes
+    assert episodes["complete"].to_pylist()[3:] == [True, False]
+    assert ask(folder)[4] == by_itself(folder, 4, QUESTION)
+
+
+def test_patterns_files_and_folders(recorded, tmp_path):
+    for name in ("a/night", "b/day", "b/night", "c[1]/night"):
+        shutil.copytree(recorded, tmp_path / name)
+    with ssduck.open(recorded, "sim", 0) as ss, ssduck.Interpreter(tmp_path / "own.duckdb") as own:
+        own.add_variable("sim", ss["sim"])
+    assert len(ssduck.lake(tmp_path / "*/night")) == 3 * EPISODES
+    assert len(ssduck.lake(tmp_path / "**/day")) == EPISODES
+    assert len(ssduck.lake(tmp_path / "c[1]")) == EPISODES
+    assert len(ssduck.lake(f"file://{tmp_path / 'b'}")) == 2 * EPISODES
+    with pytest.raises(RecordError, match="there is no record"):
+        ssduck.lake(tmp_path / "d*")
+    with pytest.raises(RecordError, match="there is no record"):
+        ssduck.lake(tmp_path / "nothing")
+
+
+def test_tags(folder):
+    lake = ssduck.lake(folder)
+    assert lake.set_tags({"task": "pick", "grade": 2}, "episode < 3") == 3
+    answers = lake.tag("reach", "greatest(x(sim.gripper))[1];", processes=1)
+    assert lake.episodes["reach"].to_pylist() == answers["answer"].to_pylist()
+    lake.tag(
+        "near", "SELECT near(sim.gripper, sim.cup, 0.3) FROM [1];", "task = 'pick'", processes=1
+    )
+    again = ssduck.lake(folder)
+    assert again._entries == lake._entries
+    rows = again.episodes.select(["task", "grade", "near"]).to_pylist()
+    assert rows[:3] == [{"task": "pick", "grade": 2, "near": rows[0]["near"]}] * 3
+    assert isinstance(rows[0]["near"], bool)
+    assert rows[3:] == [{"task": None, "grade": None, "near": None}] * (EPISODES - 3)
+    assert ssduck.episodes(folder)[0].tags["grade"] == 2
+    with pytest.raises(ArgumentError, match="tag"):
+        lake.tag("many", "[1, 2];", processes=1)
+    with pytest.raises(ArgumentError, match="task"):
+        lake.set_tags({"task": [1]})
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ("", "give a condition"),
+        ("taks = 1", "no column or tag taks"),
+        ("1 = 1) OR (1 = 1", "is no condition"),
+        ("1 = 1; DROP TABLE episodes", "is no condition"),
+        ("episode IN (SELECT 1)", "cannot be in a condition"),
+        ("(SELECT count(*) FROM read_csv('/etc/passwd')) > 0", "cannot be in a condition"),
+        ("read_text('/etc/passwd') IS NULL", "cannot be in a condition"),
+        ("getenv('HOME') = ''", "cannot be in a condition"),
+        ("episodes.episode = 1", "no column or tag"),
+        ("sum(episode) > 1", "cannot be in a condition"),
+        ("episode = 'one'", "is no condition"),
+        ("episode = ?", "cannot be in a condition"),
+    ],
+)
+def test_conditions_are_expressions_only(recorded, where, message):
+    with pytest.raises(ArgumentError, match=message.replace("(", r"\(")):
+        ssduck.lake(recorded).select(where)
+
+
+@pytest.mark.parametrize(
+    ("where", "count"),
+    [
+        ("NOT success AND ticks BETWEEN 1 AND 100", EPISODES),
+        ("list_contains(entities, 'cup') AND world LIKE 's%'", EPISODES),
+        ("Episode IN (1, 3) OR abs(-episode) = 0", 3),
+        ("lower(upper(world)) = 'sim' AND starts_with(world, 's')", EPISODES),
+        ('"return" IS NULL', 0),
+        ("-episode * 2 + 1 >= -1", 2),
+        ("/* none */ episode = 9", 0),
+    ],
+)
+def test_conditions(recorded, where, count):
+    assert ssduck.lake(recorded).select(where).num_rows == count
