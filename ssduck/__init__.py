@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from ssduck.adapters.registry import Selection, adapter
     from ssduck.errors import ProgramWarning, SelectScriptError
     from ssduck.geometry.height_fields import height_field
+    from ssduck.interchange.record_writer import RecordWriter, write_record
     from ssduck.interpreter.archives import episodes
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.interpreter.opening import load
@@ -36,6 +37,7 @@ __all__ = [
     "OccupancyGrid",
     "Past",
     "ProgramWarning",
+    "RecordWriter",
     "Recording",
     "Robot",
     "SelectScriptError",
@@ -49,6 +51,7 @@ __all__ = [
     "height_field",
     "load",
     "open",
+    "write_record",
 ]
 
 _HOMES = {
@@ -63,6 +66,7 @@ _HOMES = {
     "OccupancyGrid": "adapters.grid_values",
     "Past": "recording.replay.past",
     "ProgramWarning": "errors",
+    "RecordWriter": "interchange.record_writer",
     "Recording": "recording.spec",
     "Robot": "world.entities",
     "SelectScriptError": "errors",
@@ -76,6 +80,7 @@ _HOMES = {
     "height_field": "geometry.height_fields",
     "load": "interpreter.opening",
     "open": "interpreter.opening",
+    "write_record": "interchange.record_writer",
 }
 # Names that differ in their module, as Python has a function of that name.
 _ORIGINALS = {"open": "open_record"}
