@@ -211,13 +211,21 @@ def export(
         float | None, typer.Option(metavar="T", help="The simulated time of the last tick, s.")
     ] = None,
     tag: _Tags = None,
+    pairs: Annotated[
+        float | None,
+        typer.Option(
+            metavar="D",
+            help="Write also the table of the pairs of entities within D metres.",
+            show_default="none",
+        ),
+    ] = None,
 ) -> None:
     """Write an episode of a record, or a part of it, to a folder of Parquet files."""
     from ssduck.interpreter.opening import open_record
 
     tags = dict(map(parsed_tag, tag or ()))
     with open_record(path, world, episode) as ss:
-        folders = ss.export(output, entities=entities, start=start, end=end, tags=tags)
+        folders = ss.export(output, entities=entities, start=start, end=end, tags=tags, pairs=pairs)
         for name, folder in folders.items():
             print_line(f"{name}: {folder}")
 

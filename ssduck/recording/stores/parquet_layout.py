@@ -462,6 +462,13 @@ def part_number(file: Path) -> int:
     return int(match.group(1))
 
 
+def episode_number(place: Path) -> int:
+    """Returns the number of an episode from a folder of its files, such as `ticks/…/episode=0`."""
+    match = _FOLDER.fullmatch(place.name)
+    assert match is not None
+    return int(match.group(1))
+
+
 def label_of(key: str, table: str, number: int | str) -> bytes:
     """Returns the label of a part of a table, of the episode with a key."""
     return json.dumps({"episode": key, "table": table, "part": number}).encode()
