@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from ssduck.adapters.registry import Selection, adapter
     from ssduck.errors import ProgramWarning, SelectScriptError
     from ssduck.geometry.height_fields import height_field
+    from ssduck.interchange.conversion import import_poses
     from ssduck.interchange.record_writer import RecordWriter, write_record
     from ssduck.interpreter.archives import episodes
     from ssduck.interpreter.interpreter import Interpreter
@@ -49,6 +50,7 @@ __all__ = [
     "check",
     "episodes",
     "height_field",
+    "import_poses",
     "load",
     "open",
     "write_record",
@@ -78,6 +80,7 @@ _HOMES = {
     "check": "interpreter.record_check",
     "episodes": "interpreter.archives",
     "height_field": "geometry.height_fields",
+    "import_poses": "interchange.conversion",
     "load": "interpreter.opening",
     "open": "interpreter.opening",
     "write_record": "interchange.record_writer",

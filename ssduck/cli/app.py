@@ -24,7 +24,7 @@ import typer
 from typer.core import TyperGroup
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
-from ssduck.cli.interchange import macros
+from ssduck.cli.interchange import import_, macros
 from ssduck.cli.records import check, episodes, export, open_or_load, record, whole_steps
 from ssduck.cli.rendering import render
 from ssduck.cli.viewing import view
@@ -419,6 +419,7 @@ def _writer_of_result(
 
 for command in (record, export, episodes, check, macros):
     app.command()(command)
+app.command("import")(import_)
 
 
 @app.command()

@@ -1,13 +1,16 @@
-"""Defines the command for other tools: `ssduck macros`."""
+"""Defines the commands for other tools: `ssduck macros`, `import`, and exports to their formats."""
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ssduck.adapters.display import print_line
+from ssduck.errors import RecordError
+from ssduck.formatting import count_of
 
 
 def macros(
@@ -54,3 +57,71 @@ def macros(
         print_line(script.rstrip("\n"))
     else:
         output.write_text(script, encoding="utf-8")
+
+
+def export_as(
+    path: Path,
+    output: Path,
+    format: str,
+    world: str | None,
+    episode: int | None,
+    fps: int | None,
+    entities: list[str] | None,
+    between: tuple[float | None, float | None],
+) -> None:
+    """Writes episodes of a record in a format of other tools: all of them, or one."""
+    from ssduck.interchange.conversion import write_runs
+    from ssduck.interpreter.archives import episodes
+    from ssduck.interpreter.opening import open_record
+    from ssduck.recording.stores.parquet_layout import runs_in
+
+    is_part = entities is not None or between != (None, None)
+    with tempfile.TemporaryDirectory() as folder:
+        if path.is_dir() and not is_part:
+            listed = runs_in(path.absolute())
+        else:  # a DuckDB file, or a part of an episode: an export has it as a folder
+            for one in episodes(path):
+                if one.ticks and world in (None, one.world) and episode in (None, one.number):
+                    with open_record(path, one.world, one.number) as ss:
+                        ss.export(folder, entities=entities, start=between[0], end=between[1])
+            listed, episode = runs_in(Path(folder)), None
+        runs = [
+            run
+            for run in listed
+            if world in (None, run.world) and episode in (None, run.number) and run.has_ticks
+        ]
+        if not runs:
+            raise RecordError(f"{path} has no such episode with ticks")
+        for written in write_runs(runs, output, format, fps):
+            print_line(str(written))
+
+
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="SOURCE", help="An MCAP file, or a folder with a LeRobot dataset."),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", metavar="PATH", help="The folder of the record; it may have others."
+        ),
+    ],
+    world: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="The name of the world.",
+            show_default="that of the source, or world",
+        ),
+    ] = None,
+) -> None:
+    """Write the poses of an MCAP file or of a LeRobot dataset as a record.
+
+    A warning says what they do not tell of.
+    """
+    from ssduck.interchange.conversion import import_poses
+
+    for episode in import_poses(source, output, world=world):
+        ticks = f"{count_of(episode.ticks, 'tick')} of {episode.world!r}"
+        print_line(f"{ticks}: episode {episode.number} in {output}")

@@ -219,11 +219,37 @@ def export(
             show_default="none",
         ),
     ] = None,
+    format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="folder (of Parquet files), lerobot (a dataset), mcap or rrd (files).",
+        ),
+    ] = "folder",
+    fps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="The frames per second of a dataset of LeRobot.",
+            show_default="that of the ticks",
+        ),
+    ] = None,
 ) -> None:
-    """Write an episode of a record, or a part of it, to a folder of Parquet files."""
+    """Write an episode of a record, or a part of it, to a folder or in a format of other tools."""
     from ssduck.interpreter.opening import open_record
 
     tags = dict(map(parsed_tag, tag or ()))
+    if format != "folder":
+        from ssduck.cli.interchange import export_as
+
+        if pairs is not None:
+            raise typer.BadParameter("--pairs: only records have a table of pairs")
+        export_as(path, output, format, world, episode, fps, entities, (start, end))
+        return
+    if fps is not None:
+        raise typer.BadParameter("--fps is for lerobot")
     with open_record(path, world, episode) as ss:
         folders = ss.export(output, entities=entities, start=start, end=end, tags=tags, pairs=pairs)
         for name, folder in folders.items():

@@ -390,6 +390,15 @@ class FolderRun:
         rows = self._rows(table, files)
         return pa.concat_tables(rows, promote_options="default")  # older parts may lack columns
 
+    def parts_of(self, table: str) -> Iterator[pa.Table]:
+        """Yields the rows of each complete part of a table, checked.
+
+        Raises:
+            RecordError: a file is missing or damaged.
+        """
+        for file in self.listed_files(table):
+            yield from self._rows(table, [file])
+
     def _rows(self, table: str, files: Sequence[Path]) -> list[pa.Table]:
         """Returns the rows of files of a table, with the columns that it is to have."""
         self.check(table, map(part_number, files))
