@@ -11,6 +11,7 @@ import typer
 from ssduck.adapters.display import print_line
 from ssduck.errors import RecordError
 from ssduck.formatting import count_of
+from ssduck.recording.paths import expand_path
 
 
 def macros(
@@ -77,8 +78,9 @@ def export_as(
 
     is_part = entities is not None or between != (None, None)
     with tempfile.TemporaryDirectory() as folder:
-        if path.is_dir() and not is_part:
-            listed = runs_in(path.absolute())
+        place = expand_path(path)
+        if place.is_dir() and not is_part:
+            listed = runs_in(place.absolute())
         else:  # a DuckDB file, or a part of an episode: an export has it as a folder
             for one in episodes(path):
                 if one.ticks and world in (None, one.world) and episode in (None, one.number):

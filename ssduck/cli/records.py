@@ -14,7 +14,7 @@ import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.formatting import count_of
-from ssduck.recording.paths import is_record
+from ssduck.recording.paths import expand_path, is_record
 from ssduck.recording.tags import parsed_tag
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def record(
     from ssduck.schema import RECORDABLE
     from ssduck.simulators.scenes import find_scene
 
+    output = expand_path(output)
     description = find_scene(scene)
     steps = whole_steps(seconds, description.timestep)
     recording = Recording(
@@ -285,6 +286,7 @@ def check(
     """List the damaged and missing files of a record, and what is lost with each."""
     from ssduck.interpreter.record_check import check as damages_of
 
+    path = expand_path(path)
     damages = damages_of(path, repair=repair)
     if not damages:
         print_line(f"{path} is intact")
