@@ -269,6 +269,8 @@ def _primitive(type: int, size: Sequence[float]) -> Geometry | None:
         return Geometry.primitive("capsule", (a, 2 * b, 0))
     if type == _GEOM.mjGEOM_CYLINDER:
         return Geometry.primitive("cylinder", (a, 2 * b, 0))
+    if type == _GEOM.mjGEOM_ELLIPSOID:
+        return Geometry.primitive("ellipsoid", (a, b, c))
     return None
 
 

@@ -184,7 +184,7 @@ class MuJoCoSimulator(PartialSimulator):
             self._warned.update(names)
             warn(
                 f"{joined_names(names)}: bounding boxes are used instead of shapes that ssduck "
-                "does not know (ellipsoids and signed distance fields are such), which have "
+                "does not know (signed distance fields are such), which have "
                 "exact = false in the table of shapes"
             )
 
