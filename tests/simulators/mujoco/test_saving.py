@@ -288,3 +288,100 @@ def test_the_model_loads_by_itself_and_in_mujoco(tmp_path):
         assert alone.eval("SELECT id FROM world WHERE mass(this) > 3 AS list;") == heavy
         assert alone["world"]["fridge"].kind == "robot"
         assert not [entity for entity in alone["world"] if entity.kind == "sensor"]
+
+
+CABINET = """<robot name="cabinet">
+  <link name="case"><collision><geometry><box size="1 1 1"/></geometry></collision></link>
+  <link name="drawer"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><box size=".8 .8 .3"/></geometry></collision></link>
+  <link name="door"><inertial><origin xyz="0 .2 0"/><mass value="2"/><inertia ixx="1" iyy="1" izz=".5" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0 .2 0"/><geometry><box size=".02 .4 .4"/></geometry></collision></link>
+  <joint name="slide" type="prismatic"><parent link="case"/><child link="drawer"/><origin xyz=".2 0 .1" rpy=".1 .2 .3"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="0.4" effort="10" velocity="1"/></joint>
+  <joint name="turn" type="revolute"><parent link="case"/><child link="door"/><origin xyz=".5 -.4 -.3"/>
+    <axis xyz="0 0 1"/><limit lower="-1.5" upper="0" effort="5" velocity="1"/></joint>
+</robot>"""
+CABINETS = """name = "room"
+gravity = [0, 0, 0]
+[[body]]
+name = "one"
+urdf = "cabinet.urdf"
+own_inertia = true
+fixed = true
+joints = {{ slide = {0}, turn = {1} }}
+[[body]]
+name = "other"
+urdf = "cabinet.urdf"
+own_inertia = true
+position = [3, 0, 0]
+fixed = true
+[[constraint]]
+type = "fixed"
+on = "one"
+link = "drawer"
+to = "other"
+"""
+
+
+@pytest.mark.parametrize(("slide", "turn"), [(0.0, 0.0), (0.02, -0.05), (0.21, -0.8), (0.4, -1.5)])
+def test_drawers_agree(tmp_path, slide, turn):
+    """Two bodies of one file: names of parts that both have get that of the body in front."""
+    pytest.importorskip("pybullet")
+    (tmp_path / "cabinet.urdf").write_text(CABINET)
+    (tmp_path / "room.toml").write_text(CABINETS.format(slide, turn))
+    with ssduck.load(tmp_path / "room.toml") as ss:
+        file, warned = saved(ss["room"], tmp_path / "saved")
+        assert warned == ["one, other: its motors are left out: friction brakes its joints instead"]
+        ss.add_variable("m", ssduck.World.load(read_scene(file)))
+        for relation in ("isOpen", "isClosed"):
+            for joint in ("slide", "turn"):
+                for share in ("", ", 0.3", ", 0.9"):
+                    one, other = (
+                        ss.eval(f"{relation}({world}.one, '{joint}'{share});")
+                        for world in ("room", "m")
+                    )
+                    assert one is other, (relation, joint, share)
+        names = [joint.name for joint in ss["m"]["other"].joints]
+        assert names == ["other_slide", "other_turn"]
+        for entity in ("one", "other"):
+            boxes = [np.array(ss[world][entity].aabb) for world in ("room", "m")]
+            assert boxes[0] == pytest.approx(boxes[1], abs=1e-6)
+        model = ss["m"].simulator.model
+        assert model.neq == 1
+        assert model.jnt_range.tolist() == [[0, 0.4], [-1.5, 0]] * 2
+        assert model.body("other_door").inertia.tolist() == [1, 1, 0.5]
+
+
+def test_what_mjcf_has_not_is_named(tmp_path):
+    pybullet = pytest.importorskip("pybullet")
+    client = pybullet.connect(pybullet.DIRECT)
+    corners = [[0, 0, 0], [1, 0, 0], [1, 0.2, 0], [0.2, 0.2, 0], [0.2, 1, 0], [0, 1, 0]]
+    corners += [[x, y, 0.5] for x, y, _ in corners]
+    sides = [(n, (n + 1) % 6, (n + 1) % 6 + 6, n + 6) for n in range(6)]
+    faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
+    faces += [(0, 3, 2), (0, 2, 1), (0, 5, 4), (0, 4, 3)]
+    faces += [(6, 8, 9), (6, 7, 8), (6, 10, 11), (6, 9, 10)]
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_MESH, vertices=corners, indices=np.ravel(faces).tolist(),
+        flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=client,
+    )  # fmt: skip
+    corner = pybullet.createMultiBody(0, shape, physicsClientId=client)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    one, other = (
+        pybullet.createMultiBody(1, ball, -1, [x, 0, 2], physicsClientId=client) for x in (0, 1)
+    )
+    pybullet.createConstraint(
+        one, -1, other, -1, pybullet.JOINT_POINT2POINT, [0, 0, 1], [1, 0, 0], [0, 0, 0],
+        physicsClientId=client,
+    )  # fmt: skip
+    names = {corner: "corner", one: "one", other: "other"}
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable(
+            "w", ssduck.World.attach(client, names, shapes={corner: (corners, faces)})
+        )
+        world["other"].enabled = False
+        _, warned = saved(world, tmp_path / "saved")
+    pybullet.disconnect(client)
+    assert any("corner: MuJoCo collides the hull of its mesh" in text for text in warned)
+    assert any("one: its point constraint is left out" in text for text in warned)
+    assert any("other: its collisions are off" in text for text in warned)
