@@ -392,7 +392,7 @@ _GEOMETRIES = Table(
     "a geometry that shapes have, in its own frame",
     (
         _fixed("id", "integer", "the same for equal geometries"),
-        _fixed("type", "string", "sphere, box, cylinder, capsule, plane, hull or mesh"),
+        _fixed("type", "string", "sphere, box, cylinder, capsule, ellipsoid, plane, hull or mesh"),
         *_doubles(
             "size_x size_y size_z",
             "box: full sizes; else radius, length; plane: normal; m",

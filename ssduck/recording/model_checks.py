@@ -146,6 +146,8 @@ def _check_geometries(models: Mapping[str, pa.Table]) -> None:
             _fail("a plane has no normal")
         if type != "plane" and sizes[number].min() < 0.0:
             _fail(f"a {type} has a negative size")
+        if type == "ellipsoid" and not sizes[number].min() > 0.0:
+            _fail("an ellipsoid has no volume")
 
 
 def _points(value: pa.Scalar, name: str) -> Array:

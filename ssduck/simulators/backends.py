@@ -105,11 +105,26 @@ class Backend(Protocol):
         """
 
     def scene_of(
-        self, simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
+        self,
+        simulator: Simulator,
+        originals: Sequence[BodyToCopy],
+        tick: TickToCopy,
+        folder: Path,
+        target: str,
     ) -> Scene:
         """Describes a simulation of this backend as a scene, without its sensors.
 
         Writes the models of the scene into a folder.
+
+        Args:
+            simulator: the simulation.
+            originals: its bodies.
+            tick: the time of the tick and its flags.
+            folder: the folder of the scene.
+            target: the name of the simulator that is to load the scene.
+
+        Raises:
+            UnsupportedError: the other simulator has no models of this kind.
         """
 
     def visual_shapes(self, simulator: Simulator, body: Body) -> list[VisualShape]:

@@ -37,8 +37,8 @@ class Link:
         name: the name of the link.
         parent: the index of its parent among the links of the body; -1 for the base.
         mass: kg.
-        region: of a site, its region: a sphere, capsule, cylinder or box around the origin of its
-            frame, by which nothing collides; None for a rigid part.
+        region: of a site, its region: a sphere, capsule, cylinder, ellipsoid or box around the
+            origin of its frame, by which nothing collides; None for a rigid part.
     """
 
     name: str
