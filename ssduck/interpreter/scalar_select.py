@@ -17,8 +17,8 @@ from typing import Any, Literal, TypeAlias
 from sqlglot import exp
 
 from ssduck.sql.plan import Plan
-from ssduck.sql.relations.geometry_query import MARGINS_UDF
-from ssduck.sql.relations.registry import GEOMETRY_UDFS
+from ssduck.sql.relation_calls import PAIR_CALL, PairCall
+from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 from ssduck.sql.types import EXACT
 
 Kind: TypeAlias = Literal["double", "integer", "decimal", "boolean", "string", "list"]
@@ -201,6 +201,9 @@ class _Compiler:
         Raises:
             _LeftToDuckDBError: DuckDB has to.
         """
+        pair = sql.meta.get(PAIR_CALL)
+        if isinstance(pair, PairCall) and pair.relation in self._functions:
+            return self._pair(pair)
         match sql:
             case exp.Paren() | exp.Alias():
                 return self.scalar(sql.this)
@@ -213,6 +216,8 @@ class _Compiler:
             case exp.Literal():
                 return _constant("string", sql.name) if sql.is_string else _number(sql.name)
             case exp.Cast() if sql.to.sql("duckdb") == "DOUBLE":
+                if isinstance(sql.this, exp.Literal) and sql.this.name == "infinity":
+                    return _constant("double", math.inf)
                 return self._double(sql.this)
             case exp.Neg():
                 return self._negated(sql)
@@ -365,8 +370,10 @@ class _Compiler:
     def _call(self, sql: exp.Anonymous) -> _Scalar:
         """Returns a call of a function of shapes."""
         function, name = self._functions[sql.name], sql.name
-        result = "DOUBLE" if name == MARGINS_UDF else GEOMETRY_UDFS[name].result
-        count = 1 if name == MARGINS_UDF else 1 + 2 * GEOMETRY_UDFS[name].entities
+        udf = GEOMETRY_UDFS.get(name)
+        result = "DOUBLE" if udf is None else udf.result
+        # Behind the keys of entities, a function of shapes has numbers.
+        count = len(sql.expressions) if udf is None else 1 + 2 * udf.entities
         parts = [self.scalar(part) for part in sql.expressions[:count]]
         numbers = [self._double(part) for part in sql.expressions[count:]]
         if result not in ("BOOLEAN", "DOUBLE"):
@@ -380,6 +387,17 @@ class _Compiler:
             return bool(value) if result == "BOOLEAN" else _finite(float(value))
 
         return _Scalar("boolean" if result == "BOOLEAN" else "double", compute)
+
+    def _pair(self, pair: PairCall) -> _Scalar:
+        """Returns a relation of two entities by their contacts."""
+        function, schema = self._functions[pair.relation], pair.schema
+        first, second = (self._numeric(id, ("integer",)).compute for id in pair.ids)
+        kind: Kind = "boolean" if RELATIONS[pair.relation].result == "boolean" else "double"
+        if kind == "boolean":
+            return _Scalar(kind, lambda values: function(schema, first(values), second(values)))
+        return _Scalar(
+            kind, lambda values: _finite(function(schema, first(values), second(values)))
+        )
 
     def _has_unknown(self, sql: exp.Expr) -> bool:
         """Checks whether an expression calls a function that Python does not know, or fails."""

@@ -200,6 +200,14 @@ class LiveTable:
             return [None if number != number else number for number in numbers]  # noqa: PLR0124
         return numbers
 
+    def value(self, name: str, row: int) -> Any:
+        """Returns the value of a column in a row as Python's; None if it is unknown."""
+        column = self._numbers.get(name)
+        if column is None:
+            return self.values(name)[row]
+        number = column[row].item()
+        return None if number != number else number  # noqa: PLR0124  # NaN is unknown
+
     def doubles(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns of doubles, (columns, rows)."""
         return self.block[self._row[first] : self._row[last] + 1]

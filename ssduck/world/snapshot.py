@@ -342,7 +342,7 @@ class Snapshot:
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
-        return self.tables[table].arrow[column][row].as_py()
+        return self.tables[table].value(column, row)
 
     # -- a tick ---------------------------------------------------------------------------
 

@@ -1,0 +1,177 @@
+"""Runs a SELECT of one row again without looking for its plan: only its parameters are read.
+
+A condition that is evaluated at every step of an environment takes longer to plan again than to
+compute. Its plan holds while the worlds have the same entities, and variables values of the same
+types; whatever else would change it makes the planner forget all plans.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ssduck.database.values import is_exactly
+from ssduck.interpreter.query_runner import PlannedQuery
+from ssduck.language.clauses import Selected, SelectedValue
+from ssduck.language.evaluator import Frame
+from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
+from ssduck.sql.plan import ParameterBinding
+from ssduck.sql.types import SqlType
+from ssduck.world.handles import Handle
+from ssduck.world.layout import EntityInfo
+from ssduck.world.world import World
+
+# Returns the value of a parameter in a frame.
+_Reader = Callable[[Frame], Any]
+
+
+class _ChangedError(Exception):
+    """The plan may be another one now."""
+
+
+class KeptScalars:
+    """A planned SELECT of one row, with functions that read its parameters.
+
+    Args:
+        planned: the query with its plan, which has run in this frame.
+        frame: a frame without rows and state variables around it.
+
+    Raises:
+        ValueError: it has to be planned each time.
+    """
+
+    def __init__(self, planned: PlannedQuery, frame: Frame) -> None:
+        plan = planned.plan
+        if planned.scalars is None:
+            raise ValueError("DuckDB has to evaluate it")
+        self._select = planned.scalars
+        self._planned = planned
+        self._worlds: dict[str, tuple[World, list[EntityInfo]]] = {}
+        self._variables: set[str] = set()
+        # Each value is read once, however often a program names it.
+        self._readers: dict[tuple[Any, ...], _Reader] = {}
+        self._sources = {
+            shape.alias: _literals(source.value)
+            for shape, source in zip(plan.source_types, plan.query.sources, strict=True)
+        }
+        self._bindings = [(b.name, self._key(b, frame)) for b in plan.bindings if b.node]
+        bound = {binding.node for binding in plan.bindings}
+        if plan.worlds or not bound.issuperset(plan.constants):
+            raise ValueError("the plan depends on more than its parameters")
+        self._parameters = {
+            binding.name: self._sources[binding.source]
+            for binding in plan.bindings
+            if binding.source is not None
+        }
+        known = self._variables.union(self._worlds)
+        # Names that are no variables have another meaning as soon as they are.
+        self._unbound = [name for name in (*plan.bare, *plan.deferred) if name not in known]
+        if any(frame.scope.has_variable(name) for name in self._unbound):
+            raise ValueError("the plan depends on more than its parameters")
+
+    @property
+    def columns(self) -> tuple[SelectedValue, ...]:
+        """The selected columns."""
+        return self._planned.columns
+
+    def run(self, frame: Frame) -> Selected | None:
+        """Returns the row; None if the query has to be planned again.
+
+        Args:
+            frame: a frame without rows and state variables around it.
+        """
+        scope = frame.scope
+        if any(map(scope.has_variable, self._unbound)):
+            return None
+        for name, (world, entities) in self._worlds.items():
+            is_same = scope.has_variable(name) and scope.variable(name) is world
+            if not is_same or world.snapshot.load_order is not entities:
+                return None
+        try:
+            values = {key: read(frame) for key, read in self._readers.items()}
+        except _ChangedError:
+            return None
+        parameters = self._parameters | {name: values[key] for name, key in self._bindings}
+        rows = self._select.rows(parameters)
+        scope.meter.check_time()
+        return None if rows is None else self._planned.selected(rows, frame, self._sources)
+
+    def _key(self, binding: ParameterBinding, frame: Frame) -> tuple[Any, ...]:
+        """Returns the key of the reader of a parameter."""
+        node = binding.node
+        assert node is not None
+        if isinstance(node, Name):
+            key: tuple[Any, ...] = (node.name,)
+            self._variables.add(node.name)
+            self._readers[key] = _variable_reader(node.name, binding.sql_type)
+            return key
+        names = _names_in(node)
+        value = frame.value(node) if names is not None else None
+        if names is not None and isinstance(value, Handle) and value.moment is None:
+            for name in names:
+                self._note_world(name, frame)
+            column = binding.column or "id"
+            key = value.world.serial, value.id, column
+            self._readers[key] = lambda _: value.column(column)
+            return key
+        if binding.column is not None:
+            raise ValueError("it names an entity in another way")
+        self._variables.update(part.name for part in node.walk() if isinstance(part, Name))
+        self._readers[(node,)] = _expression_reader(node, binding.sql_type)
+        return (node,)
+
+    def _note_world(self, name: str, frame: Frame) -> None:
+        """Notes that the entities of a world have to stay the same.
+
+        Raises:
+            ValueError: the variable is no world.
+        """
+        world = frame.scope.variable(name)
+        if not isinstance(world, World):
+            raise ValueError("an entity is an element of something else")  # noqa: TRY004
+        self._worlds[name] = world, world.snapshot.load_order
+
+
+def _variable_reader(name: str, sql_type: SqlType) -> _Reader:
+    def read(frame: Frame) -> Any:
+        scope = frame.scope
+        value = scope.variable(name) if scope.has_variable(name) else None
+        if not is_exactly(value, sql_type):
+            raise _ChangedError
+        return value
+
+    return read
+
+
+def _expression_reader(node: Node, sql_type: SqlType) -> _Reader:
+    """Returns the reader of a value that Python computes, of the past for example."""
+
+    def read(frame: Frame) -> Any:
+        value = frame.value(node)
+        if not is_exactly(value, sql_type):
+            raise _ChangedError
+        return value
+
+    return read
+
+
+def _names_in(node: Node) -> list[str] | None:
+    """Returns the variables of an element of variables, such as sim.cup; None for others."""
+    parts = list(node.walk())
+    if not all(isinstance(part, Index | QualifiedName | Name | Literal) for part in parts):
+        return None
+    return [part.name for part in parts if isinstance(part, Name)]
+
+
+def _literals(node: Node) -> list[Any]:
+    """Returns the values of a list of literals.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    if not isinstance(node, ListLiteral):
+        raise ValueError("a source is no list of literals")  # noqa: TRY004
+    values = [item.value for item in node.items if isinstance(item, Literal)]
+    if len(values) != len(node.items):
+        raise ValueError("a source is no list of literals")
+    return values
