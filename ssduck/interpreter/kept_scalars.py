@@ -136,21 +136,30 @@ def _variable_reader(name: str, sql_type: SqlType) -> _Reader:
     def read(frame: Frame) -> Any:
         scope = frame.scope
         value = scope.variable(name) if scope.has_variable(name) else None
-        if not is_exactly(value, sql_type):
-            raise _ChangedError
-        return value
+        return _checked(value, sql_type)
 
     return read
+
+
+def _checked(value: Any, sql_type: SqlType) -> Any:
+    """Returns a value if it has the type that the plan relies on.
+
+    Raises:
+        _ChangedError: it has another one.
+    """
+    is_same = is_exactly(value, sql_type)
+    if is_same and sql_type.type == "list":
+        is_same = bool(value) and (len(value) == 3) == (sql_type.length == 3)
+    if not is_same:
+        raise _ChangedError
+    return value
 
 
 def _expression_reader(node: Node, sql_type: SqlType) -> _Reader:
     """Returns the reader of a value that Python computes, of the past for example."""
 
     def read(frame: Frame) -> Any:
-        value = frame.value(node)
-        if not is_exactly(value, sql_type):
-            raise _ChangedError
-        return value
+        return _checked(frame.value(node), sql_type)
 
     return read
 

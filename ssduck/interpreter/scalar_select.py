@@ -19,7 +19,7 @@ from sqlglot import exp
 from ssduck.sql.plan import Plan
 from ssduck.sql.relation_calls import PAIR_CALL, PairCall
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
-from ssduck.sql.types import EXACT
+from ssduck.sql.types import EXACT, SqlType
 
 Kind: TypeAlias = Literal["double", "integer", "decimal", "boolean", "string", "list"]
 # A function from the values of parameters to that of an expression.
@@ -138,10 +138,22 @@ def _kinds_of(plan: Plan) -> dict[str, Kind]:
     kinds: dict[str, Kind] = dict(plan.numbers)
     for binding in plan.bindings:
         if binding.source is None and binding.name not in kinds:
-            if binding.sql_type.type != "string":
-                raise _LeftToDuckDBError
-            kinds[binding.name] = "string"
+            kinds[binding.name] = _kind_of(binding.sql_type)
     return kinds
+
+
+def _kind_of(sql_type: SqlType) -> Kind:
+    """Returns the type of a parameter that is no number.
+
+    Raises:
+        _LeftToDuckDBError: it is no text, and no list of doubles.
+    """
+    element = sql_type.element
+    if sql_type.type == "list" and element is not None and element.type == "double":
+        return "list"
+    if sql_type.type != "string":
+        raise _LeftToDuckDBError
+    return "string"
 
 
 def _checked(value: Any, kind: Kind) -> Any:
@@ -152,6 +164,8 @@ def _checked(value: Any, kind: Kind) -> Any:
         return value
     if kind == "string" and type(value) is str:
         return value
+    if kind == "list" and set(map(type, value)) == {float}:
+        return list(map(_number_of, value))
     raise _LeftToDuckDBError
 
 
@@ -236,6 +250,8 @@ class _Compiler:
                 return self._list_of(sql)
             case exp.Anonymous() if sql.name in self._functions:
                 return self._call(sql)
+            case exp.Anonymous() if sql.name.lower() == "list_extract":
+                return self._element(sql)
             case exp.Div():
                 return self._quotient(sql)
             case exp.And() | exp.Or() | exp.Not():
@@ -366,6 +382,19 @@ class _Compiler:
             return _of(otherwise, values)
 
         return _Scalar(kinds.pop(), compute)
+
+    def _element(self, sql: exp.Anonymous) -> _Scalar:
+        """Returns an element of a parameter that is a list of doubles, counted from 1."""
+        whole, place = sql.expressions
+        if isinstance(whole, exp.Cast):
+            whole = whole.this
+        is_known = isinstance(whole, exp.Parameter) and self._kinds.get(whole.name) == "list"
+        if not (is_known and isinstance(place, exp.Literal) and place.name.isdecimal()):
+            raise _LeftToDuckDBError
+        name, index = whole.name, int(place.name) - 1
+        if index < 0:
+            raise _LeftToDuckDBError
+        return _Scalar("double", lambda values: values[name][index])
 
     def _call(self, sql: exp.Anonymous) -> _Scalar:
         """Returns a call of a function of shapes."""
