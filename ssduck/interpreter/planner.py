@@ -123,6 +123,8 @@ class Planner:
         if kept is not None and (selected := kept.run(frame)) is not None:
             check(kept.columns)
             return selected
+        if self.is_kept(query):
+            self._database.settle()
         if not self._row_by_row:
             for cautious in (False, True):
                 try:
@@ -206,6 +208,10 @@ class Planner:
         if query not in self._kept and planned.scalars is not None:
             self._keep(query, planned, frame)
         return selected
+
+    def is_kept(self, query: Query) -> bool:
+        """Checks whether a query is a SELECT of one row whose next run may need no DuckDB."""
+        return self._kept.get(query) is not None
 
     def _keep(self, query: Query, planned: PlannedQuery, frame: Frame) -> None:
         """Keeps a SELECT of one row for its next run, if that is possible."""
