@@ -13,7 +13,8 @@ from typing import Any
 from ssduck.database.values import is_exactly
 from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.language.clauses import Selected, SelectedValue
-from ssduck.language.evaluator import Frame
+from ssduck.language.deferred import LazyList
+from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.types import SqlType
@@ -46,7 +47,8 @@ class KeptScalars:
             raise ValueError("DuckDB has to evaluate it")
         self._select = planned.scalars
         self._planned = planned
-        self._worlds: dict[str, tuple[World, list[EntityInfo]]] = {}
+        # Variables that are worlds or entities, with the world and its entities.
+        self._worlds: dict[str, tuple[World | Handle, World, list[EntityInfo]]] = {}
         self._variables: set[str] = set()
         # Each value is read once, however often a program names it.
         self._readers: dict[tuple[Any, ...], _Reader] = {}
@@ -56,7 +58,9 @@ class KeptScalars:
         }
         self._bindings = [(b.name, self._key(b, frame)) for b in plan.bindings if b.node]
         bound = {binding.node for binding in plan.bindings}
-        if plan.worlds or not bound.issuperset(plan.constants):
+        for node in plan.constants.keys() - bound:  # the plan relies on their types
+            self._key(ParameterBinding("", node, sql_type=plan.constants[node]), frame)
+        if plan.worlds:
             raise ValueError("the plan depends on more than its parameters")
         self._parameters = {
             binding.name: self._sources[binding.source]
@@ -64,10 +68,15 @@ class KeptScalars:
             if binding.source is not None
         }
         known = self._variables.union(self._worlds)
-        # Names that are no variables have another meaning as soon as they are.
-        self._unbound = [name for name in (*plan.bare, *plan.deferred) if name not in known]
-        if any(frame.scope.has_variable(name) for name in self._unbound):
-            raise ValueError("the plan depends on more than its parameters")
+        # A name has another meaning as soon as it is a variable, or is none; so has one of a list
+        # that the query evaluates.
+        self._others = {
+            name: frame.scope.has_variable(name)
+            for name in (*plan.bare, *plan.deferred)
+            if name not in known
+        }
+        if not self._are_same(frame.scope):
+            raise ValueError("the query evaluates a list")
 
     @property
     def columns(self) -> tuple[SelectedValue, ...]:
@@ -81,10 +90,10 @@ class KeptScalars:
             frame: a frame without rows and state variables around it.
         """
         scope = frame.scope
-        if any(map(scope.has_variable, self._unbound)):
+        if not self._are_same(scope):
             return None
-        for name, (world, entities) in self._worlds.items():
-            is_same = scope.has_variable(name) and scope.variable(name) is world
+        for name, (value, world, entities) in self._worlds.items():
+            is_same = scope.has_variable(name) and scope.variable(name) is value
             if not is_same or world.snapshot.load_order is not entities:
                 return None
         try:
@@ -96,40 +105,48 @@ class KeptScalars:
         scope.meter.check_time()
         return None if rows is None else self._planned.selected(rows, frame, self._sources)
 
+    def _are_same(self, scope: EvaluationScope) -> bool:
+        """Checks whether names that are no parameters have the same meaning."""
+        return all(
+            scope.has_variable(name) == is_variable
+            and not (is_variable and isinstance(scope.variable(name), LazyList))
+            for name, is_variable in self._others.items()
+        )
+
     def _key(self, binding: ParameterBinding, frame: Frame) -> tuple[Any, ...]:
         """Returns the key of the reader of a parameter."""
         node = binding.node
         assert node is not None
-        if isinstance(node, Name):
-            key: tuple[Any, ...] = (node.name,)
-            self._variables.add(node.name)
-            self._readers[key] = _variable_reader(node.name, binding.sql_type)
-            return key
         names = _names_in(node)
-        value = frame.value(node) if names is not None else None
+        value = None if names is None else frame.value(node)
         if names is not None and isinstance(value, Handle) and value.moment is None:
             for name in names:
                 self._note_world(name, frame)
             column = binding.column or "id"
-            key = value.world.serial, value.id, column
+            key: tuple[Any, ...] = value.world.serial, value.id, column
             self._readers[key] = lambda _: value.column(column)
             return key
         if binding.column is not None:
             raise ValueError("it names an entity in another way")
         self._variables.update(part.name for part in node.walk() if isinstance(part, Name))
-        self._readers[(node,)] = _expression_reader(node, binding.sql_type)
-        return (node,)
+        key = (node.name if isinstance(node, Name) else node,)
+        if isinstance(node, Name):
+            self._readers[key] = _variable_reader(node.name, binding.sql_type)
+        else:
+            self._readers[key] = _expression_reader(node, binding.sql_type)
+        return key
 
     def _note_world(self, name: str, frame: Frame) -> None:
-        """Notes that the entities of a world have to stay the same.
+        """Notes that a variable, and the entities of its world, have to stay the same.
 
         Raises:
-            ValueError: the variable is no world.
+            ValueError: it is neither a world nor an entity.
         """
-        world = frame.scope.variable(name)
+        value = frame.scope.variable(name)
+        world = value.world if isinstance(value, Handle) else value
         if not isinstance(world, World):
             raise ValueError("an entity is an element of something else")  # noqa: TRY004
-        self._worlds[name] = world, world.snapshot.load_order
+        self._worlds[name] = value, world, world.snapshot.load_order
 
 
 def _variable_reader(name: str, sql_type: SqlType) -> _Reader:
