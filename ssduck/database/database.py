@@ -210,15 +210,25 @@ class Database:
         self,
         tables: AbstractSet[str] = frozenset(),
         worlds: Collection[World] | None = None,
+        *,
+        is_settled: bool = True,
     ) -> PinnedWorlds:
         """Pins all worlds at their tick while statements run.
 
         Args:
             tables: the tables to read, from the simulators if need be.
             worlds: the worlds whose tables are read; None for all.
+            is_settled: whether all columns are written; without it, call `settle` before DuckDB
+                reads them.
         """
         serials = None if worlds is None else [world.serial for world in worlds]
-        return PinnedWorlds(self._lock, self._worlds, ReadData(tables, serials))
+        reads = ReadData(tables, serials)
+        return PinnedWorlds(self._lock, self._worlds, reads, is_settled=is_settled)
+
+    def settle(self) -> None:
+        """Writes the columns of pinned worlds that were deferred, for DuckDB to read."""
+        for world in self.worlds.values():
+            world.snapshot.tables["entities"].settle()
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""

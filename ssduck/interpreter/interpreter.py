@@ -281,7 +281,9 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
         """Returns the result that a form makes from the rows of a query."""
         adapted = self._query_of(node, form.adapter)
-        with self._execution.worlds_pinned(adapted):  # the result is made of one tick, too
+        # The result is made of one tick, too.
+        is_settled = not self._planner.is_kept(adapted)
+        with self._execution.worlds_pinned(adapted, is_settled=is_settled):
             return form.value(adapted, frame, self._planner.run)
 
     def _query_of(self, node: Query, adapter: Adapter) -> Query:

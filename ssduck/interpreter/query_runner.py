@@ -76,6 +76,11 @@ class PlannedQuery:
         plan: the plan.
         database: the database that runs its SQL.
         scope: the variables and functions.
+
+    Attributes:
+        plan: the plan.
+        scalars: the query as functions of Python, if it is a SELECT of one row that Python can
+            evaluate as DuckDB does.
     """
 
     def __init__(self, plan: Plan, database: Database, scope: EvaluationScope) -> None:
@@ -84,9 +89,9 @@ class PlannedQuery:
         self._database = database
         self._statement: Statement | None = None
         try:
-            self._scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
+            self.scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
         except ValueError:
-            self._scalars = None
+            self.scalars = None
         # The parameters that are no numbers, at the last run.
         self._last_texts: dict[str, Any] | None = None
         self._converters = {
@@ -164,6 +169,18 @@ class PlannedQuery:
             self._failures += 1
             raise SqlFailedError from error
         self._failures = 0
+        return self.selected(fetched, outer, sources)
+
+    def selected(
+        self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
+    ) -> Selected:
+        """Returns the query's rows for the rows from SQL.
+
+        Args:
+            fetched: the rows.
+            outer: the variables, and the rows of the queries around this one.
+            sources: the values of the sources by alias.
+        """
         if self._clauses is None:
             return self.output_rows(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
@@ -203,7 +220,7 @@ class PlannedQuery:
                 database.connection.meter.check_time()
                 database.connection.meter.check_rows(len(rows))
                 return rows
-        one_row = None if self._scalars is None else self._scalars.rows(parameters)
+        one_row = None if self.scalars is None else self.scalars.rows(parameters)
         if one_row is not None:
             database.connection.meter.check_time()
             return one_row

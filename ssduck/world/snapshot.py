@@ -14,6 +14,7 @@ import copy
 import time
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate, chain
 from typing import Any
 
@@ -342,7 +343,7 @@ class Snapshot:
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
-        return self.tables[table].arrow[column][row].as_py()
+        return self.tables[table].value(column, row)
 
     # -- a tick ---------------------------------------------------------------------------
 
@@ -452,7 +453,7 @@ class Snapshot:
         is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
-        self._write_poses(state.static, state.moving, with_static=is_static_new)
+        self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
             self.tables["joints"].doubles("position", "effort")[:] = state.joints.T
         if "contacts" in tables:
@@ -485,8 +486,8 @@ class Snapshot:
         if static is None:
             static = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
         group = layout.moving_bodies
-        with_velocities = "links" in tables or group.sensors_on_links
-        moving = simulator.read_link_poses(group.bodies, with_velocities=with_velocities)
+        velocities = "links" in tables or group.sensors_on_links
+        moving = simulator.read_link_poses(group.bodies, with_velocities=velocities)
         joints = None
         if "joints" in tables:
             joints = simulator.read_joints([body for _, body in layout.bodies if body.joints])
@@ -526,10 +527,14 @@ class Snapshot:
 
     def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
         """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
-        entities = self.tables["entities"].doubles("x", "zmax")
+        table, bodies = self.tables["entities"], self._layout.moving_bodies
+        block = table.overwritten("x", "zmax")
         if with_static:
-            self._layout.static_bodies.write_entities(static, entities)
-        self._layout.moving_bodies.write_entities(moving, entities)
+            self._layout.static_bodies.write_entities(static, block)
+        if bodies.write_states(moving, block) and table.is_complete:  # many read only poses
+            table.defer("xmin", "zmax", partial(bodies.write_boxes, moving, block))
+        else:
+            bodies.write_boxes(moving, block)
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
 

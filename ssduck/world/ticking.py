@@ -401,8 +401,16 @@ class SteppedSimulation(Observable):
         """
         return Pin(self, tables, is_read=is_read)
 
-    def pin(self, tables: Collection[str] = (), *, is_read: bool = True) -> None:
-        """Does what entering `pinned` does; `unpin` ends it."""
+    def pin(
+        self, tables: Collection[str] = (), *, is_read: bool = True, is_settled: bool = True
+    ) -> None:
+        """Does what entering `pinned` does; `unpin` ends it.
+
+        Args:
+            tables: the tables to include.
+            is_read: whether the query reads the world.
+            is_settled: whether all columns are written: DuckDB reads them without asking.
+        """
         self._waiting += 1
         try:
             self.lock.acquire()
@@ -413,6 +421,8 @@ class SteppedSimulation(Observable):
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             if tables:
                 self.request_tables(tables)
+            if is_settled:
+                self.snapshot.tables["entities"].settle()
             self._queries += 1
         except BaseException:
             self.lock.release()
