@@ -18,8 +18,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.simulators.interface import Body
-from ssduck.simulators.visuals import VisualShape
+from ssduck.simulators.interface import Body, VisualShape
 from ssduck.view.frames import Frame, Poses
 from ssduck.world.layout import EntityInfo
 
