@@ -87,5 +87,5 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
         world.name = scene.name
         return world
 
-    with view_scene(load(), load, host=host, port=port) as page:
+    with view_scene(load, host=host, port=port) as page:
         yield page

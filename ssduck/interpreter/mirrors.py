@@ -1,4 +1,4 @@
-"""Copies of a live world in interpreters of their own, for queries that do not delay the simulation.
+"""Copies of a live world in interpreters of their own: their queries do not delay the simulation.
 
 A mirror has the last tick, or any recorded one, with the ticks before it. Recorded rows in memory
 are shared, not copied. A record in a file is not mirrored: its own store has to read it.
@@ -6,7 +6,9 @@ are shared, not copied. A record in a file is not mirrored: its own store has to
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from ssduck.database.binding import WorldHistory
 from ssduck.errors import UnsupportedError
@@ -29,6 +31,13 @@ def history_of(ss: Interpreter, world: World) -> WorldHistory | None:
     return ss._database.history_of(world)  # noqa: SLF001  # one package
 
 
+def listen_to_triggers(ss: Interpreter, listener: Callable[[str], object]) -> Callable[[], None]:
+    """Calls a function with the name of each trigger that fires; returns what ends that."""
+    listeners = ss._triggers.listeners  # noqa: SLF001  # one package
+    listeners.append(listener)
+    return partial(listeners.remove, listener)
+
+
 class Mirror:
     """An interpreter with a copy of a live world.
 
@@ -40,6 +49,7 @@ class Mirror:
         is_past: whether the copy goes to recorded ticks; else it is of the last tick.
 
     Attributes:
+        original: the live world.
         interpreter: has the copy under its name.
         world: the copy.
 
@@ -50,7 +60,7 @@ class Mirror:
     def __init__(
         self, ss: Interpreter, world: World, name: str, limits: Limits, *, is_past: bool = False
     ) -> None:
-        self._original = world
+        self.original = world
         self._history = history_of(ss, world)
         self._owner = ss
         self.interpreter = Interpreter(recording=None, limits=limits)
@@ -68,21 +78,21 @@ class Mirror:
         copy = self._copy
         if not is_past:
             store, record = (None, None) if copy is None else (copy.store, copy.record)
-            return MirroredWorld(self._original, name, store, record)
+            return MirroredWorld(self.original, name, store, record)
         if copy is None or not len(copy.ticks):
             raise UnsupportedError(
                 f"the past of {name!r} is not in memory: record it there, or open its record"
             )
-        return ReplayedWorld(name, copy.record, copy.store, self._original.camera)
+        return ReplayedWorld(name, copy.record, copy.store, self.original.camera)
 
     @property
     def is_up_to_date(self) -> bool:
         """Whether the world is recorded in the same history, so that `update` can follow it."""
-        return history_of(self._owner, self._original) is self._history
+        return history_of(self._owner, self.original) is self._history
 
     def update(self) -> None:
         """Copies what is new."""
-        original, world = self._original, self.world
+        original, world = self.original, self.world
         with original.lock:
             self._update_history()
             if isinstance(world, MirroredWorld) and world.tick_number != original.tick_number:
@@ -90,8 +100,8 @@ class Mirror:
 
     def _update_history(self) -> None:
         if self._copy is not None and self._history is not None:
-            with self._original.lock:
-                self._copy.update(self._history, self._original)
+            with self.original.lock:
+                self._copy.update(self._history, self.original)
 
     def close(self) -> None:
         """Closes its interpreter; the world goes on."""
