@@ -132,6 +132,10 @@ class PageServer:
         self._source.watch(None)
 
         async def stop() -> None:
+            scans = [viewer.scan for viewer in self._viewers if viewer.scan is not None]
+            for scan in scans:
+                scan.cancel()
+            await asyncio.gather(*scans, return_exceptions=True)
             self._server.close()
             await self._server.wait_closed()
 
@@ -201,7 +205,8 @@ class PageServer:
                 async for message in connection:
                     await self._received(viewer, message)
             finally:
-                viewer.scan = None
+                if viewer.scan is not None:
+                    viewer.scan.cancel()
                 sending.cancel()
                 with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                     await sending

@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+from bisect import bisect_right
 from typing import Any
 
-import numpy as np
 from websockets.asyncio.server import ServerConnection
 
 from ssduck.view.answers import Answers
@@ -26,7 +26,7 @@ class SentTicks:
     def __init__(self) -> None:
         self.sent_at = -math.inf
         self.is_complete = False
-        # The numbers of the first and the last tick that the page has; none if they are equal to 0.
+        # The numbers of the first and the last tick that the page has; 0 for none.
         self._first = self._last = 0
         self._firings = 0
 
@@ -37,30 +37,22 @@ class SentTicks:
             ticks: the recorded ticks; None for none.
             firings: the firings of triggers.
         """
-        numbers = np.zeros(0, np.int64) if ticks is None else ticks.numbers
-        is_new = not len(numbers) or not self._last or numbers[-1] < self._last
-        if len(numbers) and not is_new and (numbers[0] > self._last or numbers[0] < self._first):
-            is_new = True
-        start = 0 if is_new else int(np.searchsorted(numbers, self._last, side="right"))
-        dropped = 0
-        if not is_new:
-            dropped = int(numbers[0] - self._first)
-        added = [] if ticks is None else ticks.times[start:].tolist()
-        if (
-            not added
-            and not dropped
-            and len(firings) == self._firings
-            and bool(self._last) == (len(numbers) > 0)
-        ):
+        numbers, times = [], []
+        if ticks is not None:
+            numbers, times = ticks.numbers.tolist(), ticks.times
+        first, last = (numbers[0], numbers[-1]) if numbers else (0, 0)
+        # The page goes on from what it has if that is a part of the ticks, or their beginning.
+        goes_on = 0 < self._first <= first <= self._last <= last
+        start = bisect_right(numbers, self._last) if goes_on else 0
+        is_same = (first, last) == (self._first, self._last) and len(firings) == self._firings
+        if is_same:
             return None
-        self._first = int(numbers[0]) if len(numbers) else 0
-        self._last = int(numbers[-1]) if len(numbers) else 0
-        self._firings = len(firings)
+        self._first, self._last, self._firings = first, last, len(firings)
         return {
             "type": "ticks",
-            "anew": is_new,
-            "keep": len(numbers) - len(added),
-            "times": added,
+            "anew": not goes_on,
+            "keep": start,
+            "times": times[start:].tolist() if numbers else [],
             "firings": firings,
         }
 
