@@ -81,6 +81,10 @@ class ServedPage(Protocol):
     def close(self) -> None:
         """Stops serving."""
 
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
 
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     """Runs SelectScript programs and raw SQL on worlds.

@@ -45,6 +45,8 @@ class Answers:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._result: Any = None
+        # A program with intervals, its language and the last tick, and its bars there.
+        self._bars: tuple[Any, list[Any]] = None, []
 
     def answer(self, question: dict[str, Any]) -> dict[str, Any]:
         """Returns the answer to a question; an error has its place and suggestions."""
@@ -68,6 +70,7 @@ class Answers:
     def _ask(self, question: dict[str, Any]) -> dict[str, Any]:
         text, language = text_of(question, "text"), language_of(question)
         started = time.perf_counter()
+        bars = self._bars_of(text, language, _time(question))
         asked = self._source.mirror(_time(question))
         ss, world = asked.interpreter, asked.world
         with warnings.catch_warnings(record=True) as caught:
@@ -79,7 +82,6 @@ class Answers:
         marks = Marks(world)
         rows = table.rows[:MAX_ROWS]
         row_marks = [marks.of(row) for row in rows]
-        lanes = lanes_of(value, table.columns, rows) if has_intervals(ss, text, language) else ()
         everything = [*row_marks, *map(marks.of, table.rows[MAX_ROWS:])]
         return {
             "columns": list(table.columns),
@@ -91,11 +93,27 @@ class Answers:
             "count": len(table.rows),
             "picture": picture,
             "drawing": drawing,
-            "lanes": [[label, spans] for label, spans in lanes],
+            "lanes": bars,
             "warnings": [str(each.message) for each in caught],
             "time": world.time,
             "ms": (time.perf_counter() - started) * 1e3,
         }
+
+    def _bars_of(self, text: str, language: Any, at: float | None) -> list[Any]:
+        """Returns the intervals of a program over all recorded ticks, for the time line."""
+        asked = self._source.mirror(at)
+        if not has_intervals(asked.interpreter, text, language):
+            return []
+        ticks = self._source.ticks()
+        if ticks is None or not len(ticks.times):
+            return []
+        key = text, language, int(ticks.numbers[-1])
+        if self._bars[0] != key:
+            asked = self._source.mirror(None if at is None else float(ticks.times[-1]))
+            value = value_of(asked.interpreter, text, language)
+            table = display_table(value, MAX_ROWS)
+            self._bars = key, [list(lane) for lane in lanes_of(value, table.columns, table.rows)]
+        return self._bars[1]
 
     def scan(self, question: dict[str, Any]) -> Scan:
         """Returns a search for the changes of an answer; only the thread of scans calls this.

@@ -37,9 +37,7 @@ class SentTicks:
             ticks: the recorded ticks; None for none.
             firings: the firings of triggers.
         """
-        numbers, times = [], []
-        if ticks is not None:
-            numbers, times = ticks.numbers.tolist(), ticks.times
+        numbers = [] if ticks is None else ticks.numbers.tolist()
         first, last = (numbers[0], numbers[-1]) if numbers else (0, 0)
         # The page goes on from what it has if that is a part of the ticks, or their beginning.
         goes_on = 0 < self._first <= first <= self._last <= last
@@ -52,7 +50,7 @@ class SentTicks:
             "type": "ticks",
             "anew": not goes_on,
             "keep": start,
-            "times": times[start:].tolist() if numbers else [],
+            "times": [] if ticks is None else ticks.times[start:].tolist(),
             "firings": firings,
         }
 

@@ -137,7 +137,9 @@ def test_nothing_overlaps(page, size):
         "'#slider', '#moment'].map(name => { const box = document.querySelector(name)"
         ".getBoundingClientRect(); return [name, box.left, box.top, box.right, box.bottom]; })"
     )
-    shown = [(name, *map(round, box)) for name, *box in boxes if box[2] > box[0] and box[3] > box[1]]
+    shown = [
+        (name, *map(round, box)) for name, *box in boxes if box[2] > box[0] and box[3] > box[1]
+    ]
     assert {"#stage", "#result", "#entity", "#slider"} <= {name for name, *_ in shown}
     for place, (name, left, top, right, bottom) in enumerate(shown):
         assert 0 <= left < right <= size[0], name

@@ -292,7 +292,7 @@ def test_a_world_that_is_not_there_has_the_nearest_name(ss):
 
 def test_the_bundle_is_that_of_the_sources():
     web = ROOT / "web"
-    names = ["build.mjs", "package.json"]
+    names = ["build.mjs", "package-lock.json", "package.json"]
     names += [f"src/{path.name}" for path in sorted((web / "src").iterdir())]
     digest = hashlib.sha256()
     for name in names:
