@@ -46,10 +46,10 @@ def view(
         bool, typer.Option("--browser/--no-browser", help="Whether to open a browser.")
     ] = True,
 ) -> None:
-    """Show a scene or a record in the browser, in 3-D and with a box for queries.
+    r"""Show a scene or a record in the browser, in 3-D and with a box for queries.
 
     The address, with the token that it needs, is the first line. Ctrl-C ends it. The page needs an
-    extra: pip install 'ssduck[view]'
+    extra: pip install 'ssduck\[view]'
     """
     from ssduck.adapters.optional import library
 
