@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from ssduck.database.binding import BoundWorld
+from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.functions import (
@@ -332,6 +332,11 @@ class Database:
             check_names(recording, world.snapshot.entities)
             name = self.schema_of(world)
             return self._recorders.to_folder(world, recording, path, name, tags)
+
+    def history_of(self, world: World) -> WorldHistory | None:
+        """Returns the recorded ticks of a world; None if it is not recorded."""
+        with self._lock:
+            return self._worlds.entry(world).history
 
     def record_of(self, world: World) -> Record:
         """Returns the record of a world.

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, chain
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, STORED_TABLES
-from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
 from ssduck.world.contact_rows import contact_rows
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -100,6 +101,8 @@ class Snapshot:
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self.geometries: dict[str, int] = {} if geometries is None else geometries
+        # Returns what is drawn of a body; None if that is not known.
+        self.visuals: Callable[[Body], Sequence[VisualShape] | None] = attrgetter("visuals")
         self.sensing = SensorReader()
         self.calls = CallCounter()
         self._shapes: ShapeQueries | None = None
@@ -155,7 +158,7 @@ class Snapshot:
                 first += len(body.joints)
         return by_body
 
-    def clone(self, unavailable: Mapping[str, str]) -> Snapshot:
+    def clone(self, unavailable: Mapping[str, str], run: int | None = None) -> Snapshot:
         """Returns a copy to be taken of the same tick with the entities in other poses.
 
         The copy shares what does not depend on poses. It does not read the poses of bodies that
@@ -163,6 +166,7 @@ class Snapshot:
 
         Args:
             unavailable: the tables whose rows are unknown there, with the reason.
+            run: the number of the run of its ticks; None for a new one.
         """
         clone = copy.copy(self)
         # The two snapshots must not write to each other's buffers.
@@ -182,7 +186,7 @@ class Snapshot:
         clone.recorded = frozenset()
         clone._requested_sensors, clone._read_sensors = {}, frozenset()  # noqa: SLF001
         clone._warned = set(self._warned)  # noqa: SLF001
-        clone._set_run(new_run())  # noqa: SLF001
+        clone._set_run(new_run() if run is None else run)  # noqa: SLF001
         return clone
 
     def restart(self) -> None:

@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
+from functools import partial
 from itertools import count
 from typing import Never, Protocol, Self
 
@@ -22,6 +23,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES
+from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
@@ -103,6 +105,8 @@ class SteppedSimulation(Observable):
         """Sets the simulator and its last tick."""
         self.snapshot = snapshot
         self._simulator = simulator
+        if not isinstance(simulator, StaticSimulator):
+            snapshot.visuals = partial(drawn_shapes, simulator)
         self._registry = EntityRegistry(snapshot.load_order)
 
     @property

@@ -10,7 +10,7 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
-from ssduck.simulators.interface import Body, Kind, Simulator
+from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
 from ssduck.simulators.mujoco.library import mujoco
@@ -19,7 +19,6 @@ from ssduck.simulators.mujoco.sources import source_of
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.visuals import VisualShape, collision_visuals
 
 __all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 
@@ -182,9 +181,10 @@ def scene_of(
     return mjcf_scene(folder)
 
 
-def visual_shapes(
-    simulator: Simulator,  # noqa: ARG001
-    body: Body,
-) -> list[VisualShape]:
-    """Returns the collision shapes of a body; see `Backend.visual_shapes`."""
-    return collision_visuals(body)
+def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+    """Returns what MuJoCo draws of a body; see `Backend.visual_shapes`."""
+    from ssduck.simulators.mujoco import visual_geoms  # few sessions need it
+
+    if not isinstance(simulator, MuJoCoSimulator):
+        raise UnsupportedError("this is no simulation of MuJoCo")
+    return visual_geoms.visual_shapes(simulator.model, body)

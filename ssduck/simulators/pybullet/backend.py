@@ -10,7 +10,7 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
-from ssduck.simulators.interface import Body, Kind, Simulator
+from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, mjcf_scene
 from ssduck.simulators.pybullet.clients import handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
@@ -19,7 +19,6 @@ from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.user_shapes import user_shapes
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.visuals import VisualShape
 
 __all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 

@@ -23,12 +23,11 @@ from ssduck.geometry.poses import IDENTITY, compose, invert
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
-from ssduck.simulators.interface import SCALAR_JOINTS, Joint
+from ssduck.simulators.interface import SCALAR_JOINTS, Joint, VisualShape
 from ssduck.simulators.mjcf import KIND_PREFIX, STATE_KEY
 from ssduck.simulators.pybullet.introspection import constraints_of, model_of, visual_shapes
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import BodyModel, unique_names
-from ssduck.simulators.visuals import VisualShape
 
 # The folder of the meshes, beside the file.
 ASSETS = "assets"
