@@ -30,6 +30,7 @@ from ssduck.language.analysis import (
     states,
 )
 from ssduck.language.clauses import (
+    MANY_COLUMNS,
     Clauses,
     Paths,
     PythonClauses,
@@ -43,6 +44,7 @@ from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame
 from ssduck.language.graph_paths import Vertex, simple_paths
 from ssduck.language.hierarchy import Hierarchy
 from ssduck.language.memo import MEMOS
+from ssduck.language.operators import ELEMENT_BYTES
 from ssduck.language.tree import Call, Literal, Name, Node, Placeholder, Query, This
 from ssduck.simulators.joints import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
@@ -191,6 +193,9 @@ class PlannedQuery:
         converters = [self._converters[output.sql_type] for output in outputs]
         indices = [output.index for output in outputs]
         if any(converters) or indices != list(range(len(fetched[0]) if fetched else 0)):
+            if len(indices) > MANY_COLUMNS:
+                size = ELEMENT_BYTES * len(indices) * len(fetched)
+                self._database.connection.meter.charge(size)
             fetched = [
                 tuple(
                     [
@@ -470,6 +475,8 @@ class RowByRowQuery:
     ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
         """Returns a function that gives the combinations of elements at a state of the search."""
         if self._sources_change or prod(map(len, elements)) > MAX_COMBINATIONS:
+            # `product` copies lists, so each open state would have a copy; tuples are shared.
+            elements = [tuple(part) if type(part) is list else part for part in elements]
             return lambda state: self._combinations(outer, state, elements, cached)
         rows = list(combinations(self._aliases, elements, outer))
         return lambda _: rows
