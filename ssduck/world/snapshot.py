@@ -23,13 +23,13 @@ import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.batch import ShapeTable
 from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
+from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
 from ssduck.world.contact_rows import contact_rows
