@@ -37,6 +37,7 @@ from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.descriptions import EPISODE, check_description, read_description
+from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
@@ -45,7 +46,6 @@ from ssduck.recording.stores.parquet_layout import (
     LOG,
     FolderRun,
     check_about,
-    check_inside,
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
@@ -77,6 +77,7 @@ class ParquetStore(TickStore):
         is_export: whether the episode exists only when it is finished.
         tags: what the user says of the run.
         camera: the camera of the world; None if it is not stored.
+        about: the id of the episode and the time of its start; None for new ones.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
@@ -92,14 +93,15 @@ class ParquetStore(TickStore):
         is_export: bool = False,
         tags: Tags | None = None,
         camera: Camera | None = None,
+        about: Mapping[str, str] | None = None,
     ) -> None:
         self.path = expand_path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
-        about = _description(world, self.tables, recording, tags or {}, is_export=is_export)
+        described = _description(world, self.tables, recording, tags or {}, is_export=is_export)
         if camera is not None:
-            about["camera"] = camera_text(camera)
-        self.run = _begin_episode(self.path, world, about)
+            described["camera"] = camera_text(camera)
+        self.run = _begin_episode(self.path, world, described | dict(about or {}))
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
