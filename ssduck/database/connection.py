@@ -23,6 +23,7 @@ from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file
 from ssduck.database.limited_fetch import limited_rows, limited_table
+from ssduck.database.objects import reach_objects
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -38,7 +39,7 @@ from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.recording.stores.object_store import ObjectPath, file_system
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 T = TypeVar("T")
@@ -224,26 +225,9 @@ class Connection:
         if record is not None:
             self._opened = OpenedRecord(record)
         if isinstance(record, ObjectPath):
-            self._reach_objects()
+            self._is_altered = True  # another interpreter must not get this instance
+            reach_objects(self._connection)
         return WriterConnection(self._cursor(), self._cursor(), file, record)
-
-    def _reach_objects(self) -> None:
-        """Lets DuckDB read objects of the S3 store of the environment.
-
-        Raises:
-            UnsupportedError: the extra `s3` is not installed.
-        """
-        try:
-            from fsspec.implementations.arrow import ArrowFSWrapper
-        except ModuleNotFoundError as error:
-            raise UnsupportedError(
-                "fsspec is not installed, by which DuckDB reads objects; pip install 'ssduck[s3]' "
-                "does it"
-            ) from error
-        named = type("S3Objects", (ArrowFSWrapper,), {"protocol": "s3"})
-        self._is_altered = True  # another interpreter must not get this instance
-        if not self._connection.filesystem_is_registered("s3"):
-            self._connection.register_filesystem(named(file_system()))
 
     def attach(self, path: Path) -> str:
         """Attaches a DuckDB file to be read, and returns its name.

@@ -36,6 +36,7 @@ from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.descriptions import EPISODE, check_description, read_description
+from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
@@ -44,7 +45,6 @@ from ssduck.recording.stores.parquet_layout import (
     LOG,
     FolderRun,
     check_about,
-    check_inside,
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog

@@ -25,12 +25,11 @@ footers when a record is opened, those of the data when a file is first read.
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, count, islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +52,7 @@ from ssduck.recording.stores.descriptions import (
     check_description,
     read_description,
 )
-from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores.links import check_inside, files_in
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
 from ssduck.recording.stores.stored_columns import check_parquet, part_columns
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
@@ -496,42 +495,6 @@ def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
     return rows
-
-
-def files_in(folder: Path, place: Path) -> set[str]:
-    """Returns the names of the files in a folder of a record.
-
-    Raises:
-        RecordError: a link leaves the folder of the record.
-    """
-    if isinstance(place, ObjectPath):
-        return {entry.name for entry in place.iterdir()}
-    entries = list(os.scandir(place))
-    for entry in entries:
-        if entry.is_symlink():
-            check_inside(folder, place / entry.name)
-    return {entry.name for entry in entries if entry.is_file()}
-
-
-def check_inside(folder: Path, place: Path) -> None:
-    """Checks that no symbolic link leads out of a record's folder.
-
-    Raises:
-        RecordError: one does, or leads back to itself.
-    """
-    if isinstance(place, ObjectPath):
-        return
-    names = place.parts[len(folder.parts) :]
-    below = accumulate(names, os.path.join, initial=str(folder))
-    next(below)  # the folder itself may be reached by a link
-    if not any(map(os.path.islink, below)):
-        return
-    try:
-        if place.resolve().is_relative_to(folder.resolve()):
-            return
-    except (OSError, RuntimeError):  # a link to itself
-        pass
-    raise RecordError(f"{place} is a symbolic link that leaves {folder}: put a copy in its place")
 
 
 def runs_in(path: Path) -> list[FolderRun]:
