@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from ssduck.adapters.registry import Selection, adapter
     from ssduck.errors import ProgramWarning, SelectScriptError
     from ssduck.geometry.height_fields import height_field
+    from ssduck.interchange.conversion import import_poses
+    from ssduck.interchange.record_writer import RecordWriter, write_record
     from ssduck.interpreter.archives import episodes
     from ssduck.interpreter.interpreter import Interpreter
     from ssduck.interpreter.opening import load
@@ -39,6 +41,7 @@ __all__ = [
     "OccupancyGrid",
     "Past",
     "ProgramWarning",
+    "RecordWriter",
     "Recording",
     "Robot",
     "SelectScriptError",
@@ -50,9 +53,11 @@ __all__ = [
     "check",
     "episodes",
     "height_field",
+    "import_poses",
     "lake",
     "load",
     "open",
+    "write_record",
 ]
 
 _HOMES = {
@@ -68,6 +73,7 @@ _HOMES = {
     "OccupancyGrid": "adapters.grid_values",
     "Past": "recording.replay.past",
     "ProgramWarning": "errors",
+    "RecordWriter": "interchange.record_writer",
     "Recording": "recording.spec",
     "Robot": "world.entities",
     "SelectScriptError": "errors",
@@ -80,8 +86,10 @@ _HOMES = {
     "episodes": "interpreter.archives",
     "height_field": "geometry.height_fields",
     "lake": "lakes.lake",
+    "import_poses": "interchange.conversion",
     "load": "interpreter.opening",
     "open": "interpreter.opening",
+    "write_record": "interchange.record_writer",
 }
 # Names that differ in their module, as Python or the package has others of that name.
 _ORIGINALS = {"lake": "open_lake", "open": "open_record"}

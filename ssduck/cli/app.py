@@ -24,6 +24,7 @@ import typer
 from typer.core import TyperGroup
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
+from ssduck.cli.interchange import import_, macros
 from ssduck.cli.lakes import (
     Batch,
     Engine,
@@ -436,8 +437,9 @@ def _writer_of_result(
     return partial(print_value, format=format, max_rows=rows)
 
 
-for command in (record, export, episodes, check, tag):
+for command in (record, export, episodes, check, macros, tag):
     app.command()(command)
+app.command("import")(import_)
 
 
 @app.command()

@@ -14,7 +14,7 @@ import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.formatting import count_of
-from ssduck.recording.paths import is_record
+from ssduck.recording.paths import expand_path, is_record
 from ssduck.recording.tags import parsed_tag
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ def record(
     from ssduck.schema import RECORDABLE
     from ssduck.simulators.scenes import find_scene
 
+    output = expand_path(output)
     description = find_scene(scene)
     steps = whole_steps(seconds, description.timestep)
     recording = Recording(
@@ -211,13 +212,47 @@ def export(
         float | None, typer.Option(metavar="T", help="The simulated time of the last tick, s.")
     ] = None,
     tag: _Tags = None,
+    pairs: Annotated[
+        float | None,
+        typer.Option(
+            metavar="D",
+            help="Write also the table of the pairs of entities within D metres.",
+            show_default="none",
+        ),
+    ] = None,
+    format: Annotated[
+        str,
+        typer.Option(
+            "--format",
+            metavar="FORMAT",
+            help="folder (of Parquet files), lerobot (a dataset), mcap or rrd (files).",
+        ),
+    ] = "folder",
+    fps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            metavar="N",
+            help="The frames per second of a dataset of LeRobot.",
+            show_default="that of the ticks",
+        ),
+    ] = None,
 ) -> None:
-    """Write an episode of a record, or a part of it, to a folder of Parquet files."""
+    """Write an episode of a record, or a part of it, to a folder or in a format of other tools."""
     from ssduck.interpreter.opening import open_record
 
     tags = dict(map(parsed_tag, tag or ()))
+    if format != "folder":
+        from ssduck.cli.interchange import export_as
+
+        if pairs is not None:
+            raise typer.BadParameter("--pairs: only records have a table of pairs")
+        export_as(path, output, format, world, episode, fps, entities, (start, end))
+        return
+    if fps is not None:
+        raise typer.BadParameter("--fps is for lerobot")
     with open_record(path, world, episode) as ss:
-        folders = ss.export(output, entities=entities, start=start, end=end, tags=tags)
+        folders = ss.export(output, entities=entities, start=start, end=end, tags=tags, pairs=pairs)
         for name, folder in folders.items():
             print_line(f"{name}: {folder}")
 
@@ -251,6 +286,7 @@ def check(
     """List the damaged and missing files of a record, and what is lost with each."""
     from ssduck.interpreter.record_check import check as damages_of
 
+    path = expand_path(path)
     damages = damages_of(path, repair=repair)
     if not damages:
         print_line(f"{path} is intact")

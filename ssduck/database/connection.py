@@ -23,6 +23,7 @@ from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file
 from ssduck.database.limited_fetch import limited_rows, limited_table
+from ssduck.database.objects import reach_objects
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -38,6 +39,7 @@ from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 T = TypeVar("T")
@@ -222,6 +224,9 @@ class Connection:
         file = Path(self._path) if self.is_file else None
         if record is not None:
             self._opened = OpenedRecord(record)
+        if isinstance(record, ObjectPath):
+            self._is_altered = True  # another interpreter must not get this instance
+            reach_objects(self._connection)
         return WriterConnection(self._cursor(), self._cursor(), file, record)
 
     def attach(self, path: Path) -> str:

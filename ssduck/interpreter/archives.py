@@ -140,6 +140,24 @@ def select_runs(
     return list(reversed(selected.values()))
 
 
+def folder_run(path: str | Path, world: str | None, number: int | None) -> FolderRun:
+    """Returns one run of a folder: of a number, or the last one with ticks.
+
+    Raises:
+        RecordError: there is no such folder or run, or runs of several worlds.
+    """
+    folder = expand_path(path).absolute()
+    if not folder.is_dir():
+        raise RecordError(f"there is no folder of Parquet files {folder}")
+    runs = select_runs(runs_in(folder), world, number)
+    if len(runs) > 1:
+        names = ", ".join(run.world for run in runs)
+        raise RecordError(f"{folder} has several worlds: {names}; name one")
+    (run,) = runs
+    assert isinstance(run, FolderRun)
+    return run
+
+
 def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     """Returns the world of a recorded run.
 

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+
 from ssduck import validation
+from ssduck.adapters.result import Result
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, EvaluationError
 from ssduck.formatting import short_repr
+from ssduck.interchange.pairs import checked_distance, pair_query, write_pairs
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.program import CompiledProgram
 from ssduck.interpreter.triggers.registry import TriggerRegistry
@@ -19,6 +24,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import RECORDABLE
 from ssduck.world.entities import Entity
@@ -36,6 +42,10 @@ class RecordingMethods(ABC):
     @abstractmethod
     def call_variable(self, name: str) -> Any:
         """Returns the value of a variable."""
+
+    @abstractmethod
+    def sql(self, text: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None) -> Result:
+        """Runs a statement of SQL."""
 
     @abstractmethod
     def eval(self, program: str | CompiledProgram) -> Any:
@@ -154,6 +164,7 @@ class RecordingMethods(ABC):
         start: float | None = None,
         end: float | None = None,
         tags: Tags | None = None,
+        pairs: float | None = None,
     ) -> dict[str, Path]:
         """Writes the records of worlds to a folder of Parquet files, each as a new episode.
 
@@ -165,6 +176,8 @@ class RecordingMethods(ABC):
             start: the simulated time of the first tick, s.
             end: the simulated time of the last tick, s.
             tags: what you say of the runs, added to the tags of the records.
+            pairs: a distance, m, to write also the table of the pairs of entities within it, for
+                tools without ssduck; see `ssduck macros`.
 
         Returns:
             The folder of each episode's ticks, by the name of its world.
@@ -184,6 +197,7 @@ class RecordingMethods(ABC):
         chosen = self.eval(entities) if isinstance(entities, str | CompiledProgram) else entities
         names = None if chosen is None else _names(chosen)
         start, end = (None if time is None else validation.seconds(time) for time in (start, end))
+        within = None if pairs is None else checked_distance(pairs)
         with self._lock:
             worlds = (
                 [w for w in self._database.worlds.values() if self._database.is_recorded(w)]
@@ -193,12 +207,25 @@ class RecordingMethods(ABC):
             if not worlds:
                 raise EvaluationError("no world is recorded here")
             database, folder, added = self._database, expand_path(path), checked_tags(tags)
-            return {
+            folders = {
                 database.schema_of(chosen): database.export(
                     chosen, folder, names, (start, end), added
                 )
                 for chosen in worlds
             }
+            if within is not None:
+                for name, ticks in folders.items():
+                    self._write_pairs(FolderRun(folder, name, episode_number(ticks)), within)
+            return folders
+
+    def _write_pairs(self, run: FolderRun, within: float) -> None:
+        """Writes the pairs of an exported episode within a distance, m."""
+        rows = self.sql(pair_query(run.world), [within]).arrow()
+        ticks, entities = run.ticks()[1].numbers, run.read("models/entities")["id"].to_numpy()
+        is_exported = np.isin(rows["tick"].to_numpy(), ticks)
+        for side in ("a", "b"):
+            is_exported &= np.isin(rows[side].to_numpy(), entities)
+        write_pairs(run, rows.filter(pa.array(is_exported)), within)
 
     def flush(self) -> dict[str, int]:
         """Stores all recorded ticks; in a file they survive a crash.

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from ssduck.recording.stores.object_store import ObjectPath, written
+
 
 def temporary_path(place: Path) -> Path:
     """Returns the path of a file until it is complete."""
@@ -16,6 +18,9 @@ def temporary_path(place: Path) -> Path:
 
 def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
     """Writes a file under a temporary name, and renames it when it is on the disk."""
+    if isinstance(place, ObjectPath):
+        written(place, write)
+        return
     temporary = temporary_path(place)
     try:
         write(temporary)
@@ -36,8 +41,14 @@ def is_temporary(file: Path) -> bool:
 def create_file(place: Path, text: str) -> bool:
     """Creates a file with a text unless there is one; returns whether there was none.
 
-    Of several processes that create it at the same time, one does, and the others see all of it.
+    Of several processes that create it at the same time, one does, and the others see all of it; in
+    an object store, the last one does.
     """
+    if isinstance(place, ObjectPath):
+        if place.exists():
+            return False
+        place.write_bytes(text.encode())
+        return True
     temporary = place.with_name(f".{secrets.token_hex(8)}.unfinished")
     try:
         with temporary.open("w", encoding="utf-8") as file:
@@ -63,7 +74,7 @@ def create_file(place: Path, text: str) -> bool:
 
 def sync_folder(folder: Path) -> None:
     """Writes the names in a folder to the disk, where the system supports it."""
-    if os.name != "posix":
+    if os.name != "posix" or isinstance(folder, ObjectPath):
         return
     handle = os.open(folder, os.O_RDONLY)
     try:

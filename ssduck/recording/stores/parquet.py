@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import secrets
-import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -22,6 +21,7 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
 from ssduck.recording.episode import Episode, new_id
+from ssduck.recording.paths import expand_path
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, model_rows
@@ -36,6 +36,8 @@ from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.descriptions import EPISODE, check_description, read_description
+from ssduck.recording.stores.links import check_inside
+from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     DESCRIPTION,
@@ -43,7 +45,6 @@ from ssduck.recording.stores.parquet_layout import (
     LOG,
     FolderRun,
     check_about,
-    check_inside,
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
@@ -87,7 +88,7 @@ class ParquetStore(TickStore):
         is_export: bool = False,
         tags: Tags | None = None,
     ) -> None:
-        self.path = Path(path)
+        self.path = expand_path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
         about = _description(world, self.tables, recording, tags or {}, is_export=is_export)
@@ -99,7 +100,7 @@ class ParquetStore(TickStore):
         assert self.run.key is not None
         # Where the files are: those of an export get their places when all of them are there.
         self._staged = self.run
-        if is_export:
+        if is_export and not isinstance(self.path, ObjectPath):
             self._staged = replace(self.run, path=self.path / f".export-{self.run.key}")
         self._log = PartLog(self._staged.place(LOG), self.run.key)
         self._index = TickIndex(self._staged.place(INDEX), self.run.key)
@@ -173,9 +174,9 @@ class ParquetStore(TickStore):
     def discard(self) -> None:
         """Removes the files of the episode."""
         for place in self._places:
-            shutil.rmtree(self.run.place(place), ignore_errors=True)
+            remove_tree(self.run.place(place))
         if self._staged is not self.run:
-            shutil.rmtree(self._staged.path, ignore_errors=True)
+            remove_tree(self._staged.path)
         self.run.about_file.unlink(missing_ok=True)
 
     @property
@@ -193,7 +194,7 @@ class ParquetStore(TickStore):
                 place.parent.mkdir(parents=True, exist_ok=True)
                 staged.rename(place)
                 sync_folder(place.parent)
-        shutil.rmtree(self._staged.path)
+        remove_tree(self._staged.path)
         self._staged = self.run
 
     def _write(self, table: str, number: int, rows: pa.Table) -> None:

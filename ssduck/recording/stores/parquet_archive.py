@@ -24,6 +24,7 @@ from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
+from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.schema import MODELS, RECORDED, TABLES, Column
 
@@ -216,7 +217,7 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
         RecordError: the file is damaged or missing.
     """
     try:
-        part = pq.ParquetFile(file)
+        part = pq.ParquetFile(parquet_source(file))
         present = set(part.schema_arrow.names)
         needed = {*types.names, "link"} if "joint" in types.names else set(types.names)
         names = [name for name in part.schema_arrow.names if name in needed]
@@ -240,13 +241,14 @@ def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
 
 def _columns_in(file: Path) -> list[str]:
     """Returns the columns of a part, and of all others: one version of ssduck wrote them."""
-    names: list[str] = pq.read_schema(file.absolute()).names
+    names: list[str] = pq.read_schema(parquet_source(file.absolute())).names
     return names
 
 
 def _scan(files: Sequence[Path]) -> str:
     """Returns the rows of files of a folder, in SQL."""
-    folder = exp.Literal.string(exact_path(files[0].parent) + os.sep).sql("duckdb")
+    separator = "/" if isinstance(files[0], ObjectPath) else os.sep
+    folder = exp.Literal.string(exact_path(files[0].parent) + separator).sql("duckdb")
     names = ", ".join(f"{folder[:-1]}{file.name}'" for file in files)  # `part_name` names them
     return f"read_parquet([{names}], hive_partitioning = false)"
 
@@ -257,11 +259,12 @@ def exact_path(place: Path) -> str:
     Raises:
         RecordError: the path also has a backslash, which DuckDB takes for a slash then.
     """
-    return pattern_of(str(place.resolve()))
+    path = str(place.resolve())
+    return path if isinstance(place, ObjectPath) else pattern_of(path)
 
 
 def pattern_of(path: str) -> str:
-    """Returns the same for an absolute path without links."""
+    """Returns the same for an absolute path of this machine without links."""
     if not _PATTERN.search(path):
         return path
     if "\\" in path and os.sep != "\\":

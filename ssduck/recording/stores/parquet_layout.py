@@ -25,12 +25,11 @@ footers when a record is opened, those of the data when a file is first read.
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate, count, islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +52,7 @@ from ssduck.recording.stores.descriptions import (
     check_description,
     read_description,
 )
+from ssduck.recording.stores.links import check_inside, files_in
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
 from ssduck.recording.stores.stored_columns import check_parquet, part_columns
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
@@ -296,11 +296,7 @@ class FolderRun:
         place, numbers = self.place(table), self._parts_of(table)
         has_files = bool(numbers) and place.is_dir()
         check_inside(self.path, place)
-        entries = list(os.scandir(place)) if has_files else []
-        for entry in entries:
-            if entry.is_symlink():
-                check_inside(self.path, place / entry.name)
-        present = {entry.name for entry in entries if entry.is_file()}
+        present = files_in(self.path, place) if has_files else set()
         for number in numbers:
             if part_name(number) not in present:
                 raise self._error_of(table, number, MISSING)
@@ -390,6 +386,15 @@ class FolderRun:
         rows = self._rows(table, files)
         return pa.concat_tables(rows, promote_options="default")  # older parts may lack columns
 
+    def parts_of(self, table: str) -> Iterator[pa.Table]:
+        """Yields the rows of each complete part of a table, checked.
+
+        Raises:
+            RecordError: a file is missing or damaged.
+        """
+        for file in self.listed_files(table):
+            yield from self._rows(table, [file])
+
     def _rows(self, table: str, files: Sequence[Path]) -> list[pa.Table]:
         """Returns the rows of files of a table, with the columns that it is to have."""
         self.check(table, map(part_number, files))
@@ -462,6 +467,13 @@ def part_number(file: Path) -> int:
     return int(match.group(1))
 
 
+def episode_number(place: Path) -> int:
+    """Returns the number of an episode from a folder of its files, such as `ticks/…/episode=0`."""
+    match = _FOLDER.fullmatch(place.name)
+    assert match is not None
+    return int(match.group(1))
+
+
 def label_of(key: str, table: str, number: int | str) -> bytes:
     """Returns the label of a part of a table, of the episode with a key."""
     return json.dumps({"episode": key, "table": table, "part": number}).encode()
@@ -483,25 +495,6 @@ def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
     return rows
-
-
-def check_inside(folder: Path, place: Path) -> None:
-    """Checks that no symbolic link leads out of a record's folder.
-
-    Raises:
-        RecordError: one does, or leads back to itself.
-    """
-    names = place.parts[len(folder.parts) :]
-    below = accumulate(names, os.path.join, initial=str(folder))
-    next(below)  # the folder itself may be reached by a link
-    if not any(map(os.path.islink, below)):
-        return
-    try:
-        if place.resolve().is_relative_to(folder.resolve()):
-            return
-    except (OSError, RuntimeError):  # a link to itself
-        pass
-    raise RecordError(f"{place} is a symbolic link that leaves {folder}: put a copy in its place")
 
 
 def runs_in(path: Path) -> list[FolderRun]:

@@ -341,7 +341,7 @@ def _lenient_joints(tree: exp.Expr) -> exp.Expr:
 
 
 # DuckDB has functions of texts that are called so; they go on being there.
-_TEXT_FUNCTIONS = ("contains", "position")
+TEXT_FUNCTIONS = ("contains", "position")
 
 
 @cache
@@ -354,7 +354,7 @@ def _overloads(relation: Relation, schema: str | None) -> str:
     ]
     if relation.list_formula:
         result.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
-    if relation.name in _TEXT_FUNCTIONS:
+    if relation.name in TEXT_FUNCTIONS:
         result.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
     return ", ".join(result)
 

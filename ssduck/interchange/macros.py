@@ -1,0 +1,389 @@
+"""Writes relations as macros of plain DuckDB, and the tables of a record as views.
+
+A *formula* is an expression over the columns of two rows, and needs nothing else. A *lookup* reads a
+table of the record at the tick of its rows. The other relations compare shapes or ask joints, which
+only ssduck does.
+"""  # noqa: E501
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import sqlglot
+from sqlglot import exp
+
+from ssduck.errors import UnknownNameError, nearest
+from ssduck.interchange.pairs import COLUMNS, PAIRS, pairs_of
+from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.stored_columns import part_columns
+from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
+from ssduck.sql.relations.registry import RELATIONS
+from ssduck.sql.relations.relation import TEXT_FUNCTIONS, Relation
+
+# The tables whose rows do not differ from tick to tick.
+_OF_MODELS = frozenset(("shapes", "geometries"))
+# Where a lookup has names of its own, so that no alias of a query is taken for one of them.
+_PREFIX = "ssduck "
+# The ticks, and what a view has of each.
+_AT, _VALUE = '"ssduck at"', '"ssduck value"'
+_MOMENTS = f'(SELECT "ssduck tick" AS {_AT} FROM "ssduck ticks") AS moments'  # noqa: S608
+_PATTERN = re.compile(r"[*?[]")
+_WITHOUT_RECORD = "of the table of {}; ssduck macros --of RECORD writes those of a record"
+_NOT_RECORDED = "of the table of {}, which is not recorded"
+_SHAPES = "of shapes, which only ssduck compares"
+_JOINTS = "of joints by their names and limits, which only ssduck reads"
+
+
+@dataclass(frozen=True)
+class MacroScript:
+    """A script for plain DuckDB.
+
+    Attributes:
+        text: the script.
+        names: the names of its macros.
+        missing: the relations that it lacks, with the reasons.
+    """
+
+    text: str
+    names: tuple[str, ...]
+    missing: Mapping[str, str]
+
+
+def macro_script(names: Sequence[str] = (), run: FolderRun | None = None) -> MacroScript:
+    """Returns a script of relations, and of the tables of an episode.
+
+    Args:
+        names: the names of the relations; none for all.
+        run: the episode, whose tables become views; None for formulas alone.
+
+    Raises:
+        UnknownNameError: there is no such relation.
+        RecordError: a file of the episode is missing or damaged.
+    """
+    known = [*RELATIONS, *(name for name in RELATIONS_OF_INTERVALS if name not in RELATIONS)]
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(
+                f"there is no relation {name!r}", suggestions=nearest(name, known)
+            )
+    files = {} if run is None else _files_of(run)
+    pairs = None if run is None else pairs_of(run)
+    is_wanted = set(names or known)
+    source = _Source(frozenset(files), run is not None)
+    statements: list[str] = []
+    made: list[str] = []
+    missing: dict[str, str] = {}
+    for name, relation in RELATIONS.items():
+        if name not in is_wanted:
+            continue
+        reason = source.obstacle(relation)
+        if pairs is not None and (relation.alias_of or name) in _PAIR_MACROS:
+            statements.append(_pair_macro(name, relation.alias_of or name, pairs[1]))
+            made.append(name)
+            continue
+        if reason is None:
+            statements += source.macros(relation)
+            made.append(name)
+        else:
+            missing[name] = reason
+            statements += _macros_of_lists(relation)
+    for name, allen in RELATIONS_OF_INTERVALS.items():
+        if name in is_wanted and name not in RELATIONS:
+            statements.append(f"CREATE OR REPLACE MACRO {_quoted(name)}(a, b) AS ({allen.formula})")
+            made.append(name)
+    if not names:
+        statements.append(f"CREATE OR REPLACE MACRO intervals(source) AS TABLE {INTERVALS}")
+    views = [*_views(files)]
+    if pairs is not None:
+        views += _pair_views(pairs[0])
+    parts = [_heading(run, missing), *(f"{one};" for one in (*views, *statements))]
+    return MacroScript("\n".join(parts) + "\n", tuple(made), missing)
+
+
+def _quoted(name: str) -> str:
+    return exp.to_identifier(name, quoted=True).sql("duckdb")
+
+
+def _heading(run: FolderRun | None, missing: Mapping[str, str]) -> str:
+    """Returns the comment at the beginning: whose tables these are, and which relations lack."""
+    lines = ["Relations of ssduck as macros of DuckDB; their parameters are rows of tables:"]
+    lines.append("SELECT a.name, b.name FROM entities a JOIN entities b USING (tick)")
+    lines.append("WHERE above(a, b)")
+    lines.append("Metres, seconds, kilograms; world frame; quaternions w, x, y, z.")
+    if run is not None:
+        lines.append(f"The views are episode {run.number} of {run.world} in {run.path}.")
+        if run.is_complete is False:
+            lines.append("Its recording is not closed: parts that come later are not in the views.")
+    for reason in dict.fromkeys(missing.values()):
+        names = [name for name in missing if missing[name] == reason]
+        lines.append(f"Not here: {', '.join(names)}: {reason}.")
+    return "\n".join(f"-- {_one_line(line)}" for line in lines)
+
+
+def _one_line(text: str) -> str:
+    return re.sub(r"[\x00-\x1f\x7f\x85\u2028\u2029]", " ", text)
+
+
+# -- relations --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What a script is of.
+
+    Attributes:
+        tables: the tables of the record that have files; none without a record.
+        has_record: whether there is a record.
+    """
+
+    tables: frozenset[str]
+    has_record: bool
+
+    def trees(self, relation: Relation) -> dict[int, exp.Expr]:
+        """Returns the formulas of a relation; without the table of links, those of entities."""
+        has_links = not self.has_record or "links" in self.tables
+        return relation.link_expressions if has_links else relation.expressions
+
+    def obstacle(self, relation: Relation) -> str | None:
+        """Returns why plain DuckDB cannot have a relation; None if it can."""
+        trees = self.trees(relation).values()
+        if any(tree.find(exp.Placeholder) for tree in trees):
+            return _JOINTS if relation.python_table == "joints" else _SHAPES
+        needed = {table.name for tree in trees for table in tree.find_all(exp.Table)}
+        if needed and not self.has_record:
+            return _WITHOUT_RECORD.format(" and ".join(sorted(needed)))
+        lacking = sorted(needed - _OF_MODELS - self.tables)
+        return _NOT_RECORDED.format(" and ".join(lacking)) if lacking else None
+
+    def macros(self, relation: Relation) -> Iterator[str]:
+        """Yields the statements of a relation: its macro, and before it those that look up."""
+        parameters = [parameter.name for parameter in relation.parameters]
+        entity = next((p.name for p in relation.parameters if p.type in ("entity", "place")), "")
+        overloads = []
+        for count, tree in self.trees(relation).items():
+            body, lookups = _without_lookups(tree, f"{_PREFIX}{relation.name} {count}", entity)
+            yield from lookups
+            names = parameters[:count]
+            if lookups:
+                body, names = _renamed(body, names)
+            overloads.append(f"({', '.join(names)}) AS ({body.sql('duckdb')})")
+        overloads = [*_overloads_of_others(relation), *overloads]
+        yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(overloads)}"
+
+
+def _macros_of_lists(relation: Relation) -> Iterator[str]:
+    """Yields the statement of a relation of intervals that has the name of one of entities."""
+    if relation.list_formula:
+        lists = _overloads_of_others(relation)
+        yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(lists)}"
+
+
+def _overloads_of_others(relation: Relation) -> list[str]:
+    """Returns the parameters and bodies of a macro for lists, and for texts."""
+    result = []
+    if relation.name in TEXT_FUNCTIONS:
+        result.append(f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
+    if relation.list_formula:
+        result.append(f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
+    return result
+
+
+def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, list[str]]:
+    """Returns a formula that looks things up in views, and the statements of these.
+
+    A view has what a subquery of the formula gives at each tick. It has names of its own: in a
+    macro, an alias of the query takes the place of a parameter, and could be taken for a column.
+
+    Args:
+        tree: the formula.
+        name: the beginning of the names of the views.
+        entity: the parameter whose tick it is.
+    """
+    statements: list[str] = []
+
+    def looked_up(part: exp.Expr) -> exp.Expr:
+        query = part.args.get("query") if isinstance(part, exp.In) else part
+        if not isinstance(query, exp.Subquery) or part.find(exp.Table) is None:
+            return part
+        place = _quoted(f"{name} {len(statements)}")
+        tick, rows = exp.column("tick", table=entity), _own_names(query).sql("duckdb")
+        has_ticks = any(table.name not in _OF_MODELS for table in query.find_all(exp.Table))
+        if not isinstance(part, exp.In):
+            statements.append(_view_of(place, f"SELECT {_AT}, {rows} AS {_VALUE} FROM {_MOMENTS}"))  # noqa: S608
+            values = f"(SELECT map(list({_AT}), list({_VALUE})) FROM {place})"  # noqa: S608
+            return exp.func("map_extract_value", _parsed(values), tick)
+        keys = part.this.expressions if isinstance(part.this, exp.Tuple) else [part.this]
+        names = ", ".join(_quoted(f"{_PREFIX}key {number}") for number in range(len(keys)))
+        if has_ticks:
+            keys, found = [tick, *keys], f"{_MOMENTS} CROSS JOIN LATERAL {rows} AS found({names})"
+            names = f"{_AT}, {names}"
+        else:
+            found = f"{rows} AS found({names})"
+        statements.append(_view_of(place, f"SELECT {names} FROM {found}"))  # noqa: S608
+        held = _parsed(f"0 IN (SELECT {names} FROM {place})")  # noqa: S608
+        held.set("this", exp.Tuple(expressions=keys) if len(keys) > 1 else keys[0])
+        return held
+
+    return tree.copy().transform(looked_up), statements
+
+
+def _renamed(body: exp.Expr, names: Sequence[str]) -> tuple[exp.Expr, list[str]]:
+    """Returns a formula whose parameters have names that no column of a view has, and these.
+
+    DuckDB takes a parameter `a` for the column `a` of a view that the macro reads.
+    """
+    renamed = body.copy()
+    for column in renamed.find_all(exp.Column):
+        if column.table in names:
+            column.set("table", exp.to_identifier(_own_parameter(column.table)))
+    return renamed, list(map(_own_parameter, names))
+
+
+def _own_parameter(name: str) -> str:
+    return f"ssduck_{name}"
+
+
+def _parsed(text: str) -> exp.Expr:
+    return sqlglot.parse_one(text, dialect="duckdb")
+
+
+def _view_of(place: str, rows: str) -> str:
+    return f"CREATE OR REPLACE VIEW {place} AS {rows}"
+
+
+def _own_names(query: exp.Expr) -> exp.Expr:
+    """Returns a subquery that reads tables at the tick of a moment, with names of its own."""
+    result = query.copy()
+    for name in list(result.find_all(exp.Identifier)):
+        name.set("this", _PREFIX + name.this)
+        name.set("quoted", True)
+    for table in list(result.find_all(exp.Table)):
+        of_model = table.name.removeprefix(_PREFIX) in _OF_MODELS
+        condition = "" if of_model else f" WHERE {_quoted(f'{_PREFIX}tick')} = {_AT}"
+        rows = _parsed(f"SELECT * FROM {_quoted(table.name)}{condition}")  # noqa: S608
+        alias = exp.TableAlias(this=exp.to_identifier(table.alias_or_name, quoted=True))
+        table.replace(exp.Subquery(this=rows, alias=alias))
+    return result
+
+
+# -- tables -----------------------------------------------------------------------------------
+
+
+def _files_of(run: FolderRun) -> dict[str, Sequence[Path]]:
+    """Returns the files of the complete parts of each table and model of an episode."""
+    names = [table for table in run.tables if table in TABLES]
+    names += [f"models/{table}" for table in MODELS]
+    files = {name: run.files(name) for name in names}
+    return {name: listed for name, listed in files.items() if listed}
+
+
+def _views(files: Mapping[str, Sequence[Path]]) -> Iterator[str]:
+    """Yields the statements of the views of a record's tables."""
+    for name, listed in files.items():
+        rows = _scan(name, listed)
+        table = name.removeprefix("models/")
+        if name == table:
+            yield _view(table, _with_view_columns(table, rows))
+        else:
+            yield _view(MODELS[table].model_view, rows)
+    for name in files:
+        table = name.removeprefix("models/")
+        if (name == table and table in RECORDED) or (name != table and table in _OF_MODELS):
+            source = table if name == table else MODELS[table].model_view
+            columns = ", ".join(
+                f"{_quoted(column)} AS {_quoted(_PREFIX + column)}" for column in part_columns(name)
+            )
+            yield _view(_PREFIX + table, f"SELECT {columns} FROM {_quoted(source)}")  # noqa: S608
+
+
+def _view(name: str, rows: str) -> str:
+    return _view_of(_quoted(name), rows)
+
+
+def _scan(name: str, files: Sequence[Path]) -> str:
+    """Returns a SELECT of the rows of files, with NULL for columns that an older record lacks."""
+    present = set(pq.read_schema(files[0]).names)
+    paths = ", ".join(exp.Literal.string(_exact(file)).sql("duckdb") for file in files)
+    types = {column.name: column.sql for column in _columns(name)}
+    columns = [
+        _quoted(column) if column in present else f"NULL::{type} AS {_quoted(column)}"
+        for column, type in types.items()
+    ]
+    return f"SELECT {', '.join(columns)} FROM read_parquet([{paths}], hive_partitioning = false)"  # noqa: S608
+
+
+def _columns(name: str) -> Sequence[Column]:
+    model = name.removeprefix("models/")
+    return MODELS[model].model if model != name else TABLES[name].columns
+
+
+def _exact(file: Path) -> str:
+    """Returns a path in which DuckDB finds no pattern."""
+    return _PATTERN.sub(r"[\g<0>]", str(file.absolute()))
+
+
+def _with_view_columns(table: str, rows: str) -> str:
+    """Returns rows of links with the columns that make them rows like those of entities."""
+    if table != "links":
+        return rows
+    owner = "SELECT tick, id, name, enabled, visible, run FROM entities"
+    id = f"CASE WHEN link < {MAX_LINKS} THEN (link + 1) * {LINK_FACTOR} + entity END"
+    return (
+        f"SELECT links.*, {id} AS id, owners.name || '.' || links.name AS full_name, "  # noqa: S608
+        "'link' AS kind, owners.enabled, owners.visible, owners.run "
+        f"FROM ({rows}) AS links JOIN ({owner}) AS owners "
+        "ON owners.tick = links.tick AND owners.id = links.entity WHERE region IS NULL"
+    )
+
+
+# -- pairs ------------------------------------------------------------------------------------
+
+# The relations that the table of pairs answers, with the condition on its rows, by their number of
+# arguments.
+_PAIR_MACROS = {
+    "collides": {2: "{depth} > 1e-6", 3: "{depth} > ssduck_depth"},
+    "collision": {2: "{depth} > 1e-6"},
+    "near": {3: "{clearance} <= ssduck_d"},
+}
+_ENTITIES_ONLY = "{}: the table of pairs has entities, and no links"
+_FARTHER = "near: the table of pairs has those within {!r} m"
+
+
+def _pair_macro(name: str, relation: str, within: float) -> str:
+    """Returns the statement of a relation that looks up the table of pairs."""
+    columns = {column: _quoted(_PREFIX + column) for column in COLUMNS.names}
+    overloads, ids = [], "ssduck_a.id, ssduck_b.id"
+    for count, condition in _PAIR_MACROS[relation].items():
+        rows = (
+            f"SELECT {columns['tick']}, {columns['a']}, {columns['b']} "  # noqa: S608
+            f"FROM {_quoted(_PREFIX + PAIRS)} WHERE {condition.format(**columns)}"
+        )
+        cases = f"WHEN greatest({ids}) >= {LINK_FACTOR} THEN {_error(_ENTITIES_ONLY, name)} "
+        if relation == "near":
+            cases += f"WHEN ssduck_d > {within!r} THEN {_error(_FARTHER, within)} "
+        held = f"(ssduck_a.tick, least({ids}), greatest({ids})) IN ({rows})"
+        parameters = ", ".join(
+            _own_parameter(p.name) for p in RELATIONS[relation].parameters[:count]
+        )
+        overloads.append(
+            f"({parameters}) AS (ssduck_a.tick = ssduck_b.tick AND CASE {cases}ELSE {held} END)"
+        )
+    return f"CREATE OR REPLACE MACRO {_quoted(name)}{', '.join(overloads)}"
+
+
+def _error(message: str, value: object) -> str:
+    return f"error({exp.Literal.string(message.format(value)).sql('duckdb')})::BOOLEAN"
+
+
+def _pair_views(file: Path) -> Iterator[str]:
+    path = exp.Literal.string(_exact(file)).sql("duckdb")
+    names = COLUMNS.names
+    rows = f"FROM read_parquet([{path}], hive_partitioning = false)"
+    yield _view(PAIRS, f"SELECT {', '.join(map(_quoted, names))} {rows}")
+    own = ", ".join(f"{_quoted(name)} AS {_quoted(_PREFIX + name)}" for name in names)
+    yield _view(_PREFIX + PAIRS, f"SELECT {own} FROM {_quoted(PAIRS)}")  # noqa: S608

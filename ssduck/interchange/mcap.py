@@ -1,0 +1,320 @@
+"""Writes an episode as an MCAP file with Foxglove's schemas, and reads poses of such files.
+
+| topic | schema | what it has |
+|---|---|---|
+| `/tf` | `foxglove.FrameTransforms` | the pose of each frame in the frame `world`, at each tick |
+| `/scene` | `foxglove.SceneUpdate` | the shapes of the entities, when they come and go |
+| `/ssduck/tick` | JSON | the number of each tick, and its time to the last digit |
+
+The messages of a tick have its simulated time, in whole nanoseconds. The metadata `ssduck` has the
+world, the id and the tags of the episode, and the kind of each entity. The extra `mcap` brings the
+libraries.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.adapters.optional import library
+from ssduck.errors import RecordError
+from ssduck.geometry.shapes import PlacedGeometry
+from ssduck.interchange.meshes import mesh_of
+from ssduck.interchange.motion import Frame, Motion
+from ssduck.schema import POSE
+
+WORLD_FRAME = "world"
+TRANSFORMS, SCENE, TICKS = "/tf", "/scene", "/ssduck/tick"
+METADATA = "ssduck"
+_NANO = 10**9
+_COLOUR = (0.7, 0.7, 0.7, 1.0)
+_TICK_SCHEMA = {
+    "type": "object",
+    "properties": {"tick": {"type": "integer"}, "time": {"type": "number"}},
+}
+
+
+def write_mcap(file: Path, motion: Motion) -> Path:
+    """Writes an episode to a file, all or nothing; an existing file is replaced.
+
+    Returns:
+        The file.
+
+    Raises:
+        UnsupportedError: the extra `mcap` is not installed.
+        RecordError: the file cannot be written.
+    """
+    library("mcap", "mcap")
+    library("mcap_protobuf", "mcap")
+    library("foxglove_schemas_protobuf", "mcap")
+    temporary = file.with_name(f".{file.name}.unfinished")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as stream:
+                _write(stream, motion)
+            temporary.replace(file)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise RecordError(f"{file} cannot be written: {error.strerror}") from error
+    return file
+
+
+def _write(stream: Any, motion: Motion) -> None:
+    from mcap_protobuf.writer import Writer
+
+    present = motion.present
+    with Writer(stream) as writer:
+        raw = writer._writer  # noqa: SLF001  # the only way to other encodings in the same file
+        schema = raw.register_schema("ssduck.Tick", "jsonschema", json.dumps(_TICK_SCHEMA).encode())
+        channel = raw.register_channel(TICKS, "json", schema)
+        raw.add_metadata(METADATA, _about(motion))
+        before = np.zeros(len(motion.frames), dtype=bool)
+        for number, (tick, time) in enumerate(
+            zip(motion.ticks.tolist(), motion.times.tolist(), strict=True)
+        ):
+            moment = round(time * _NANO)
+            if (present[number] != before).any():
+                update = _scene(motion, present[number], before, moment)
+                writer.write_message(SCENE, update, log_time=moment, publish_time=moment)
+                before = present[number]
+            poses = _transforms(motion, number, present[number], moment)
+            writer.write_message(TRANSFORMS, poses, log_time=moment, publish_time=moment)
+            told = json.dumps({"tick": tick, "time": time}).encode()
+            raw.add_message(channel, log_time=moment, publish_time=moment, data=told)
+
+
+def _about(motion: Motion) -> dict[str, str]:
+    kinds = {frame.name: frame.entity.kind for frame in motion.frames if not frame.link}
+    values = {
+        "world": motion.run.world,
+        "episode": motion.run.number,
+        "id": motion.run.id,
+        "tags": dict(motion.tags),
+        "kinds": kinds,
+    }
+    return {name: json.dumps(value) for name, value in values.items()}
+
+
+def _stamp(moment: int) -> Any:
+    from google.protobuf.timestamp_pb2 import Timestamp
+
+    seconds, nanos = divmod(moment, _NANO)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def _transforms(motion: Motion, number: int, present: Any, moment: int) -> Any:
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+
+    stamp, transforms = _stamp(moment), []
+    for frame, pose, is_there in zip(
+        motion.frames, motion.poses[number].tolist(), present.tolist(), strict=True
+    ):
+        if is_there:
+            one = FrameTransform(
+                timestamp=stamp, parent_frame_id=WORLD_FRAME, child_frame_id=frame.name
+            )
+            one.translation.x, one.translation.y, one.translation.z = pose[:3]
+            one.rotation.w, one.rotation.x, one.rotation.y, one.rotation.z = pose[3:]
+            transforms.append(one)
+    return FrameTransforms(transforms=transforms)
+
+
+# -- shapes -----------------------------------------------------------------------------------
+
+
+def _scene(motion: Motion, present: Any, before: Any, moment: int) -> Any:
+    """Returns the entities that came since the tick before, and those that went."""
+    from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+    stamp, update = _stamp(moment), SceneUpdate()
+    for frame, is_there, was_there in zip(motion.frames, present, before, strict=True):
+        if is_there and not was_there:
+            update.entities.append(_scene_entity(frame, stamp))
+        elif was_there and not is_there:
+            kind = SceneEntityDeletion.MATCHING_ID
+            update.deletions.append(SceneEntityDeletion(timestamp=stamp, type=kind, id=frame.name))
+    return update
+
+
+def _scene_entity(frame: Frame, stamp: Any) -> Any:
+    from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+    from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+
+    kind = KeyValuePair(key="kind", value=frame.entity.kind)
+    entity = SceneEntity(
+        timestamp=stamp,
+        frame_id=frame.name,
+        id=frame.name,
+        frame_locked=True,
+        metadata=[kind],
+    )
+    shapes = frame.entity.body.shapes if frame.entity.body else ()
+    for shape in shapes:
+        if shape.frame == frame.link:
+            _add_shape(entity, shape)
+    return entity
+
+
+def _add_shape(entity: Any, shape: PlacedGeometry) -> None:
+    """Adds a shape to an entity of Foxglove's scene, in the frame of its link."""
+    size = shape.geometry.size
+    sizes: tuple[float, ...] | None = None
+    match shape.geometry.type:
+        case "box":
+            primitive, sizes = entity.cubes.add(), size
+        case "sphere":
+            primitive, sizes = entity.spheres.add(), (2 * size[0],) * 3
+        case "cylinder":
+            primitive, sizes = entity.cylinders.add(), (2 * size[0], 2 * size[0], size[1])
+            primitive.bottom_scale = primitive.top_scale = 1.0
+        case _:
+            primitive = entity.triangles.add()
+            vertices, faces = mesh_of(shape.geometry)
+            for x, y, z in vertices.tolist():
+                primitive.points.add(x=x, y=y, z=z)
+            primitive.indices.extend(faces.reshape(-1).tolist())
+    position, turn = shape.position.tolist(), shape.orientation.tolist()
+    primitive.pose.position.x, primitive.pose.position.y, primitive.pose.position.z = position
+    orientation = primitive.pose.orientation
+    orientation.w, orientation.x, orientation.y, orientation.z = turn
+    if sizes is not None:
+        primitive.size.x, primitive.size.y, primitive.size.z = sizes
+    colour = primitive.color
+    colour.r, colour.g, colour.b, colour.a = _COLOUR
+
+
+# -- reading ----------------------------------------------------------------------------------
+
+
+@dataclass
+class _Poses:
+    """The poses that a file tells of, message after message."""
+
+    names: list[str] = field(default_factory=list)
+    poses: list[tuple[float, ...]] = field(default_factory=list)
+    exact_times: dict[int, float] = field(default_factory=dict)
+    moments: list[int] = field(default_factory=list)
+    ignored: set[str] = field(default_factory=set)
+    parents: dict[str, str] = field(default_factory=dict)
+
+    def add(self, moment: int, name: str, position: Any, turn: Any) -> None:
+        """Adds the pose of a frame at a time, ns."""
+        self.moments.append(moment)
+        self.names.append(name)
+        self.poses.append((position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z))
+
+
+def read_poses(file: Path) -> tuple[pa.Table, dict[str, Any]]:
+    """Returns the poses of a file in its fixed frame, and what the file says of them.
+
+    Transforms (`foxglove.FrameTransform`, `foxglove.FrameTransforms`) tell of frames by their
+    names, and poses (`foxglove.PoseInFrame`) by their topics. Each has to be relative to the same
+    frame, which is the world. Other messages do not tell of named frames.
+
+    Returns:
+        A table that `ssduck.write_record` takes, and `world`, `tags` and `kinds` if ssduck wrote
+        the file, `frame` (the fixed one) and `ignored` (the topics that are not read).
+
+    Raises:
+        UnsupportedError: the extra `mcap` is not installed.
+        RecordError: the file cannot be read, has no such poses, or has some that are relative to
+            another frame than the others.
+    """
+    library("mcap", "mcap")
+    library("mcap_protobuf", "mcap")
+    from mcap.exceptions import McapError
+
+    try:
+        with file.open("rb") as stream:
+            return _read(stream, file)
+    except (OSError, McapError, ValueError, KeyError, AttributeError) as error:
+        if isinstance(error, RecordError):
+            raise
+        raise RecordError(f"{file} cannot be read as an MCAP file: {error}") from error
+
+
+def _read(stream: Any, file: Path) -> tuple[pa.Table, dict[str, Any]]:
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    reader, found, about = make_reader(stream), _Poses(), dict[str, Any]()
+    factory = DecoderFactory()
+    for record in reader.iter_metadata():
+        if record.name == METADATA:
+            about = {name: json.loads(value) for name, value in record.metadata.items()}
+    for schema, channel, message in reader.iter_messages():
+        if channel.topic == TICKS and channel.message_encoding == "json":
+            found.exact_times[message.log_time] = json.loads(message.data)["time"]
+            continue
+        kind = None if schema is None else schema.name
+        decode = factory.decoder_for(channel.message_encoding, schema)
+        if decode is None or kind not in _READERS:
+            if channel.topic != SCENE:
+                found.ignored.add(channel.topic)
+            continue
+        _READERS[kind](found, channel.topic, message.log_time, decode(message.data))
+    return _table(found, about, file)
+
+
+def _add_transform(found: _Poses, _: str, __: int, told: Any) -> None:
+    found.parents[told.child_frame_id] = told.parent_frame_id
+    moment = told.timestamp.seconds * _NANO + told.timestamp.nanos
+    found.add(moment, told.child_frame_id, told.translation, told.rotation)
+
+
+def _add_transforms(found: _Poses, topic: str, moment: int, told: Any) -> None:
+    for transform in told.transforms:
+        _add_transform(found, topic, moment, transform)
+
+
+def _add_pose(found: _Poses, topic: str, _: int, told: Any) -> None:
+    name = topic.strip("/")
+    found.parents[name] = told.frame_id
+    moment = told.timestamp.seconds * _NANO + told.timestamp.nanos
+    found.add(moment, name, told.pose.position, told.pose.orientation)
+
+
+_READERS = {
+    "foxglove.FrameTransform": _add_transform,
+    "foxglove.FrameTransforms": _add_transforms,
+    "foxglove.PoseInFrame": _add_pose,
+}
+
+
+def _table(found: _Poses, about: Mapping[str, Any], file: Path) -> tuple[pa.Table, dict[str, Any]]:
+    if not found.names:
+        others = ", ".join(sorted(found.ignored)) or "none"
+        raise RecordError(
+            f"{file} has no poses of named frames ({', '.join(_READERS)}); its other topics: "
+            f"{others}"
+        )
+    fixed = sorted(set(found.parents.values()))
+    if len(fixed) > 1:
+        child = next(name for name, parent in found.parents.items() if parent != fixed[0])
+        raise RecordError(
+            f"{file}: {child!r} is relative to {found.parents[child]!r}, and others to "
+            f"{fixed[0]!r}: ssduck reads poses that are all relative to one frame"
+        )
+    moments = np.array(found.moments, dtype=np.int64)
+    order = np.argsort(moments, kind="stable")
+    times = [found.exact_times.get(m, m / _NANO) for m in moments[order].tolist()]
+    poses = np.array(found.poses)[order]
+    rows = pa.table(
+        {
+            "time": times,
+            "name": pa.array(found.names).take(pa.array(order)),
+            **{name: poses[:, place] for place, name in enumerate(POSE)},
+        }
+    )
+    told = {name: about[name] for name in ("world", "tags", "kinds") if name in about}
+    return rows, told | {"frame": fixed[0], "ignored": sorted(found.ignored)}

@@ -1,0 +1,159 @@
+"""Reads what moves in a recorded episode: the poses of its frames, and the positions of joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.recording.model_checks import check_models
+from ssduck.recording.static_tables import members_of, with_joint_numbers
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.tags import Tags
+from ssduck.schema import FRAMES, MODELS, POSE
+from ssduck.world.layout import EntityInfo
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame whose pose is recorded: an entity, or a link of one.
+
+    Attributes:
+        name: the name of the entity, or `entity.link`.
+        entity: the entity.
+        link: the number of the link; 0 for the entity.
+    """
+
+    name: str
+    entity: EntityInfo
+    link: int
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What moves in an episode.
+
+    Attributes:
+        run: the episode.
+        frames: the frames, entity by entity, each followed by its links.
+        ticks: the numbers of the ticks, (ticks,).
+        times: their simulated times, s, (ticks,).
+        poses: x, y, z, qw, qx, qy, qz of each frame, world frame, m, (ticks, frames, 7); NaN where
+            it is not there.
+        joints: the names of the joints whose position is a number, `entity.joint`; empty if joints
+            are not recorded.
+        positions: their positions, rad or m, (ticks, joints); NaN for unknown ones.
+    """
+
+    run: FolderRun
+    frames: tuple[Frame, ...]
+    ticks: Indices
+    times: Array
+    poses: Array
+    joints: tuple[str, ...]
+    positions: Array
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the frames."""
+        return [frame.name for frame in self.frames]
+
+    @property
+    def tags(self) -> Tags:
+        """What the user says of the run."""
+        return self.run.tags
+
+    @property
+    def present(self) -> Flags:
+        """Whether each frame is there, (ticks, frames)."""
+        return ~np.isnan(self.poses[:, :, 0])
+
+
+def motion_of(run: FolderRun) -> Motion:
+    """Returns what moves in an episode.
+
+    Raises:
+        RecordError: a file is missing or damaged, or nothing was stored.
+    """
+    models = {table: run.read(f"models/{table}") for table in MODELS}
+    check_models(models, lambda table: str(run.place(f"models/{table}")))
+    members = sorted(members_of(models).values(), key=lambda member: member.id)
+    buffer = run.ticks()[1]
+    ticks = buffer.numbers
+    frames = tuple(_frames(members))
+    numbers = {(frame.entity.id, frame.link): n for n, frame in enumerate(frames)}
+    poses = np.full((len(ticks), len(frames), 7), np.nan)
+    _fill(poses, _rows(run, "entities", ("id",), POSE), ticks, numbers)
+    links = "links" if "links" in run.tables else FRAMES
+    if links in run.tables:
+        _fill(poses, _rows(run, links, ("entity", "link"), POSE), ticks, numbers)
+    joints, positions = _joints(run, members, ticks)
+    return Motion(run, frames, ticks, buffer.times, poses, joints, positions)
+
+
+def _frames(members: Sequence[EntityInfo]) -> Iterator[Frame]:
+    for member in members:
+        yield Frame(member.name, member, 0)
+        for number, link in enumerate(member.body.links if member.body else ()):
+            if number and link.region is None:
+                yield Frame(f"{member.name}.{link.name}", member, number)
+
+
+def _rows(
+    run: FolderRun, table: str, keys: Sequence[str], values: Sequence[str]
+) -> Iterator[tuple[Indices, list[Indices], Array]]:
+    """Yields the ticks, keys and values of the rows of each part of a table, and of its log."""
+    for rows in (*run.parts_of(table), *([run.log[table]] if run.log else [])):
+        complete = with_joint_numbers(table, rows)
+        numbers = [complete[key].to_numpy() for key in keys]
+        columns = [complete[name].to_numpy() for name in values]
+        yield complete["tick"].to_numpy(), numbers, np.column_stack(columns)
+
+
+def _fill(
+    target: Array,
+    parts: Iterator[tuple[Indices, list[Indices], Array]],
+    ticks: Indices,
+    numbers: Mapping[tuple[int, int], int],
+) -> None:
+    """Writes values to the rows of their ticks, and the columns of their keys."""
+    keys = sorted(numbers)
+    codes = np.array([(first << 32) + second for first, second in keys], dtype=np.int64)
+    places = np.array([numbers[key] for key in keys], dtype=np.intp)
+    for row_ticks, row_keys, values in parts:
+        first = row_keys[0].astype(np.int64) << 32
+        wanted = first + (row_keys[1] if len(row_keys) > 1 else 0)
+        found = np.searchsorted(codes, wanted)
+        tick = np.searchsorted(ticks, row_ticks)
+        is_known = (codes.take(found, mode="clip") == wanted) if len(codes) else wanted < 0
+        is_known &= ticks.take(tick, mode="clip") == row_ticks
+        target[tick[is_known], places[found[is_known]]] = values[is_known]
+
+
+def _joints(
+    run: FolderRun, members: Sequence[EntityInfo], ticks: Indices
+) -> tuple[tuple[str, ...], Array]:
+    """Returns the names and the positions of the joints that have one number each."""
+    if "joints" not in run.tables:
+        return (), np.zeros((len(ticks), 0))
+    named = [
+        (member.id, number, f"{member.name}.{joint.name}")
+        for member in members
+        for number, joint in enumerate(member.body.joints if member.body else ())
+        if joint.type in ("revolute", "prismatic")
+    ]
+    numbers = {(id, number): place for place, (id, number, _) in enumerate(named)}
+    positions = np.full((len(ticks), len(named), 1), np.nan)
+    _fill(positions, _rows(run, "joints", ("entity", "joint"), ("position",)), ticks, numbers)
+    return tuple(name for _, _, name in named), positions[:, :, 0]
+
+
+def as_table(motion: Motion) -> pa.Table:
+    """Returns the poses as a table that `ssduck.write_record` takes: a row for each frame there."""
+    tick, frame = np.nonzero(motion.present)
+    names = pa.array(motion.names)
+    columns = {name: motion.poses[tick, frame, place] for place, name in enumerate(POSE)}
+    return pa.table({"time": motion.times[tick], "name": names.take(pa.array(frame)), **columns})

@@ -1,0 +1,396 @@
+"""Records in the formats of other tools, read back by the libraries of these, and imported."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import ArgumentError, RecordError, SelectScriptError
+from ssduck.interchange.conversion import write_runs
+from ssduck.interchange.lerobot import JOINTS, POSES, write_dataset
+from ssduck.interchange.motion import motion_of
+from ssduck.interpreter.archives import folder_run
+from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from ssduck.schema import POSE
+from tests.support.command_line import answer, ssduck_
+from tests.support.recorded import ALL, live_lab, lively
+
+TICKS = 49
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes of a board, balls, and an arm whose joint moves, each tick at 1/240 s."""
+    place = tmp_path_factory.mktemp("formats") / "r"
+    for task in ("drop", "swing"):
+        client = pybullet.connect(pybullet.DIRECT)
+        with ssduck.Interpreter(recording=None) as ss:
+            world = ss.add_variable("lab", ssduck.World.attach(client, names=lively(client)))
+            with ss.record_to(place, recording=ALL, tags={"task": task, "success": task == "drop"}):
+                world.step(TICKS - 1)
+        pybullet.disconnect(client)
+    return place
+
+
+def rows(place: Path, episode: int | None = None) -> list[tuple[Any, ...]]:
+    with ssduck.open(place, episode=episode) as ss:
+        names = ", ".join(POSE)
+        links = f"SELECT time, full_name, {names} FROM links_history WHERE link > 0"
+        return ss.sql(
+            f"SELECT time, name, {names} FROM entities_history UNION ALL {links} ORDER BY ALL"
+        ).fetchall()
+
+
+def test_what_moves_in_an_episode(record: Path) -> None:
+    motion = motion_of(FolderRun(record, "lab", 0))
+    assert motion.names == ["board", "ball", "other", "arm", "arm.link1"]
+    found = [
+        (time, name, *pose)
+        for time, poses in zip(motion.times.tolist(), motion.poses.tolist(), strict=True)
+        for name, pose in zip(motion.names, poses, strict=True)
+    ]
+    assert sorted(found) == rows(record, 0)
+    assert len(motion.joints) == 1
+    with ssduck.open(record, episode=0) as ss:
+        angles = ss.sql("SELECT position FROM joints_history ORDER BY tick").fetchall()
+    assert motion.positions.tolist() == [list(row) for row in angles]
+
+
+# -- LeRobot ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def dataset(record: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("lerobot") / "d"
+    return write_dataset(place, map(motion_of, runs_in(record)))
+
+
+def test_a_dataset_has_the_published_layout(record: Path, dataset: Path) -> None:
+    """Its files are those that LeRobotDatasetMetadata 3.0 loads, with the values that it reads."""
+    info = json.loads((dataset / "meta/info.json").read_text())
+    assert (info["codebase_version"], info["fps"], info["splits"]) == (
+        "v3.0",
+        240,
+        {"train": "0:2"},
+    )
+    totals = (info["total_episodes"], info["total_frames"], info["total_tasks"])
+    assert totals == (2, 2 * TICKS, 2)
+    tasks = pd.read_parquet(dataset / "meta/tasks.parquet")
+    assert tasks.index.name == "task"
+    assert tasks["task_index"].to_dict() == {"drop": 0, "swing": 1}
+    episodes = pq.read_table(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [e["tasks"] for e in episodes] == [["drop"], ["swing"]]
+    spans = [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes]
+    assert spans == [(0, TICKS, TICKS), (TICKS, 2 * TICKS, TICKS)]
+    path = info["data_path"].format(chunk_index=0, file_index=0)
+    file = pq.ParquetFile(dataset / path)
+    assert [file.metadata.row_group(n).num_rows for n in range(file.num_row_groups)] == [TICKS] * 2
+    frames = file.read().to_pandas()
+    assert list(frames["index"]) == list(range(2 * TICKS))
+    assert list(frames["frame_index"]) == [*range(TICKS)] * 2
+    # LeRobot checks that timestamps differ by 1 / fps within 1e-4 s.
+    for _, part in frames.groupby("episode_index"):
+        assert np.abs(np.diff(part["timestamp"]) - 1 / 240).max() < 1e-4
+    for name, feature in info["features"].items():
+        values = np.stack(frames[name].to_numpy())
+        assert list(values.shape[1:] or (1,)) == feature["shape"]
+        assert str(values.dtype) == feature["dtype"]
+        assert feature["names"] is None or len(feature["names"]) == feature["shape"][0]
+    motion = motion_of(runs_in(record)[1])
+    values = np.stack(frames[POSES].to_numpy())[TICKS:]
+    assert (values == motion.poses.reshape(TICKS, -1)).all()  # to the last bit
+    assert (np.stack(frames[JOINTS].to_numpy())[TICKS:] == motion.positions[:, 0]).all()
+    assert info["features"][JOINTS]["names"] == list(motion.joints)
+
+
+def test_statistics_are_those_of_the_frames(dataset: Path) -> None:
+    frames = pq.read_table(dataset / "data/chunk-000/file-000.parquet").to_pandas()
+    stats = json.loads((dataset / "meta/stats.json").read_text())
+    episodes = pq.read_table(dataset / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    for name, told in stats.items():
+        values = np.stack(frames[name].to_numpy()).reshape(2 * TICKS, -1).astype(float)
+        parts = [(told, values)]
+        for number, episode in enumerate(episodes):
+            kinds = ("min", "max", "mean", "std", "count", "q50")
+            one = {kind: episode[f"stats/{name}/{kind}"] for kind in kinds}
+            part = values[number * TICKS : (number + 1) * TICKS]
+            parts.append((one, part))
+            assert one["q50"] == pytest.approx(np.median(part, axis=0), abs=1e-6)
+        for one, part in parts:
+            assert one["count"] == [len(part)]
+            for kind in ("min", "max", "mean", "std"):
+                expected = getattr(np, kind)(part, axis=0)
+                assert one[kind] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_a_dataset_is_imported_again(record: Path, dataset: Path, tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="has no shapes.*; not read: observation.state"):
+        episodes = ssduck.import_poses(dataset, tmp_path / "r", world="lab")
+    assert [episode.tags for episode in episodes] == [
+        {"task": "drop", "success": True},
+        {"task": "swing", "success": False},
+    ]
+    with ssduck.open(tmp_path / "r", episode=1) as ss:
+        found = ss.sql(f"SELECT time, name, {', '.join(POSE)} FROM entities_history ORDER BY ALL")
+        found = found.fetchall()
+    expected = rows(record, 1)
+    assert [row[1:] for row in found] == [row[1:] for row in expected]
+    assert [row[0] for row in found] == pytest.approx([row[0] for row in expected], abs=1e-12)
+
+
+def test_frames_per_second_choose_ticks(record: Path, tmp_path: Path) -> None:
+    (run, _) = runs_in(record)
+    write_dataset(tmp_path / "d", [motion_of(run)], fps=30)
+    frames = pq.read_table(tmp_path / "d/data/chunk-000/file-000.parquet").to_pandas()
+    values = np.stack(frames[POSES].to_numpy())
+    assert (values == motion_of(run).poses[::8].reshape(7, -1)).all()
+
+
+def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
+    uneven = np.array([0.0, 0.1, 0.2, 0.35])
+    ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((4, 1, 3)), uneven)
+    ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
+    ssduck.write_record(tmp_path / "a", ["pot"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
+    ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((1, 1, 3)), [0])
+    cases = [
+        ([0], None, "not evenly spaced"),
+        ([3], None, "has one tick"),
+        ([1, 2], None, "has other observation.environment_state .* such as 'cup.qw'"),
+        ([], None, "there is no episode"),
+    ]
+    runs = runs_in(tmp_path / "a")
+    for chosen, fps, message in cases:
+        with pytest.raises(ArgumentError, match=message):
+            write_dataset(tmp_path / "d", [motion_of(runs[n]) for n in chosen], fps)
+        assert not list((tmp_path / "d").iterdir())
+    write_dataset(tmp_path / "e", [motion_of(runs[n]) for n in (0, 3)], 10)
+    frames = pq.read_table(tmp_path / "e/data/chunk-000/file-000.parquet")
+    assert frames["episode_index"].to_pylist() == [0, 0, 0, 0, 1]
+    with pytest.raises(RecordError, match="is not empty"):
+        write_dataset(tmp_path / "e", [motion_of(runs[0])], 10)
+
+
+def test_an_entity_that_comes_later_is_no_dataset(tmp_path: Path) -> None:
+    client = pybullet.connect(pybullet.DIRECT)
+    with ssduck.Interpreter(recording=ALL) as ss:
+        live_lab(ss, client)
+        ss.export(tmp_path / "r")
+    pybullet.disconnect(client)
+    with pytest.raises(ArgumentError, match="has no pose at"):
+        write_dataset(tmp_path / "d", map(motion_of, runs_in(tmp_path / "r")), 120)
+    answer("export", str(tmp_path / "r"), "-o", str(tmp_path / "d"), "--format", "lerobot",
+           "--entities", "board", "--entities", "other", "--fps", "120")  # fmt: skip
+    info = json.loads((tmp_path / "d/meta/info.json").read_text())
+    assert info["features"][POSES]["shape"] == [14]
+
+
+# -- MCAP ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def mcap_file(record: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    place = tmp_path_factory.mktemp("mcap") / "run.mcap"
+    assert write_runs([FolderRun(record, "lab", 0)], place, "mcap") == [place]
+    return place
+
+
+def messages(file: Path, topic: str) -> list[Any]:
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    with file.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        return [(m.log_time, told) for _, _, m, told in reader.iter_decoded_messages([topic])]
+
+
+def test_doubles_of_an_mcap_file_are_those_of_the_record(record: Path, mcap_file: Path) -> None:
+    motion = motion_of(FolderRun(record, "lab", 0))
+    told = messages(mcap_file, "/tf")
+    assert [moment for moment, _ in told] == [round(t * 1e9) for t in motion.times]
+    for (moment, transforms), poses in zip(told, motion.poses, strict=True):
+        assert [t.child_frame_id for t in transforms.transforms] == motion.names
+        for one, pose in zip(transforms.transforms, poses.tolist(), strict=True):
+            p, q = one.translation, one.rotation
+            assert [p.x, p.y, p.z, q.w, q.x, q.y, q.z] == pose
+            assert one.parent_frame_id == "world"
+            assert one.timestamp.seconds * 10**9 + one.timestamp.nanos == moment
+
+
+def test_the_scene_of_an_mcap_file_has_the_shapes(mcap_file: Path) -> None:
+    ((_, update),) = messages(mcap_file, "/scene")
+    entities = {entity.id: entity for entity in update.entities}
+    assert list(entities) == ["board", "ball", "other", "arm", "arm.link1"]
+    (cube,) = entities["board"].cubes
+    assert (cube.size.x, cube.size.y, cube.size.z) == (4, 4, 0.1)
+    (ball,) = entities["ball"].spheres
+    assert ball.size.x == pytest.approx(0.2)
+    assert all(entity.frame_locked and entity.frame_id == id for id, entity in entities.items())
+
+
+def test_entities_that_go_are_deleted_from_the_scene(tmp_path: Path) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    client = pybullet.connect(pybullet.DIRECT)
+    with ssduck.Interpreter(recording=ALL) as ss:
+        live_lab(ss, client)
+        ss.export(tmp_path / "r")
+    pybullet.disconnect(client)
+    answer("export", str(tmp_path / "r"), "-o", str(tmp_path / "out"), "--format", "mcap")
+    updates = messages(tmp_path / "out" / "lab-0.mcap", "/scene")
+    assert [[d.id for d in update.deletions] for _, update in updates][:2] == [[], ["ball"]]
+    assert len(updates[2][1].entities) == 1
+
+
+def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match="tells of poses; its record has no shapes"):
+        (episode,) = ssduck.import_poses(mcap_file, tmp_path / "r")
+    assert (episode.world, episode.tags) == ("lab", {"task": "drop", "success": True})
+    assert rows(tmp_path / "r") == rows(record, 0)  # links and times, to the last bit
+    shapes = {
+        "board": {"box": [4, 4, 0.1]},
+        "ball": {"sphere": 0.1},
+        "other": {"sphere": 0.1},
+        "arm": {"links": {"link1": {}}},
+    }
+    with pytest.warns(UserWarning, match="its record has no contacts"):
+        ssduck.import_poses(mcap_file, tmp_path / "s", entities=shapes)
+    asked = "SELECT round(clearance(lab.board, this), 9) FROM lab{} WHERE id == 'ball' AS list;"
+    with ssduck.open(tmp_path / "s") as imported, ssduck.open(record, episode=0) as original:
+        assert imported.eval(asked) == original.eval(asked)
+
+
+def test_files_of_others(tmp_path: Path) -> None:
+    """Poses by topics and transforms are read; other topics are named."""
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+    from foxglove_schemas_protobuf.Log_pb2 import Log
+    from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+    from mcap_protobuf.writer import Writer
+
+    def write(name: str, parents: tuple[str, str]) -> Path:
+        with (tmp_path / name).open("wb") as stream, Writer(stream) as writer:
+            for second in range(3):
+                pose = PoseInFrame(frame_id=parents[0])
+                pose.timestamp.seconds = second
+                pose.pose.position.x, pose.pose.orientation.w = second / 3, 1.0
+                writer.write_message("/cup", pose, second, second)
+                moved = FrameTransform(parent_frame_id=parents[1], child_frame_id="hand")
+                moved.timestamp.seconds = second
+                moved.translation.z, moved.rotation.w = second / 7, 1.0
+                writer.write_message("/tf", moved, second, second)
+                writer.write_message("/log", Log(message="x"), second, second)
+        return tmp_path / name
+
+    with pytest.warns(UserWarning, match="not read: /log"):
+        ssduck.import_poses(write("a.mcap", ("map", "map")), tmp_path / "r")
+    with ssduck.open(tmp_path / "r") as ss:
+        found = ss.sql("SELECT name, time, x, z FROM entities_history ORDER BY ALL").fetchall()
+    hand = [("hand", float(n), 0.0, n / 7) for n in range(3)]
+    assert found == [("cup", float(n), n / 3, 0.0) for n in range(3)] + hand
+    with pytest.raises(RecordError, match="is relative to"):
+        ssduck.import_poses(write("b.mcap", ("map", "base")), tmp_path / "s")
+    (tmp_path / "c.mcap").write_bytes(b"not MCAP")
+    with pytest.raises(RecordError, match="cannot be read as an MCAP file"):
+        ssduck.import_poses(tmp_path / "c.mcap", tmp_path / "s")
+    cut = write("d.mcap", ("map", "map"))
+    cut.write_bytes(cut.read_bytes()[:200])
+    with pytest.raises(RecordError, match="cannot be read as an MCAP file"):
+        ssduck.import_poses(cut, tmp_path / "s")
+    assert not (tmp_path / "s").exists()
+
+
+# -- Rerun --------------------------------------------------------------------------------------
+
+
+def test_a_recording_of_rerun(record: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="the extra rerun is not installed")
+    chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no files")
+    motion = motion_of(FolderRun(record, "lab", 0))
+    (file,) = write_runs([motion.run], tmp_path / "run.rrd", "rrd")
+    found = []
+    for part in chunk.RrdReader(str(file)).stream().to_chunks():
+        rows = part.to_record_batch()
+        name = "Transform3D:translation"
+        if str(part.entity_path) == "/world/ball" and name in rows.schema.names:
+            found += [point[0] for point in rows[name].to_pylist()]
+    assert np.array(found) == pytest.approx(motion.poses[:, 1, :3], rel=1e-6)  # of 32 bits
+
+
+# -- the commands -------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("default")  # the command writes them
+def test_the_commands_export_and_import(record: Path, tmp_path: Path) -> None:
+    out = str(tmp_path / "d")
+    assert answer("export", str(record), "-o", out, "--format", "lerobot") == f"{out}\n"
+    answer("export", str(record), "-o", out + "1", "--format", "lerobot", "--episode", "1")
+    info = json.loads((tmp_path / "d1/meta/info.json").read_text())
+    assert (info["total_episodes"], info["total_frames"]) == (1, TICKS)
+    result = ssduck_("import", out, "-o", str(tmp_path / "r"), "--world", "lab")
+    lines = result.stdout.splitlines()
+    assert lines == [f"49 ticks of 'lab': episode {n} in {tmp_path / 'r'}" for n in (0, 1)]
+    assert result.stderr.startswith("warning: ")
+
+
+def test_a_part_of_a_record_in_a_file_is_exported(record: Path, tmp_path: Path) -> None:
+    answer("export", str(record), "-o", str(tmp_path / "d"), "--format", "lerobot",
+           "--entities", "ball", "--start", "0.05", "--end", "0.1")  # fmt: skip
+    info = json.loads((tmp_path / "d/meta/info.json").read_text())
+    assert (info["total_frames"], info["features"][POSES]["shape"]) == (2 * 13, [7])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--format", "lerbot"], "did you mean 'lerobot'"),
+        (["--format", "mcap", "--fps", "30"], "frames per second are for lerobot"),
+        (["--fps", "30"], "--fps is for lerobot"),
+        (["--format", "mcap", "--pairs", "1"], "only records have a table of pairs"),
+        (["--format", "mcap", "--episode", "7"], "no such episode"),
+    ],
+)
+def test_wrong_exports(record: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
+    try:
+        result = ssduck_("export", str(record), "-o", str(tmp_path / "x"), *arguments)
+    except SelectScriptError as error:
+        assert message in str(error)
+    else:
+        assert result.exit_code != 0
+        assert message in result.stderr
+    assert not (tmp_path / "x").exists()
+
+
+def test_two_episodes_are_no_file(record: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="there are 2 episodes"):
+        write_runs(runs_in(record), tmp_path / "x.mcap", "mcap")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"codebase_version": "v2.1"}, "version 'v2.1'"),
+        ({"codebase_version": "v3.0", "features": {"action": {"names": ["a"]}}}, "its features are action"),
+        ({"codebase_version": "v3.0"}, "tells of no named frames"),
+    ],
+)  # fmt: skip
+def test_other_datasets_are_errors(tmp_path: Path, content: dict, message: str) -> None:
+    (tmp_path / "d/meta").mkdir(parents=True)
+    (tmp_path / "d/meta/info.json").write_text(json.dumps(content))
+    with pytest.raises(RecordError, match=message):
+        ssduck.import_poses(tmp_path / "d", tmp_path / "r")
+    with pytest.raises(RecordError, match="there is no file or folder"):
+        ssduck.import_poses(tmp_path / "none", tmp_path / "r")
+
+
+def test_the_nearest_run_is_found(record: Path) -> None:
+    assert folder_run(record, None, None).number == 1
+    assert math.isclose(motion_of(folder_run(record, "lab", 0)).times[-1], 0.2)

@@ -1,0 +1,283 @@
+"""Plain DuckDB answers relations over the Parquet of a record as ssduck does."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import NumberError, RecordError, UnknownNameError
+from ssduck.interchange.macros import macro_script
+from ssduck.interchange.pairs import pairs_of
+from ssduck.interpreter.archives import folder_run
+from ssduck.language.intervals import RELATIONS_OF_INTERVALS
+from ssduck.sql.relations.registry import RELATIONS
+from tests.support.command_line import answer, ssduck_
+from tests.support.recorded import ALL, live_lab
+
+WITHIN = 0.5
+# Values of parameters that are no entities, by type.
+VALUES = {
+    "double": ("0.25", "0.001"),
+    "integer": ("2", "3"),
+    "place": ("{'x': 0.5, 'y': 0.5, 'z': 0.5}",),
+}
+# The relations that need shapes or joints.
+SHAPES = {
+    *("penetration", "clearance", "touching", "nearestPoints", "on", "onTop", "supports"),
+    *("restsOn", "inside", "contains", "enclosed", "nextTo", "solidVolume"),
+}
+JOINTS = {"joint", "isOpen", "isClosed"}
+PAIRED = {"collides", "collision", "near"}
+CONTACTS = {"inContact", "contactForce", "grasped", "force", "torque"}
+SENSINGS = {"isSensing", "sensingAmount", "sensingEnvIDs"}
+FORMS = {"isBox", "isSphere", "isCylinder", "isCapsule", "isPlane", "isTriMesh"}
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A record of a world that changes on its way, with a sensor, contacts and pairs."""
+    place = tmp_path_factory.mktemp("macros") / "it's [1]"
+    client = pybullet.connect(pybullet.DIRECT)
+    with ssduck.Interpreter(recording=ALL) as ss:
+        live_lab(ss, client)
+        ss.export(place, pairs=WITHIN)
+    pybullet.disconnect(client)
+    return place
+
+
+@pytest.fixture(scope="module")
+def opened(record: Path):
+    with ssduck.open(record) as ss:
+        yield ss
+
+
+@pytest.fixture(scope="module")
+def plain(record: Path):
+    with duckdb.connect() as connection:
+        connection.execute(macro_script(run=folder_run(record, None, None)).text)
+        yield connection
+
+
+def calls() -> list[tuple[str, str, str]]:
+    """Each relation that plain DuckDB can have, with each number of arguments, as a call."""
+    names = [name for name in RELATIONS if name not in SHAPES | JOINTS]
+    result = []
+    for name in names:
+        relation = RELATIONS[name]
+        for count in relation.expressions:
+            rows = iter("abb")
+            values = {type: iter(texts) for type, texts in VALUES.items()}
+            arguments = [
+                next(rows) if p.type == "entity" or name == "distance" else next(values[p.type])
+                if p.type != "place" else VALUES["place"][0]
+                for p in relation.parameters[:count]
+            ]  # fmt: skip
+            sources = "ab" if "b" in arguments else "a"
+            result.append((name, f'"{name}"({", ".join(arguments)})', sources))
+    return result
+
+
+def same(found: Any, expected: Any) -> bool:
+    if isinstance(expected, float) and isinstance(found, float):
+        return (
+            found == expected
+            or math.isclose(found, expected, rel_tol=1e-12, abs_tol=1e-15)
+            or (math.isnan(found) and math.isnan(expected))
+        )
+    if isinstance(expected, list | tuple) and isinstance(found, list | tuple):
+        return len(found) == len(expected) and all(map(same, found, expected))
+    return found == expected and type(found) is type(expected)
+
+
+@pytest.mark.parametrize("table", ["entities", "links"])
+@pytest.mark.parametrize(("name", "call", "sources"), calls())
+def test_each_macro_answers_as_ssduck(
+    opened: ssduck.Interpreter, plain: Any, name: str, call: str, sources: str, table: str
+) -> None:
+    if table == "links" and (name in PAIRED or name in SENSINGS | {"environmentID", "hasBody"}):
+        pytest.skip("of entities only")
+
+    last = opened.past("lab").ticks[-1] - 20
+
+    def query(history: str, schema: str = "") -> str:
+        second = f" JOIN {schema}entities{history} b USING (tick)" if sources == "ab" else ""
+        ids = "a.id, b.id" if sources == "ab" else "a.id"
+        first = f"{schema}{table}{history} a"
+        # ssduck's SQL knows the forms of what is there at the last tick only
+        still = f" WHERE a.tick > {last}" if name in FORMS else ""
+        return f"SELECT tick, {ids}, {call} FROM {first}{second}{still} ORDER BY ALL"
+
+    expected = opened.sql(query("_history", "lab.")).fetchall()
+    found = plain.execute(query("")).fetchall()
+    assert len(found) == len(expected) >= 60
+    wrong = [pair for pair in zip(found, expected, strict=True) if not same(*pair)]
+    assert not wrong, wrong[:5]
+
+
+def test_some_answers_differ_from_row_to_row(plain: Any) -> None:
+    """Equal answers could be those of nothing at all."""
+    for call in (
+        "above(a, b)",
+        "inContact(a, b)",
+        "isSensing(a, b)",
+        "collides(a, b)",
+        "near(a, b, 0.25)",
+    ):
+        rows = plain.execute(
+            f"SELECT count(*) FILTER ({call}), count(*) FILTER (NOT {call}) FROM entities a "
+            "JOIN entities b USING (tick)"
+        ).fetchone()
+        assert min(rows) > 0, call
+    forces = plain.execute("SELECT count(DISTINCT force(e)) FROM entities e").fetchone()
+    assert forces[0] > 10
+
+
+def test_intervals_and_their_relations(plain: Any) -> None:
+    plain.execute(
+        "CREATE TEMP VIEW held AS SELECT tick, time, any_value(z) < 0.15 AS holds FROM entities "
+        "WHERE name = 'other' GROUP BY ALL"
+    )
+    found = plain.execute("FROM intervals('held')").fetchall()
+    assert found[0][0] < found[0][1]
+    value = "[0.0, 1.0]"
+    for name in RELATIONS_OF_INTERVALS:
+        ((found,),) = plain.execute(f"SELECT {name}({value}, {value})").fetchall()
+        assert isinstance(found, bool)
+
+
+def test_without_a_record_there_are_formulas() -> None:
+    script = macro_script()
+    lookups = SHAPES | JOINTS | PAIRED | CONTACTS | SENSINGS | FORMS
+    assert set(script.missing) == lookups
+    assert set(script.names) == (set(RELATIONS) - lookups) | set(RELATIONS_OF_INTERVALS)
+    for name in lookups:
+        assert f" {name}" in script.text.partition("CREATE")[0]
+
+
+def test_with_a_record_only_shapes_and_joints_are_missing(record: Path) -> None:
+    script = macro_script(run=folder_run(record, "lab", 0))
+    assert set(script.missing) == SHAPES | JOINTS
+
+
+def test_what_is_not_recorded_is_missing(tmp_path: Path) -> None:
+    ssduck.write_record(tmp_path / "r", ["a", "b"], {"a": [0, 0, 1], "b": [0, 0, 0]}, [0.0])
+    script = macro_script(run=folder_run(tmp_path / "r", None, None))
+    assert set(script.missing) == SHAPES | JOINTS | PAIRED | CONTACTS | SENSINGS
+    with duckdb.connect() as connection:
+        connection.execute(script.text)
+        rows = connection.execute(
+            "SELECT a.name, b.name FROM entities a, entities b WHERE below(a, b)"
+        ).fetchall()
+    with ssduck.open(tmp_path / "r") as ss:
+        asked = "SELECT a.name, b.name FROM entities a, entities b WHERE below(a, b)"
+        assert rows == ss.sql(asked).fetchall() != []
+
+
+def test_frames_of_pandas_and_polars_are_asked_by_duckdb(record: Path) -> None:
+    files = sorted((record / "entities").rglob("*.parquet"))
+    polars_frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
+    pandas_frame = polars_frame.to_pandas()
+    with duckdb.connect() as connection:
+        connection.execute(macro_script(["above", "distance"]).text)
+        counts = []
+        for frame in (polars_frame, pandas_frame):
+            connection.register("frame", frame)
+            query = "SELECT count(*) FROM frame a JOIN frame b USING (tick) WHERE above(a, b)"
+            counts += connection.execute(query).fetchall()
+    with ssduck.open(record) as ss:
+        query = (
+            "SELECT count(*) FROM lab.entities_history a JOIN lab.entities_history b USING (tick) "
+            "WHERE above(a, b)"
+        )
+        assert {*counts} == {ss.sql(query).fetchone()} != {(0,)}
+
+
+# -- pairs --------------------------------------------------------------------------------------
+
+
+def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> None:
+    file, within = pairs_of(folder_run(record, None, None))
+    assert within == WITHIN
+    with ssduck.open(record) as ss:
+        expected = ss.sql(
+            "SELECT a.tick, a.id, b.id, clearance(a, b), penetration(a, b) "
+            "FROM lab.entities_history a JOIN lab.entities_history b ON a.tick = b.tick "
+            "WHERE a.id < b.id AND clearance(a, b) <= 0.5 ORDER BY ALL"
+        ).fetchall()
+    found = plain.execute("SELECT tick, a, b, clearance, depth FROM pairs ORDER BY ALL").fetchall()
+    assert found == expected
+    assert len(found) > 20
+    assert ssduck.check(record) == []
+    content = bytearray(file.read_bytes())
+    content[60] ^= 1
+    damaged = file.with_name("copy.parquet")
+    damaged.write_bytes(content)
+    file.rename(file.with_name("kept"))
+    try:
+        damaged.rename(file)
+        with pytest.raises(RecordError, match="damaged"):
+            macro_script(run=folder_run(record, None, None))
+    finally:
+        file.with_name("kept").rename(file)
+
+
+def test_pairs_of_a_part_of_a_record(record: Path, tmp_path: Path) -> None:
+    with ssduck.open(record) as ss:
+        ss.export(tmp_path / "r", entities=["board", "other"], start=0.05, end=0.1, pairs=0.1)
+        with pytest.raises(NumberError, match="less than 0"):
+            ss.export(tmp_path / "s", pairs=-1)
+    run = folder_run(tmp_path / "r", None, None)
+    rows = duckdb.sql(f"SELECT min(time), max(time), count(DISTINCT a) FROM '{pairs_of(run)[0]}'")
+    low, high, entities = rows.fetchall()[0]
+    assert (0.05 <= low < high <= 0.1 + 1e-9, entities) == (True, 1)
+    assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [("near(a, b, 0.75)", "within 0.5 m"), ("collides(l, b)", "entities, and no links")],
+)
+def test_what_the_table_of_pairs_cannot_tell_is_an_error(
+    plain: Any, call: str, message: str
+) -> None:
+    sources = "entities a JOIN entities b USING (tick) JOIN links l USING (tick)"
+    with pytest.raises(duckdb.Error, match=message):
+        plain.execute(f"SELECT count(*) FILTER ({call}) FROM {sources}").fetchall()
+
+
+# -- the command --------------------------------------------------------------------------------
+
+
+def test_the_command_writes_a_script(record: Path, tmp_path: Path) -> None:
+    copy = str(tmp_path / "copy")
+    answer("export", str(record), "-o", copy, "--pairs", "0.1")
+    written = answer("macros", "--of", copy, "-o", str(tmp_path / "m.sql"))
+    assert written == ""
+    with duckdb.connect(tmp_path / "kept.duckdb") as connection:
+        connection.execute((tmp_path / "m.sql").read_text())
+    with duckdb.connect(tmp_path / "kept.duckdb") as connection:  # they are kept in a file
+        asked = "SELECT count(*) FROM entities a JOIN entities b USING (tick) WHERE {}"
+        assert connection.execute(asked.format("above(a, b)")).fetchone()[0] > 0
+        assert connection.execute(asked.format("near(a, b, 0.1)")).fetchone()[0] > 0
+    assert answer("macros", "above").count("CREATE") == 1
+
+
+def test_a_wrong_name_is_an_error() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'above'"):
+        macro_script(["abvoe"])
+    assert ssduck_("macros", "--episode", "1").exit_code == 2
+
+
+def test_several_worlds_need_a_name(tmp_path: Path) -> None:
+    for world in ("one", "two"):
+        ssduck.write_record(tmp_path, ["a"], {"a": [0, 0, 0]}, [0.0], world=world)
+    with pytest.raises(RecordError, match="several worlds: one, two"):
+        folder_run(tmp_path, None, None)
+    assert folder_run(tmp_path, "two", None).world == "two"

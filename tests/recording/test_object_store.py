@@ -1,0 +1,290 @@
+"""Records in an object store: a local S3 server, on the loopback."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording.paths import expand_path, is_record
+from ssduck.recording.stores import object_store
+from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores.parquet import write_tags
+from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from tests.support.command_line import answer, ssduck_, write_scene
+from tests.support.recorded import ALL, PAST, live_lab, lively, rows
+
+server_module = pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
+pytest.importorskip("fsspec", reason="the extra s3 is not installed")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def server():
+    running = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    running.start()
+    host, port = running.get_host_and_port()
+    settings = {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ACCESS_KEY_ID": "test",
+        "AWS_SECRET_ACCESS_KEY": "test",
+        "AWS_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        from pyarrow.fs import S3FileSystem
+
+        maker = S3FileSystem(
+            endpoint_override=f"{host}:{port}", scheme="http", allow_bucket_creation=True
+        )
+        maker.create_dir("lake")
+        yield f"http://{host}:{port}"
+    object_store._s3.cache_clear()
+    running.stop()
+
+
+@pytest.fixture(scope="module")
+def places(server, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """The same run, recorded to the store and to a folder, in several parts and a log."""
+    local, remote = tmp_path_factory.mktemp("store") / "run", "s3://lake/a b/run"
+    client = pybullet.connect(pybullet.DIRECT)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client, names=lively(client)))
+        with (
+            ss.record_to(remote, recording=ALL, tags={"task": "drop"}) as first,
+            ss.record_to(local, recording=ALL, tags={"task": "drop"}) as second,
+        ):
+            for _ in range(3):
+                world.step(16)
+                first.flush()
+                second.flush()
+            world.step(3)
+    pybullet.disconnect(client)
+    return remote, local
+
+
+def names(place: Path) -> set[str]:
+    return {str(file)[len(str(place)) :] for file in _files(place)}
+
+
+def _files(place: Path) -> list[Path]:
+    if isinstance(place, ObjectPath):
+        from pyarrow.fs import FileSelector
+
+        found = object_store.file_system().get_file_info(FileSelector(place.key, recursive=True))
+        return [ObjectPath(f"s3://{one.path}") for one in found if one.is_file]
+    return [file for file in place.rglob("*") if file.is_file()]
+
+
+def test_the_same_files_are_there(places: tuple[str, Path]) -> None:
+    remote, local = places
+    assert names(expand_path(remote)) == names(local)
+    assert "/ticks/world=lab/episode=0/part-000003.parquet" in names(local)
+
+
+@pytest.mark.slow
+def test_the_same_rows_and_answers(places: tuple[str, Path]) -> None:
+    remote, local = places
+    programs = [
+        "SELECT id, z, tick FROM lab{} AS list;",
+        "SELECT tick(a.this), clearance(a.this, b.this) FROM a=lab{}, b=lab{} "
+        "WHERE tick(a.this) == tick(b.this) AND id(a.this) == 'ball' AND id(b.this) == 'board' AS list;",
+        "SELECT id FROM lab{0.1} WHERE above(lab{0.1}.board, this) AS list;",
+        "SELECT tick FROM lab{} WHERE collides(this, lab.board) AS list;",
+        "SELECT id(a.this), id(b.this) FROM a=lab, b=lab WHERE inContact(a.this, b.this) AS list;",
+    ]
+    with ssduck.open(remote) as there, ssduck.open(local) as here:
+        for table in PAST:
+            assert rows(there, table) == rows(here, table)
+        for program in programs:
+            assert there.eval(program) == here.eval(program) != []
+    (episode,) = ssduck.episodes(remote)
+    (other,) = ssduck.episodes(local)
+    assert (episode.ticks, episode.tags, episode.complete) == (other.ticks, other.tags, True)
+    assert str(episode.path) == remote
+    assert ssduck.check(remote) == []
+
+
+def test_a_running_recording_is_read_with_its_log(server) -> None:
+    place = "s3://lake/running"
+    client = pybullet.connect(pybullet.DIRECT)
+    recording = ssduck.Recording(flush_every=0.02)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(client, names=lively(client)))
+        with ss.record_to(place, recording=recording) as running:
+            while not list(_logs(place)):
+                world.step()
+            with ssduck.open(place) as there:
+                assert len(there.past("lab").ticks) >= 1
+            last = running.flush()
+            assert not list(_logs(place))
+            with ssduck.open(place) as there:
+                assert there.past("lab").ticks[-1] == last
+            assert ssduck.episodes(place)[0].complete is False
+    pybullet.disconnect(client)
+
+
+def _logs(place: str) -> list[Path]:
+    return [file for file in _files(expand_path(place)) if "/log/" in str(file)]
+
+
+@pytest.mark.slow
+def test_exports_to_the_store_and_from_it(places: tuple[str, Path], tmp_path: Path) -> None:
+    remote, local = places
+    with ssduck.open(local) as ss:
+        ss.export("s3://lake/exported", entities=["board", "ball"], start=0.05)
+        query = "SELECT * FROM entities_history WHERE name IN ('board', 'ball') AND time > 0.049"
+        expected = ss.sql(query).fetchall()
+    with ssduck.open("s3://lake/exported") as ss:
+        assert rows(ss, "entities_history") == sorted(expected)
+        ss.export(tmp_path / "back")
+    assert ssduck.episodes(tmp_path / "back")[0].tags == {"task": "drop"}
+    with ssduck.open(remote) as ss, pytest.raises(ssduck.SelectScriptError, match="nobody"):
+        ss.export("s3://lake/failed", entities=["nobody"])
+    assert not expand_path("s3://lake/failed").exists()
+
+
+def test_an_export_that_fails_leaves_no_episode(
+    places: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ssduck.recording.stores import parquet
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "no room")
+
+    with ssduck.open(places[1]) as ss, monkeypatch.context() as patch:
+        patch.setattr(parquet.ParquetStore, "complete", fail, raising=False)
+        patch.setattr(parquet.ParquetStore, "add", fail)
+        with pytest.raises(OSError, match="no room"):
+            ss.export("s3://lake/broken")
+    assert runs_in(expand_path("s3://lake/broken")) == []
+
+
+def test_poses_from_anywhere_tags_and_further_episodes(server) -> None:
+    place = "s3://lake/written"
+    for number in range(3):
+        poses = np.full((4, 1, 3), number / 8)
+        episode = ssduck.write_record(place, ["cup"], poses, [0, 1, 2, 3], world="lab")
+        assert episode.number == number
+    run = FolderRun(expand_path(place), "lab", 1)
+    write_tags(run, {"success": True})
+    assert [e.tags for e in ssduck.episodes(place)] == [{}, {"success": True}, {}]
+    with ssduck.open(place, episode=1) as ss:
+        assert ss.eval("SELECT x FROM lab AS value;") == 0.125
+
+
+@pytest.mark.slow
+def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -> None:
+    remote, _ = places
+    assert "task=drop" in answer("episodes", remote)
+    asked = ["query", remote, "SELECT id FROM lab WHERE isSphere(this) AS list;", "-F", "json"]
+    assert json.loads(answer(*asked)) == ["ball", "other"]
+    answer("export", remote, "-o", "s3://lake/by-command", "--entities", "ball")
+    assert answer("check", "s3://lake/by-command") == "s3://lake/by-command is intact\n"
+    scene = str(write_scene(tmp_path) / "two.toml")
+    answer("record", scene, "--seconds", "0.02", "--tables", "entities", "-o", "s3://lake/k")
+    assert ssduck.episodes("s3://lake/k")[0].ticks == 3
+
+
+def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> None:
+    with ssduck.open(places[1]) as ss:
+        ss.export("s3://lake/damaged")
+    part = expand_path("s3://lake/damaged/entities/world=lab/episode=0/part-000000.parquet")
+    content = bytearray(part.read_bytes())
+    content[100] ^= 1
+    part.write_bytes(bytes(content))
+    with (
+        pytest.raises(RecordError, match=r"s3://lake/damaged/entities.*its checksum is wrong"),
+        ssduck.open("s3://lake/damaged") as ss,
+    ):
+        ss.sql("SELECT sum(z) FROM entities_history")
+    (damage,) = ssduck.check("s3://lake/damaged")
+    assert str(damage.file) == str(part)
+    part.unlink()
+    with pytest.raises(RecordError, match=r"part-000000\.parquet is missing"):
+        ssduck.open("s3://lake/damaged")
+    with pytest.raises(RecordError, match="there is no record s3://lake/nothing"):
+        ssduck.open("s3://lake/nothing")
+    with pytest.raises(RecordError, match="cannot be written"):
+        ssduck.write_record("s3://no-such-bucket/r", ["a"], np.zeros((1, 1, 3)), [0])
+
+
+def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]) -> None:
+    remote, _ = places
+    with ssduck.open(remote, limits=ssduck.Limits.strict()) as ss:
+        assert ss.eval("SELECT id FROM lab{0.1} WHERE above(lab{0.1}.board, this) AS list;") != []
+        assert ss.sql("SELECT count(*) FROM lab.entities_history").fetchone()[0] > 0
+        for other in ("s3://lake/written/ticks/world=lab/episode=0/part-000000.parquet",):
+            with pytest.raises(ssduck.SelectScriptError):
+                ss.sql(f"SELECT * FROM read_parquet('{other}')")
+
+
+def test_without_fsspec_the_error_says_what_to_install(
+    places: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "fsspec.implementations.arrow", None)
+    with pytest.raises(ssduck.SelectScriptError, match=r"pip install 'ssduck\[s3\]'"):
+        ssduck.open(places[0])
+
+
+# -- addresses as paths -------------------------------------------------------------------------
+
+
+def test_an_address_is_a_path() -> None:
+    path = expand_path("s3://bucket/a/run")
+    assert isinstance(path, ObjectPath)
+    assert str(path / "x" / "y.json") == "s3://bucket/a/run/x/y.json"
+    assert str((path / "x").with_name("z").parent) == "s3://bucket/a/run"
+    assert expand_path(Path("s3://bucket/a/run")) == path == expand_path(path)
+    assert hash(path) == hash(expand_path("s3://bucket/a/run"))
+    assert path != Path("s3:/bucket/a/run")
+    assert path.absolute() == path.resolve() == path
+    assert repr(path) == "ObjectPath('s3://bucket/a/run')"
+    assert is_record("s3://bucket/a/run")
+    assert not isinstance(expand_path("s3/bucket"), ObjectPath)
+    assert not isinstance(expand_path("./s3:/x"), ObjectPath)
+
+
+def test_objects_are_listed_and_read(server) -> None:
+    place = ObjectPath("s3://lake/plain")
+    assert (place.exists(), place.is_dir(), place.is_file()) == (False, False, False)
+    assert list(place.iterdir()) == []
+    (place / "a.txt").write_bytes(b"one")
+    (place / "deep" / "b.bin").write_bytes(b"two!")
+    assert sorted(entry.name for entry in place.iterdir()) == ["a.txt", "deep"]
+    assert [entry.name for entry in place.glob("*.txt")] == ["a.txt"]
+    assert (place.is_dir(), (place / "a.txt").is_file(), (place / "deep").is_dir()) == (True,) * 3
+    assert (place / "deep/b.bin").stat().st_size == 4
+    (place / "a.txt").rename(place / "c.txt")
+    assert (place / "c.txt").read_bytes() == b"one"
+    with pytest.raises(FileNotFoundError):
+        (place / "a.txt").read_bytes()
+    with pytest.raises(FileNotFoundError):
+        (place / "a.txt").stat()
+    (place / "a.txt").unlink(missing_ok=True)
+    object_store.remove_tree(place)
+    assert not place.exists()
+
+
+@pytest.mark.slow
+def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
+    client = pybullet.connect(pybullet.DIRECT)
+    with ssduck.Interpreter(recording=ALL) as ss:
+        live_lab(ss, client)
+        ss.export("s3://lake/changing")
+        with ssduck.open("s3://lake/changing") as there:
+            for table in PAST:
+                expected = pa.Table.from_pylist([]) if not rows(ss, table) else rows(ss, table)
+                if isinstance(expected, list):
+                    assert rows(there, table) == expected
+    pybullet.disconnect(client)
+    assert ssduck_("check", "s3://lake/changing").exit_code == 0
