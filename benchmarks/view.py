@@ -2,7 +2,8 @@
 
 `python -m benchmarks view` takes some seconds. Boxes fall; the viewer is a process that receives
 all that a page receives, and draws nothing. Times of steps are processor times of this process, the
-server's threads included.
+server's threads included. The time from Enter to the highlight is real time in Chromium, if it is
+installed: the median of some queries, each until the scene is drawn with its answer.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from urllib.parse import urlsplit
 
 from websockets.sync.client import connect
@@ -19,10 +22,12 @@ from websockets.sync.client import connect
 import ssduck
 from benchmarks.ticks import boxes
 from benchmarks.timing import text_of
+from tools.browser import Browser, chromium
 
 HEADER = (
-    *("bodies", "step", "page, nobody looks", "one viewer looks", "updates a second"),
+    *("bodies", "step", "page, nobody looks", "one viewer looks", "updates a second, of ticks"),
     "query answered",
+    "Enter to highlight",
 )
 STEPS, ASKED = 300, 20
 # The share of a step at 240 Hz is what matters: steps keep this pace, s.
@@ -62,9 +67,10 @@ def rows() -> Iterator[tuple[str, ...]]:
                 viewer.terminate()
                 _, lines = viewer.communicate()
             updates = int(lines.split()[-1]) / wall
+            lit = _highlight_time(page.url)
             page.close()
         times = (text_of(bare), _ratio(unseen, bare), _ratio(seen, bare))
-        yield (str(count), *times, f"{updates:.0f}", text_of(asked))
+        yield (str(count), *times, f"{updates:.0f} of {STEPS / wall:.0f}", text_of(asked), lit)
 
 
 def _ratio(time: float, bare: float) -> str:
@@ -80,6 +86,25 @@ def _step_time(world: ssduck.World) -> tuple[float, float]:
         if rest > 0:
             time.sleep(rest)
     return (time.process_time() - used) / STEPS, time.perf_counter() - started
+
+
+def _highlight_time(url: str) -> str:
+    """Returns the median time from Enter to the drawn highlight; "-" without Chromium."""
+    if chromium() is None:
+        return "-"
+    with tempfile.TemporaryDirectory() as folder:
+        browser = Browser(Path(folder))
+        try:
+            page = browser.open(url)
+            page.wait("window.__ss && __ss.ready")
+            times = []
+            for number in range(ASKED):
+                page.value("__ss.highlighted = 0; 0")
+                page.ask(f"SELECT id(this) FROM sim WHERE z(this) > {0.5 + 0.001 * number};")
+                times.append(page.wait("__ss.highlighted"))
+        finally:
+            browser.close()
+    return text_of(sorted(times)[ASKED // 2] / 1e3)
 
 
 def _answer_time(url: str, origin: str) -> float:

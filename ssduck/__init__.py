@@ -3,6 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from ssduck.lazy import offer
+
 if TYPE_CHECKING:
     from ssduck.adapters.grid_values import OccupancyGrid
     from ssduck.adapters.registry import Selection, adapter
@@ -59,6 +61,9 @@ __all__ = [
     "open",
     "write_record",
 ]
+
+# The page of `Interpreter.view` is a layer above interpreters, which it asks.
+offer("page", "ssduck.view.view:view")
 
 _HOMES = {
     "Changed": "interpreter.triggers.diff",

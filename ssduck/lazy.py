@@ -1,4 +1,4 @@
-"""Imports modules on first use: those of a package's names, and libraries.
+"""Imports modules on first use: those of a package's names, libraries, and services.
 
 Importing a module also imports its parent packages; lazy exports keep this cheap.
 """
@@ -30,6 +30,27 @@ def exports(
         return getattr(import_module(f"{package}.{modules[name]}"), name)
 
     return get, lambda: sorted(modules)
+
+
+# The functions by which higher layers serve lower ones, by name: `module:function`.
+_SERVICES: dict[str, str] = {}
+
+
+def offer(service: str, target: str) -> None:
+    """Offers a function of a higher layer to lower ones.
+
+    Args:
+        service: the name by which they ask for it.
+        target: its module and its name, as `package.module:function`.
+    """
+    _SERVICES[service] = target
+
+
+def service(name: str) -> Callable[..., Any]:
+    """Returns the function that is offered under a name; its module is imported now."""
+    module, _, function = _SERVICES[name].partition(":")
+    offered: Callable[..., Any] = getattr(import_module(module), function)
+    return offered
 
 
 def import_whole(name: str) -> None:

@@ -292,6 +292,7 @@ _ENTITIES = Table(
         _model_only("host", "integer", "id of the entity that a sensor is mounted on"),
         _model_only("host_link", "integer", "number of the link that a sensor is mounted on"),
         _model_only("sensor", "string", "specification of a sensor, as JSON"),
+        _model_only("visuals", "string", "what is drawn of it, as JSON; NULL if that is not known"),
         _fixed("run", "integer", "random number of the run that the row belongs to"),
     ),
     ("world.snapshot.Snapshot._lay_out", "world.layout.BodyGroup.write_entities"),
@@ -389,10 +390,10 @@ _SHAPES = Table(
 )
 _GEOMETRIES = Table(
     "geometries",
-    "a geometry that shapes have, in its own frame",
+    "a geometry that shapes or, in records, visuals have, in its own frame",
     (
         _fixed("id", "integer", "the same for equal geometries"),
-        _fixed("type", "string", "sphere, box, cylinder, capsule, plane, hull or mesh"),
+        _fixed("type", "string", "sphere, box, cylinder, capsule, ellipsoid, plane, hull or mesh"),
         *_doubles(
             "size_x size_y size_z",
             "box: full sizes; else radius, length; plane: normal; m",
@@ -504,7 +505,7 @@ FRAMES = _FRAMES.name
 LATER_COLUMNS = frozenset(
     (
         *("run", "margin", "exact", "joints", "joint", "anchor_x", "anchor_y", "anchor_z"),
-        *("reference", "region", "region_x", "region_y", "region_z"),
+        *("reference", "region", "region_x", "region_y", "region_z", "visuals"),
     )
 )
 

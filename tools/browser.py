@@ -20,7 +20,7 @@ import numpy.typing as npt
 from PIL import Image
 from websockets.sync.client import connect
 
-TIMEOUT = 60.0
+TIMEOUT = 180.0
 
 
 def chromium() -> str | None:
@@ -140,6 +140,16 @@ class Page:
     def click(self, x: float, y: float) -> None:
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def resize(self, width: int, height: int) -> None:
+        """Gives the page another size, pixels."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
 
     def ask(self, text: str) -> None:
         """Types a query, runs it, and waits for the answer."""

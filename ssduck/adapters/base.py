@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from ssduck.world.world import World
 
 _VARIADIC = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+# The types of numbers, which a table does not make larger.
+_NUMBERS = frozenset((bool, int, float, type(None)))
 # The input of an adapter; `Adapter.needs` describes each.
 Need: TypeAlias = Literal["rows", "columns", "entities", "query"]
 
@@ -73,6 +75,17 @@ class Selection:
         """
         self._meter.check_time()
 
+    def charge(self, size: int) -> None:
+        """Counts the size of what the form makes beside its rows.
+
+        Args:
+            size: bytes, roughly.
+
+        Raises:
+            LimitError: all values that the program has made take too much memory.
+        """
+        self._meter.charge(size)
+
     def check_size(self, count: float, what: str, *, per_second: float, bytes_each: float) -> None:
         """Checks that a form of so many parts can be made within the limits of time and memory.
 
@@ -102,6 +115,15 @@ class Selection:
         if limits.seconds is None and limits.memory is None:
             return self.rows
         return _TimedRows(self.rows, self._meter)
+
+    @property
+    def copied_rows(self) -> list[tuple[Any, ...]]:
+        """The rows for a table that copies their values, which are counted."""
+        if self.limits.memory is not None:
+            for column in zip(*self.rows, strict=True):
+                if not _NUMBERS.issuperset(map(type, column)):
+                    self._meter.charge(sum(map(size_of, column)))
+        return self.rows
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:

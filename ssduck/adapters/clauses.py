@@ -14,6 +14,7 @@ from ssduck import validation
 from ssduck.adapters.base import Selection
 from ssduck.errors import ArgumentError
 from ssduck.language.analysis import aliases_of, free_aliases
+from ssduck.language.operators import size_of
 from ssduck.language.tree import Call, ListLiteral, Literal, Name, Node, Query, This
 
 
@@ -56,6 +57,7 @@ def clauses(selection: Selection) -> Iterator[Clause]:
     for row_names, row in zip(names, rows.values, strict=True):
         for name, (*arguments, result) in zip(row_names, row, strict=True):
             validation.text(name, "the name of a relation must be a text")
+            selection.charge(len(name) + sum(map(size_of, (*arguments, result))))
             yield Clause(name, arguments, result)
 
 

@@ -29,7 +29,8 @@ def table_of(selection: Selection) -> pa.Table:
         ArgumentError: a column holds values of several types, or two columns share a name.
     """
     names = checked_names(selection.columns)
-    columns = zip(*selection.rows, strict=True) if selection.rows else [()] * len(names)
+    rows = selection.copied_rows
+    columns = zip(*rows, strict=True) if rows else [()] * len(names)
     arrays = [array_of(name, list(column)) for name, column in zip(names, columns, strict=True)]
     return pa.table(arrays, names=list(names))
 

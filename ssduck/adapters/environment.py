@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ssduck.adapters.base import Adapter, Selection
+from ssduck.adapters.sizes import WORLD_BYTES
 from ssduck.world.world import World
 
 
@@ -11,6 +12,7 @@ def environment(selection: Selection) -> World:
 
     See `World.excerpt`.
     """
+    selection.charge(WORLD_BYTES)
     return selection.world.excerpt([handle.entity for handle in selection.entities])
 
 

@@ -170,7 +170,17 @@ def surface_area(solid: Solid) -> float:
             return 4.0 * math.pi * solid.radius * (solid.radius + solid.half_length)
         case "cylinder":
             return 2.0 * math.pi * solid.disc_radius * (solid.disc_radius + 2.0 * solid.half_length)
+        case "ellipsoid":
+            return _ellipsoid_area(solid.semi_axes)
     return float(_triangle_areas(solid.surface.triangles).sum())
+
+
+def _ellipsoid_area(semi_axes: tuple[float, float, float]) -> float:
+    """Returns the area of an ellipsoid, m² (Carlson's symmetric integral R_G, DLMF 19.33.2)."""
+    from scipy.special import elliprg
+
+    inverse = [(1.0 / axis) ** 2 for axis in semi_axes]
+    return 4.0 * math.pi * math.prod(semi_axes) * float(elliprg(*inverse))
 
 
 def _sample(solid: Solid, count: int, random: np.random.Generator) -> tuple[Array, Array]:
@@ -182,6 +192,8 @@ def _sample(solid: Solid, count: int, random: np.random.Generator) -> tuple[Arra
             return _sample_round(solid, count, random)
         case "cylinder":
             return _sample_cylinder(solid.disc_radius, solid.half_length, count, random)
+        case "ellipsoid":
+            return _sample_ellipsoid(np.array(solid.semi_axes), count, random)
     return _sample_triangles(solid.surface.triangles, count, random)
 
 
@@ -198,6 +210,23 @@ def _sample_round(solid: Solid, count: int, random: np.random.Generator) -> tupl
     if solid.type == "sphere":
         points += solid.core[0]
     return points, normals
+
+
+def _sample_ellipsoid(
+    semi_axes: Array, count: int, random: np.random.Generator
+) -> tuple[Array, Array]:
+    """Samples an ellipsoid: scaled points of a ball, kept as often as a place is stretched."""
+    points, normals = np.zeros((0, 3)), np.zeros((0, 3))
+    while len(points) < count:
+        on_ball = random.normal(size=(count, 3))
+        on_ball /= np.linalg.norm(on_ball, axis=1, keepdims=True)
+        # A small area of the ball grows by the product of the axes times this.
+        gradients = on_ball / semi_axes
+        stretch = np.linalg.norm(gradients, axis=1)
+        kept = random.random(count) * (1.0 / semi_axes.min()) < stretch
+        points = np.concatenate((points, on_ball[kept] * semi_axes))
+        normals = np.concatenate((normals, gradients[kept] / stretch[kept, None]))
+    return points[:count], normals[:count]
 
 
 def _sample_cylinder(

@@ -93,6 +93,10 @@ def _triangles(solid: Solid) -> Any:
             return creation.cylinder(
                 radius=solid.disc_radius, height=2.0 * solid.half_length, sections=64
             )
+        case "ellipsoid":
+            mesh = creation.icosphere(subdivisions=3)
+            mesh.apply_scale(solid.semi_axes)
+            return mesh
     return trimesh.Trimesh(solid.core, solid.faces, process=False)
 
 

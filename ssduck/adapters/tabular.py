@@ -61,6 +61,7 @@ def _json(selection: Selection, indent: int | None = None) -> str:
     if indent is not None:
         validation.integer_between(indent, "indent", 0, _MAX_INDENT)
     names = checked_names(selection.columns)
+    selection.charge(len(selection.rows) * sum(map(len, names)))
     rows = (dict(zip(names, as_json(row), strict=True)) for row in selection.timed_rows)
     if indent is not None:
         return json.dumps(list(rows), ensure_ascii=False, allow_nan=False, indent=indent)
@@ -105,7 +106,7 @@ def _parquet(selection: Selection, file: str) -> str:
 
 
 def _numpy(selection: Selection) -> npt.NDArray[Any]:
-    rows = selection.rows
+    rows = selection.copied_rows
     if not rows:
         return np.zeros((0, len(selection.columns)))
     columns = [[plain_value(value) for value in column] for column in zip(*rows, strict=True)]

@@ -8,9 +8,13 @@ from typing import Any
 from ssduck.adapters.base import Adapter, Selection
 from ssduck.errors import ArgumentError
 
+# What a key of a dict takes, bytes.
+_KEY_BYTES = 32
+
 
 def _dicts(selection: Selection) -> list[dict[Any, Any]]:
     rows = selection.read()
+    selection.charge(sum(map(len, rows.values[:1])) * len(rows.values) * _KEY_BYTES)
     if isinstance(rows.names, list):
         try:
             return [

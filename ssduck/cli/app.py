@@ -437,7 +437,7 @@ def _writer_of_result(
     return partial(print_value, format=format, max_rows=rows)
 
 
-for command in (record, export, episodes, check, macros, tag):
+for command in (record, export, episodes, check, tag, macros):
     app.command()(command)
 app.command("import")(import_)
 
@@ -494,10 +494,10 @@ def mcp(
     seconds: _Seconds = None,
     episode: _Episode = None,
 ) -> None:
-    """Answer agents over the Model Context Protocol, on standard input and output.
+    r"""Answer agents over the Model Context Protocol, on standard input and output.
 
     Programs are confined as with `query --strict`. The extra mcp brings the protocol:
-    pip install 'ssduck[mcp]'
+    pip install 'ssduck\[mcp]'
     """
     from ssduck.adapters.optional import library
     from ssduck.limits import Limits
@@ -528,10 +528,10 @@ def shell(
     ] = True,
     strict: _Strict = False,
 ) -> None:
-    """Ask a scene or a record at a prompt, in SelectScript or SQL.
+    r"""Ask a scene or a record at a prompt, in SelectScript or SQL.
 
     Standard input may also be a file or a pipe; the exit code is 1 if a statement fails. The
-    prompt needs an extra: pip install 'ssduck[shell]'
+    prompt needs an extra: pip install 'ssduck\[shell]'
     """
     from ssduck.adapters.optional import library
     from ssduck.limits import Limits

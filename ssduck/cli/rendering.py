@@ -68,9 +68,9 @@ def render(
         ),
     ] = None,
 ) -> None:
-    """Draw a picture or a film of a scene or a record, without a screen.
+    r"""Draw a picture or a film of a scene or a record, without a screen.
 
-    It needs an extra: pip install 'ssduck[render]'
+    It needs an extra: pip install 'ssduck\[render]'
     """
     from ssduck.render.rendering import SECONDS, Film
     from ssduck.render.rendering import render as draw

@@ -46,10 +46,10 @@ def view(
         bool, typer.Option("--browser/--no-browser", help="Whether to open a browser.")
     ] = True,
 ) -> None:
-    """Show a scene or a record in the browser, in 3-D and with a box for queries.
+    r"""Show a scene or a record in the browser, in 3-D and with a box for queries.
 
     The address, with the token that it needs, is the first line. Ctrl-C ends it. The page needs an
-    extra: pip install 'ssduck[view]'
+    extra: pip install 'ssduck\[view]'
     """
     from ssduck.adapters.optional import library
 
@@ -87,5 +87,5 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
         world.name = scene.name
         return world
 
-    with view_scene(load(), load, host=host, port=port) as page:
+    with view_scene(load, host=host, port=port) as page:
         yield page

@@ -21,6 +21,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message, not_recorded_message
 from ssduck.recording.stores.base import TickArchive, VisibleRows
 from ssduck.schema import LINK_FACTOR, POSE, RECORDED, TABLES, EntityTable, link_id
+from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.joints import EntityJoints
 from ssduck.world.live_tables import LiveTable, last_version
 from ssduck.world.snapshot import Snapshot
@@ -262,6 +263,17 @@ class BoundWorld:
         return EntityJoints(
             member.name, joints, columns["position"][columns["entity"] == id].tolist()
         )
+
+    def contacts(self) -> ContactPairs:
+        """Returns the contacts of the present tick.
+
+        Raises:
+            EvaluationError: a number is unknown, which is NULL in SQL.
+        """
+        rows = self.world.snapshot.tables["contacts"]
+        if not rows.is_complete:
+            raise EvaluationError("a contact has an unknown number")
+        return ContactPairs(rows["a"], rows["b"], rows["force"], rows.doubles("nx", "nz"))
 
     def joint_owners(self) -> dict[str, set[int]]:
         """Returns the ids of the entities that have a joint of each name, at any tick."""

@@ -22,7 +22,7 @@ from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file
-from ssduck.database.limited_fetch import limited_rows, limited_table
+from ssduck.database.limited_fetch import limited_rows, limited_table, whole_table
 from ssduck.database.objects import reach_objects
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
@@ -360,7 +360,7 @@ class Connection:
                 return pa.table({})
             if self.has_limited_rows:
                 return limited_table(relation, self._max_rows, self.meter.charge)
-            return relation.to_arrow_table()
+            return whole_table(relation)
 
         table = self._execute(sql, fetch)
         self.meter.check_rows(table.num_rows)

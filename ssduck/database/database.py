@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from ssduck.database.binding import BoundWorld
+from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.functions import (
@@ -210,15 +210,25 @@ class Database:
         self,
         tables: AbstractSet[str] = frozenset(),
         worlds: Collection[World] | None = None,
+        *,
+        is_settled: bool = True,
     ) -> PinnedWorlds:
         """Pins all worlds at their tick while statements run.
 
         Args:
             tables: the tables to read, from the simulators if need be.
             worlds: the worlds whose tables are read; None for all.
+            is_settled: whether all columns are written; without it, call `settle` before DuckDB
+                reads them.
         """
         serials = None if worlds is None else [world.serial for world in worlds]
-        return PinnedWorlds(self._lock, self._worlds, ReadData(tables, serials))
+        reads = ReadData(tables, serials)
+        return PinnedWorlds(self._lock, self._worlds, reads, is_settled=is_settled)
+
+    def settle(self) -> None:
+        """Writes the columns of pinned worlds that were deferred, for DuckDB to read."""
+        for world in self.worlds.values():
+            world.snapshot.tables["entities"].settle()
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""
@@ -322,6 +332,11 @@ class Database:
             check_names(recording, world.snapshot.entities)
             name = self.schema_of(world)
             return self._recorders.to_folder(world, recording, path, name, tags)
+
+    def history_of(self, world: World) -> WorldHistory | None:
+        """Returns the recorded ticks of a world; None if it is not recorded."""
+        with self._lock:
+            return self._worlds.entry(world).history
 
     def record_of(self, world: World) -> Record:
         """Returns the record of a world.

@@ -28,6 +28,7 @@ from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import no_ticks_message
 from ssduck.recording.stores.base import PairRequest
 from ssduck.schema import LINK_FACTOR, entity_of
+from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.joints import JointError
 from ssduck.sql.relations.common import RECORDED_NUMBERS_UDF
 from ssduck.sql.relations.geometry_query import (
@@ -37,7 +38,7 @@ from ssduck.sql.relations.geometry_query import (
     name_over_ticks,
 )
 from ssduck.sql.relations.joints import JOINT_UDFS
-from ssduck.sql.relations.registry import GEOMETRY_UDFS
+from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
 from ssduck.sql.types import Signature, SqlType
 
@@ -171,15 +172,22 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
 
 
 def shape_functions(worlds: Mapping[str, BoundWorld]) -> dict[str, Callable[..., Any]]:
-    """Returns the functions of the shapes of single entities, by their names in SQL.
+    """Returns the functions of shapes, joints and contacts of single entities, by their names.
 
-    Their arguments are those of SQL: a world's name, the tick and the id of each entity, and
-    further values.
+    The arguments of those of shapes and joints are those of SQL: a world's name, the tick and the
+    id of each entity, and further values. The functions of contacts have the names of relations,
+    and a world's name and two ids as arguments.
     """
     functions: dict[str, Callable[..., Any]] = {
         udf.name: _geometry_function(udf, worlds) for udf in GEOMETRY_UDFS.values() if udf.entities
     }
-    return functions | {MARGINS_UDF: partial(_margins, worlds)}
+    functions[MARGINS_UDF] = partial(_margins, worlds)
+    for name, (function, _) in JOINT_UDFS.items():
+        functions[name] = partial(_joint_value, worlds, function)
+    for relation in RELATIONS.values():
+        if relation.of_contacts is not None:
+            functions[relation.name] = partial(_contact_value, worlds, relation.of_contacts)
+    return functions
 
 
 def _geometry_function(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable[..., Any]:
@@ -280,6 +288,17 @@ def _joint_value(
         raise UnknownNameError(f"there is no world {world!r} here any more")
     tick, id, *more = arguments
     return function(worlds[world].joints(tick, id), *more)
+
+
+def _contact_value(
+    worlds: Mapping[str, BoundWorld],
+    function: Callable[[ContactPairs, int, int], bool | float],
+    world: str,
+    a: int,
+    b: int,
+) -> bool | float:
+    """Returns the value of a function of the contacts of two entities at a world's present tick."""
+    return function(worlds[world].contacts(), a, b)
 
 
 def _lenient_joint_value(

@@ -67,9 +67,9 @@ def limited_table(
     relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Callable[[int], None]
 ) -> pa.Table:
     """Returns the rows of a relation as an Arrow table; for the arguments see `limited_rows`."""
-    reader = relation.to_arrow_reader(_BATCH)
     batches, count = [], 0
     try:
+        reader = relation.to_arrow_reader(_BATCH)
         for batch in reader:
             charge(batch.nbytes)
             batches.append(batch)
@@ -77,11 +77,19 @@ def limited_table(
             if max_rows is not None and count >= max_rows:
                 break
     except (OSError, pa.ArrowException) as error:  # Arrow's error of DuckDB's
-        raise _duckdb_error(str(error)) from error
+        raise duckdb_error(str(error)) from error
     return pa.Table.from_batches(batches, reader.schema)
 
 
-def _duckdb_error(message: str) -> duckdb.Error:
+def whole_table(relation: duckdb.DuckDBPyRelation) -> pa.Table:
+    """Returns all rows of a relation as an Arrow table."""
+    try:
+        return relation.to_arrow_table()
+    except pa.ArrowException as error:  # a type that is nested too deeply for Arrow
+        raise duckdb_error(str(error)) from error
+
+
+def duckdb_error(message: str) -> duckdb.Error:
     """Returns the error that DuckDB raises itself when no Arrow reader is between."""
     if "INTERRUPT" in message:
         return duckdb.InterruptException(message)

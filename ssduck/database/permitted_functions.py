@@ -15,7 +15,7 @@ _OPERATORS = """
 # Functions of one or more values, aggregates and window functions.
 _FUNCTIONS = """
 abs acos acosh add age aggregate ago any_value apply approx_count_distinct approx_quantile
-approx_top_k arbitrary arg_max arg_max_null arg_max_nulls_last arg_min arg_min_null
+arbitrary arg_max arg_max_null arg_max_nulls_last arg_min arg_min_null
 arg_min_nulls_last argmax argmin array_agg array_aggr array_aggregate array_append array_apply
 array_cat array_concat array_contains array_cosine_distance array_cosine_similarity
 array_cross_product array_distance array_distinct array_dot_product array_extract array_filter
@@ -60,7 +60,7 @@ parse_dirname parse_dirpath parse_filename parse_formatted_bytes parse_path path
 pi position pow power prefix product quantile quantile_cont quantile_disc quarter radians random
 rank rank_dense regexp_escape regexp_extract regexp_extract_all regexp_full_match
 regexp_matches regexp_split_to_array regr_avgx regr_avgy regr_count regr_intercept regr_r2
-regr_slope regr_sxx regr_sxy regr_syy reservoir_quantile reverse right right_grapheme round
+regr_slope regr_sxx regr_sxy regr_syy reverse right right_grapheme round
 round_even roundbankers row row_number row_to_json rtrim second sem set_bit sha1 sha256 sign signbit
 sin sinh skewness split split_part sqrt starts_with stddev stddev_pop stddev_samp str_split
 str_split_regex strftime string_split string_split_regex string_to_array strip_accents strlen strpos

@@ -18,16 +18,20 @@ class PinnedWorlds:
         lock: the lock of the database.
         registry: the worlds of the database.
         reads: the tables to read, from the simulators if need be, and of which worlds.
+        is_settled: whether all columns are written, as DuckDB needs them.
     """
 
-    __slots__ = ("_lock", "_reads", "_registry", "_undo")
+    __slots__ = ("_is_settled", "_lock", "_reads", "_registry", "_undo")
 
     def __init__(
         self,
         lock: threading.RLock,
         registry: WorldRegistry,
         reads: ReadData,
+        *,
+        is_settled: bool = True,
     ) -> None:
+        self._is_settled = is_settled
         self._lock = lock
         self._registry = registry
         self._reads = reads
@@ -59,7 +63,7 @@ class PinnedWorlds:
             present.sort(key=lambda item: item[0].serial)
         for world, _ in present:
             is_read = worlds is None or world.serial in worlds
-            world.pin(tables if is_read else (), is_read=is_read)
+            world.pin(tables if is_read else (), is_read=is_read, is_settled=self._is_settled)
             undo.append(world.unpin)
         for _, bound in present:
             history = bound.history

@@ -46,7 +46,7 @@ class Recorders:
         if in_memory:
             store = MemoryStore(schema, connection, recording, name)
         else:
-            store = DuckDBStore(schema, connection, recording, name, tags=tags)
+            store = DuckDBStore(schema, connection, recording, name, tags=tags, camera=world.camera)
             if is_file:
                 store.create_views()
         # In a file, few ticks may wait: a killed process loses them.

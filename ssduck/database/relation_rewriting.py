@@ -44,13 +44,15 @@ _RELATIONS = {
     for relation in RELATIONS.values()
     if relation.geometry is not None or relation.candidate_pairs is not None
 }
+# The largest number of calls that are rewritten: the time grows with its square.
+MAX_MENTIONS = 40
 _RANGES = (exp.LT, exp.LTE, exp.GT, exp.GTE, exp.Between)
 _MENTIONED = re.compile(rf"\b({'|'.join(_RELATIONS)})\b", re.IGNORECASE | re.ASCII)
 
 
 def mentions_relations(sql: str) -> bool:
     """Checks whether a statement may call a relation that can be rewritten."""
-    return len(sql) <= MAX_LENGTH and _MENTIONED.search(sql) is not None
+    return len(sql) <= MAX_LENGTH and 1 <= len(_MENTIONED.findall(sql)) <= MAX_MENTIONS
 
 
 def parsed(sql: str) -> exp.Expr | None:

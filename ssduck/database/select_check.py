@@ -21,6 +21,7 @@ from ssduck.database.permitted_functions import (
     OPERATORS,
     TABLE_FUNCTIONS,
 )
+from ssduck.database.statement_size import check_statement_size
 from ssduck.errors import LimitError, SourceSpan, nearest
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.schema import HISTORIES, MODELS, TABLES
@@ -89,6 +90,7 @@ class SelectCheck:
             own_tables=own_tables,
         )
         _Walk(sql, names).check(tree)
+        check_statement_size(tree)
         self._permitted[sql] = key
         if len(self._permitted) > _MAX_TEXTS:
             self._permitted.popitem(last=False)

@@ -15,6 +15,7 @@ from ssduck.database.recorders import Recorders
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
+from ssduck.recording.replay.mirrored_world import MirroredWorld
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
@@ -179,11 +180,10 @@ class WorldRegistry:
         if self.episode_observer is not None:
             world.follow_episodes(self.episode_observer)
         try:
-            if isinstance(world, ReplayedWorld):
-                archive = world.archive
-                bound.history = WorldHistory(
-                    archive, world.source_record, visible_rows=archive.visible_rows
-                )
+            if isinstance(world, ReplayedWorld | MirroredWorld) and world.archive is not None:
+                archive, record = world.archive, world.source_record
+                assert record is not None
+                bound.history = WorldHistory(archive, record, visible_rows=archive.visible_rows)
             if self._recording is not None and not world.is_final:
                 self._recorders.start(bound, self._recording, name or world.name)
             self.register(bound)

@@ -21,24 +21,26 @@ MIN_HULL_POINTS = 9
 
 @dataclass(frozen=True, eq=False)
 class _Core:
-    """Points of a frame, each with a sphere around it or a disc across an axis.
+    """Points of a frame, each with a sphere, a disc or an ellipsoid around it.
 
-    The core of a convex shape, for its box: a sphere is one point with a sphere, a capsule two, and
-    a cylinder two points with discs. Boxes, hulls and meshes are points with neither.
+    The core of a convex shape, for its box: a sphere is one point with a sphere, a capsule two, a
+    cylinder two points with discs, an ellipsoid one with itself. Boxes, hulls and meshes are points
+    with none of these.
 
     Attributes:
         group: the group whose box it belongs to.
         frame: the frame of its points.
         points: (n, 3), in the frame.
         radius: of the spheres.
-        disc: (2, 3), two radii of the discs at a right angle.
+        axes: (k, 3), the half axes of the discs or the ellipsoids: two of a disc, three of an
+            ellipsoid, at right angles.
     """
 
     group: int
     frame: int
     points: Array
     radius: float = 0.0
-    disc: Array = field(default_factory=lambda: np.zeros((2, 3)))
+    axes: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def parts(self) -> Iterator[_Core]:
         """Splits the points into groups of `GROUP_SIZE`; the last point is repeated to fill one."""
@@ -79,11 +81,12 @@ class BoundingBoxes:
         )
         self._frames = np.array([core.frame for core in cores], dtype=np.intp)
         self._radii = np.array([core.radius for core in cores])
-        self._has_discs = any(core.disc.any() for core in cores)
-        # These rotate with the frames: the points of each core, then two radii of its discs.
-        vectors = [core.points for core in cores]
-        if self._has_discs:
-            vectors = [np.vstack((core.points, core.disc)) for core in cores]
+        count = max((len(core.axes) for core in cores), default=0)
+        # These rotate with the frames: the points of each core, then the half axes around them.
+        vectors = [
+            np.vstack((core.points, core.axes, np.zeros((count - len(core.axes), 3))))
+            for core in cores
+        ]
         self._vectors = np.array(vectors).reshape(len(cores), -1, 3).T.copy() if cores else None
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
@@ -138,10 +141,10 @@ class BoundingBoxes:
         low = rotated[:, :GROUP_SIZE].min(axis=1) + origins
         high = rotated[:, :GROUP_SIZE].max(axis=1) + origins
         radii = self._radii
-        if self._has_discs:
-            # The extent of a circle along x is the length of the vector of its two radii's x.
+        if rotated.shape[1] > GROUP_SIZE:
+            # The extent of an ellipsoid along x is the length of the vector of its half axes' x.
             sides = rotated[:, GROUP_SIZE:]
-            radii = radii + np.sqrt(sides[:, 0] * sides[:, 0] + sides[:, 1] * sides[:, 1])
+            radii = radii + np.sqrt(np.einsum("ijk,ijk->ik", sides, sides))
         return low - radii, high + radii
 
     def _fill_groups(self, boxes: Array) -> Array:
@@ -168,7 +171,10 @@ def _cores(pairs: Sequence[tuple[PlacedGeometry, int]]) -> list[_Core]:
             case "capsule":
                 cores.append(_Core(group, shape.frame, ends, radius=a))
             case "cylinder":
-                cores.append(_Core(group, shape.frame, ends, disc=a * matrix[:, :2].T))
+                cores.append(_Core(group, shape.frame, ends, axes=a * matrix[:, :2].T))
+            case "ellipsoid":
+                axes = matrix.T * np.array([[a], [b], [c]])
+                cores.append(_Core(group, shape.frame, shape.position[None], axes=axes))
             case "box" | "hull" | "mesh" as kind:
                 corners = _CORNERS * (a, b, c) if kind == "box" else shape.geometry.vertices
                 placed = corners @ matrix.T + shape.position

@@ -94,9 +94,10 @@ def fraction_inside(hull: WorldHull | None, b: Sequence[PlacedSolid]) -> float |
     """Returns the fraction of the volume of some shapes inside a convex hull, 0..1.
 
     Exact for boxes, hulls and closed meshes. In the hull, and where the hull cuts them, polyhedra
-    of about 1000 corners stand for balls and the ends of capsules, and prisms with 64 sides for
-    cylinders, of the same volume. Their surfaces are off by at most 0.002 of the radius, fractions
-    by at most 0.005 if the shapes are no thinner than half the radius of the round shapes in the
+    of about 1000 corners stand for balls, ellipsoids and the ends of capsules, and prisms with 64
+    sides for cylinders, of the same volume. Their surfaces are off by at most 0.002 of the radius
+    (of an ellipsoid, of the longest half length), fractions by at most 0.005 if the shapes are no
+    thinner than half the radius of the round shapes in the
     hull. Overlapping shapes count more than once. An open mesh has no volume and does not count.
 
     Returns:
@@ -168,7 +169,7 @@ def _grow(solid: Solid, box: Box) -> Box:
     """Returns the box of the polyhedron that stands for a solid."""
     if solid.type == "plane":
         return [-math.inf] * 3 + [math.inf] * 3
-    margin = ROUNDING + ROUND_SHAPE_ERROR * max(solid.radius, solid.disc_radius)
+    margin = ROUNDING + ROUND_SHAPE_ERROR * solid.largest_radius
     a, b, c, d, e, f = box
     return [a - margin, b - margin, c - margin, d + margin, e + margin, f + margin]
 

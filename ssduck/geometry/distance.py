@@ -10,7 +10,8 @@ Detection, 5.1), support functions compare half-spaces, and FCL's distance of tr
 compares all others. FCL's own GJK is not used: its distances of boxes and cylinders with parallel
 edges are wrong by their size, and its signed distance ends the process. Results are certified: the
 normal separates a from b by the distance of the nearest points. If that fails, the solids overlap,
-and an expanding polytope yields the depth (van den Bergen 2001).
+and an expanding polytope yields the depth (van den Bergen 2001). For an ellipsoid, support points
+yield the nearest points without triangles.
 """
 
 from __future__ import annotations
@@ -23,16 +24,18 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ssduck.geometry.arrays import Array
+from ssduck.geometry.ellipsoids import nearest_on_ellipsoid
 from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.poses import cross
 
 # Surfaces that are nearer touch, metres.
 CONTACT_TOLERANCE = 1e-9
-# The error of results for cylinders, metres; other convex shapes are exact up to rounding.
+# The error of results for cylinders and ellipsoids, metres; other convex shapes are exact up to
+# rounding.
 CYLINDER_TOLERANCE = 1e-7
 # Corners that are nearer to a face lie in it, metres.
 FACE_TOLERANCE = 1e-6
-# The same for cylinders, relative to the sizes.
+# The same for cylinders and ellipsoids, relative to the sizes.
 _CYLINDER_FACE_TOLERANCE = 2e-5
 MAX_EXPANSIONS = 40
 MAX_POLYTOPE_POINTS = 400
@@ -66,8 +69,8 @@ class SignedDistance:
     Attributes:
         distance: metres; that of their nearest points, or minus the depth.
         point_a: on a, in the world. If they overlap, a point of a that is deepest in b. If a
-            cylinder is deep in something, the point may be off by up to 0.005 of their sizes,
-            because the depth hardly depends on it.
+            cylinder or an ellipsoid is deep in something, the point may be off by up to 0.005 of
+            their sizes, because the depth hardly depends on it.
         point_b: on b.
         normal: unit, from b to a: the direction in which a would leave b. None for overlapping
             half-spaces, which no translation separates.
@@ -221,11 +224,26 @@ def _sphere_cylinder(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     return offset_by_radii(gap, centre, b.to_world(*nearest), b.direction_to_world(*normal), a, b)
 
 
+def _sphere_ellipsoid(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
+    centre = _ends(a)[0]
+    point, semi_axes = b.to_local(centre), b.solid.semi_axes
+    nearest = nearest_on_ellipsoid(semi_axes, point)
+    x, y, z = (p / s / s for p, s in zip(nearest, semi_axes, strict=True))
+    length = math.sqrt(x * x + y * y + z * z)
+    normal = b.direction_to_world(x / length, y / length, z / length)
+    q = b.to_world(*nearest)
+    return offset_by_radii(_dot(_difference(centre, q), normal), centre, q, normal, a, b)
+
+
 def _against_plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
     """Compares any solid a with the half-space b, by the deepest point of a."""
     normal = b.normals[0]
     heights = (a.points - b.position) @ normal
     lowest = float(heights.min())
+    if a.solid.type == "ellipsoid":
+        deepest = a.support_points(-normal[None])[0]
+        lowest = float((deepest - b.position) @ normal)
+        return offset_by_radii(lowest, deepest, deepest - lowest * normal, normal, a, b)
     deepest = a.points[heights <= lowest + CONTACT_TOLERANCE].mean(axis=0)
     if a.solid.disc_radius:
         axis = a.matrix[:, 2]
@@ -260,6 +278,7 @@ _RULES: dict[tuple[str, str], Rule] = {
     ("capsule", "capsule"): _segments,
     ("sphere", "box"): _sphere_box,
     ("sphere", "cylinder"): _sphere_cylinder,
+    ("sphere", "ellipsoid"): _sphere_ellipsoid,
     ("plane", "plane"): _two_planes,
 }
 
@@ -293,8 +312,10 @@ def surface_distance(a: Any, b: Any, calls: CallCounter) -> tuple[float, Array, 
 
 
 def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
+    if "ellipsoid" in (a.solid.type, b.solid.type):
+        return _gap_by_support_points(a, b)
     distance, p, q = surface_distance(a.fcl_object, b.fcl_object, calls)
-    is_round = bool(a.solid.disc_radius or b.solid.disc_radius)
+    is_round = a.solid.is_swept or b.solid.is_swept
     if distance > CONTACT_TOLERANCE:
         p, q = _move_to_cylinder(a, q, p), _move_to_cylinder(b, p, q)
         core = _certify(a, b, p, q, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
@@ -302,6 +323,15 @@ def _core_gap(a: PlacedSolid, b: PlacedSolid, calls: CallCounter) -> Core:
             return core
     overlap = _overlap_depth(a, b, CYLINDER_TOLERANCE if is_round else CONTACT_TOLERANCE)
     return overlap or _nearest(a, b, p, q)
+
+
+def _gap_by_support_points(a: PlacedSolid, b: PlacedSolid) -> Core:
+    """Returns the signed distance of cores, of which one is an ellipsoid."""
+    centres = (np.array(placed.to_world(*placed.solid.centre)) for placed in (a, b))
+    nearest = _nearest(a, b, *centres)
+    _, p, q, _ = nearest
+    apart = _certify(a, b, p, q, CYLINDER_TOLERANCE)
+    return apart or _overlap_depth(a, b, CYLINDER_TOLERANCE) or nearest
 
 
 def _move_to_cylinder(a: PlacedSolid, towards: Array, point: Array) -> Array:
@@ -348,7 +378,7 @@ def _overlap_depth(a: PlacedSolid, b: PlacedSolid, tolerance: float) -> Core | N
             return None
         depth, normal = expanded
     face_tolerance = FACE_TOLERANCE
-    if a.solid.disc_radius or b.solid.disc_radius:
+    if a.solid.is_swept or b.solid.is_swept:
         # The depth has the error of the tolerance, and so has the direction relative to the sizes.
         face_tolerance = max(
             FACE_TOLERANCE,
@@ -381,7 +411,7 @@ def _deepest_corner(a: PlacedSolid, b: PlacedSolid, depth: float) -> Array | Non
     """
     if b.offsets is None:
         return None
-    points = a.support_points(-b.normals) if a.solid.disc_radius else a.points
+    points = a.support_points(-b.normals) if a.solid.is_swept else a.points
     depths = (b.offsets - points @ b.normals.T).min(axis=1)
     is_deepest = depths >= depth - CONTACT_TOLERANCE
     if not is_deepest.any():

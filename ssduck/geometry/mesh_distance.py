@@ -9,8 +9,9 @@ surfaces and the triangles that cross, but no depth. The depth here is the great
 
 Each of them is a lower bound of the translation that separates the solids. So is the depth, which
 is exact where a corner is deepest, or an edge crosses an edge. Here a cylinder is a prism of 64
-sides, which is off by up to 0.0013 of its radius. The corners of a sphere and a capsule are the
-ends of their cores.
+sides, which is off by up to 0.0013 of its radius, and an ellipsoid a polyhedron of 5,120 faces,
+which is off by up to 0.0013 of its longest half length. The corners of a sphere and a capsule are
+the ends of their cores.
 """
 
 from __future__ import annotations

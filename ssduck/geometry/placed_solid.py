@@ -72,7 +72,7 @@ class PlacedSolid:
 
     @cached_property
     def fcl_object(self) -> Any:
-        """The surface of the core for FCL; a prism for a cylinder."""
+        """The surface of the core for FCL; a polyhedron for a cylinder and an ellipsoid."""
         return self._fcl_object(self.solid.surface.bvh)
 
     @cached_property
@@ -89,13 +89,18 @@ class PlacedSolid:
         """Returns the farthest points (k, 3) of the core in unit directions (k, 3)."""
         points = self.points
         farthest: Array = points[np.argmax(directions @ points.T, axis=1)]
-        if self.solid.disc_radius:
-            # Scaled before it is rotated, so that it is normal to the axis up to rounding.
-            radial = directions @ self.matrix[:, :2]
-            length = np.sqrt((radial * radial).sum(axis=1))
-            radial /= np.maximum(length, 1e-300)[:, None]
-            farthest = farthest + self.solid.disc_radius * radial @ self.matrix[:, :2].T
+        if self.solid.is_swept:
+            farthest = farthest + self._swept_points(directions)
         return farthest
+
+    def _swept_points(self, directions: Array) -> Array:
+        """Returns the farthest points (k, 3) of the ellipsoid that is swept along the core."""
+        # Scaled before it is rotated, so that a disc is normal to its axis up to rounding.
+        scaled = directions @ self.matrix * self.solid.semi_axes
+        length = np.sqrt((scaled * scaled).sum(axis=1))
+        scaled /= np.maximum(length, 1e-300)[:, None]
+        points: Array = scaled * self.solid.semi_axes @ self.matrix.T
+        return points
 
     def extreme_points(self, direction: Array, tolerance: float) -> Array:
         """Returns the points (n, 3) of the core that are farthest in a unit direction.
@@ -107,6 +112,8 @@ class PlacedSolid:
         points = self.points
         heights = points @ direction
         farthest_points: Array = points[heights >= heights.max() - tolerance]
+        if self.solid.type == "ellipsoid":
+            return self.support_points(direction[None])
         if not self.solid.disc_radius:
             return farthest_points
         radial = direction @ self.matrix[:, :2]
@@ -121,7 +128,7 @@ class PlacedSolid:
     def support_heights(self, directions: Array) -> Array:
         """Returns the extents (k,) of the core from the origin in unit directions (k, 3), m."""
         farthest: Array = (directions @ self.points.T).max(axis=1)
-        if self.solid.disc_radius:
-            radial = directions @ self.matrix[:, :2]
-            farthest = farthest + self.solid.disc_radius * np.sqrt((radial * radial).sum(axis=1))
+        if self.solid.is_swept:
+            scaled = directions @ self.matrix * self.solid.semi_axes
+            farthest = farthest + np.sqrt((scaled * scaled).sum(axis=1))
         return farthest

@@ -5,8 +5,9 @@ heights is convex, so that its projection on the y axis is one interval: S occup
 cells that overlap it. The ends of the interval are on the surface of S, because the strip and the
 heights do not bound y. So a polyhedron is computed from the edges of its faces, cut at the two
 heights. A sphere has a formula. For a cylinder the ends are among a few points where enough of its
-bounds intersect. A capsule is a cylinder and two spheres. A surface is computed triangle by
-triangle. A closed mesh is its surface, and the cells that it winds around.
+bounds intersect, for an ellipsoid on its sections by these bounds. A capsule is a cylinder and two
+spheres. A surface is computed triangle by triangle. A closed mesh is its surface, and the cells
+that it winds around.
 
 A solid occupies a cell if it reaches into it by more than `CELL_TOLERANCE`. One that only touches a
 cell leaves it free. A shape without an inside (an open mesh, a flat hull) occupies every cell that
@@ -24,7 +25,7 @@ import numpy.typing as npt
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.common_volume import clip_polygons
 from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
-from ssduck.geometry.rasterize_round import RoundShape, round_parts
+from ssduck.geometry.rasterize_round import Ellipsoid, RoundShape, round_parts
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # The number of pairs of an edge and a strip that are processed at a time.
@@ -53,14 +54,14 @@ class Rasterizer:
         groups: list[Indices] = [np.zeros(0, np.intp)]
         thin: list[Flags] = [np.zeros(0, bool)]
         count = 0
-        self._round: list[RoundShape] = []
+        self._round: list[RoundShape | Ellipsoid] = []
         self._meshes: list[Array] = []
         self._planes: list[tuple[Array, float]] = []
         for solid, position, matrix in placed:
             if solid.type == "plane":
                 normal = matrix @ solid.normals[0]
                 self._planes.append((normal, float(normal @ position)))
-            elif solid.radius or solid.disc_radius:
+            elif solid.largest_radius:
                 self._round += round_parts(solid, position, matrix)
             elif len(solid.core):
                 surface = solid.surface

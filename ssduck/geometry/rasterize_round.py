@@ -1,8 +1,9 @@
-"""The intervals of spheres and cylinders in strips of cells between two heights, by formulas."""
+"""The intervals of round shapes in strips of cells between two heights, by formulas."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,8 +139,96 @@ def _corners(pairs: tuple[tuple[Array, list[Array]], ...]) -> Array:
     return corners
 
 
-def round_parts(solid: Solid, position: Array, matrix: Array) -> list[RoundShape]:
-    """Returns the spheres and cylinders that make up a sphere, a cylinder or a capsule."""
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """An ellipsoid: all p + C u with a position p, where u C u <= 1.
+
+    Attributes:
+        position: (3,).
+        covariance: (3, 3), C; the extent in a unit direction n is the root of n C n.
+    """
+
+    position: Array
+    covariance: Array
+
+    def intervals(self, raster: Raster, low: float, high: float) -> StripIntervals | None:
+        """Returns the occupied intervals of strips between two heights; None without any."""
+        extents = np.sqrt(np.diagonal(self.covariance))
+        start, end = self.position - extents, self.position + extents
+        if start[2] > high or end[2] < low or low > high:
+            return None
+        first, last = raster.overlapped_cells(start[:1], end[:1], CELL_TOLERANCE, 0)
+        strips = np.arange(first[0], last[0] + 1)
+        left = raster.origin[0] + strips * raster.size + CELL_TOLERANCE
+        right = left + raster.size - 2 * CELL_TOLERANCE
+        x, y, z = self.position
+        box = left - x, right - x, np.full(len(left), low - z), np.full(len(left), high - z)
+        top = self._greatest(*box)
+        # The other end is that of the mirrored ellipsoid in the mirrored strip.
+        bottom = -self._greatest(-box[1], -box[0], -box[3], -box[2])
+        is_reached = bottom <= top
+        return StripIntervals(
+            strips[is_reached], y + bottom[is_reached], y + top[is_reached], CELL_TOLERANCE
+        )
+
+    def _greatest(self, left: Array, right: Array, low: Array, high: Array) -> Array:
+        """Returns the greatest y of points in rectangles of x and z, (n,); -inf if none.
+
+        All coordinates are from the centre. The greatest y over the points of the xz plane is a
+        concave function. So it is greatest where the ellipsoid's is if that is in the rectangle, or
+        else on a side: where that of the section there is, which is an ellipse, or where the side
+        ends before.
+        """
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.covariance
+        extent = np.sqrt(yy)
+        x, z = np.full(len(left), xy / extent), np.full(len(left), yz / extent)
+        is_inside = (left <= x) & (x <= right) & (low <= z) & (z <= high)
+        places = [(x, np.where(is_inside, z, np.nan))]
+        for side in (left, right):
+            z = _place_in_section(side, xx, (xy, xz), (yy, yz))
+            places.append((side, np.clip(z, low, high)))
+        for side in (low, high):
+            x = _place_in_section(side, zz, (yz, xz), (yy, xy))
+            places.append((np.clip(x, left, right), side))
+        tops = np.stack([self._height_over(x, z) for x, z in places])
+        greatest: Array = np.where(np.isnan(tops), -np.inf, tops).max(axis=0)
+        return greatest
+
+    def _height_over(self, x: Array, z: Array) -> Array:
+        """Returns the greatest y over points of the xz plane, from the centre; NaN outside."""
+        ground = self.covariance[np.ix_([0, 2], [0, 2])]
+        slope = np.linalg.solve(ground, self.covariance[[0, 2], 1])
+        rest = self.covariance[1, 1] - slope @ self.covariance[[0, 2], 1]
+        points = np.stack((x, z))
+        squared = 1.0 - (points * np.linalg.solve(ground, points)).sum(axis=0)
+        heights: Array = slope @ points
+        heights += np.sqrt(np.where(squared >= 0.0, squared, np.nan) * rest)
+        return heights
+
+
+def _place_in_section(
+    side: Array, variance: float, shared: tuple[float, float], rest: tuple[float, float]
+) -> Array:
+    """Returns the w at which sections u = side of an ellipsoid have their greatest v, (n,); or NaN.
+
+    Args:
+        side: (n,), the places of the sections, from the centre.
+        variance: the covariance of u and u.
+        shared: those of u and v, and of u and w.
+        rest: those of v and v, and of v and w.
+    """
+    (uv, uw), (vv, vw) = shared, rest
+    squared = 1.0 - side * side / variance
+    width = np.sqrt(np.where(squared >= 0.0, squared, np.nan) / (vv - uv * uv / variance))
+    place: Array = side * (uw / variance) + (vw - uv * uw / variance) * width
+    return place
+
+
+def round_parts(solid: Solid, position: Array, matrix: Array) -> Sequence[RoundShape | Ellipsoid]:
+    """Returns the spheres, cylinders and ellipsoids that make up a round shape."""
+    if solid.type == "ellipsoid":
+        axes = matrix * solid.semi_axes
+        return [Ellipsoid(position, axes @ axes.T)]
     if solid.type == "cylinder":
         return [RoundShape(solid.disc_radius, solid.half_length, position, matrix)]
     parts = [

@@ -37,7 +37,7 @@ class RayChords(NamedTuple):
 
 def is_triangle_surface(solid: Solid) -> bool:
     """Checks whether rays hit the triangles of a solid from either side, rather than its volume."""
-    is_round = solid.type in ("sphere", "capsule", "cylinder")
+    is_round = solid.type in ("sphere", "capsule", "cylinder", "ellipsoid")
     return solid.is_shell or (solid.offsets is None and not is_round)
 
 
@@ -86,6 +86,8 @@ def _parts(solid: Solid, starts: Array, rays: Array) -> list[RayChords]:
             return chords
         case "cylinder":
             return [_cylinder(solid.disc_radius, solid.half_length, starts, rays)]
+        case "ellipsoid":
+            return [_ellipsoid(np.array(solid.semi_axes), starts, rays)]
     assert solid.offsets is not None
     return [_half_spaces(solid.normals, solid.offsets, starts, rays)]
 
@@ -110,6 +112,16 @@ def _cylinder(radius: float, half: float, starts: Array, rays: Array) -> RayChor
         np.maximum(side.enter, ends.enter),
         np.minimum(side.leave, ends.leave),
     )
+
+
+def _ellipsoid(semi_axes: Array, starts: Array, rays: Array) -> RayChords:
+    """Returns the chords in an ellipsoid, which are those in a ball in scaled coordinates."""
+    points = starts / semi_axes
+    chords = _quadratic(rays / semi_axes, points, 1.0)
+    # The distance from the surface, m, up to its square: the level by the length of its gradient.
+    level, gradient = (points * points).sum(axis=-1) - 1.0, points / semi_axes
+    steepness = np.sqrt((gradient * gradient).sum(axis=-1))
+    return chords._replace(contains=np.asarray(level <= 2.0 * steepness * HIT_TOLERANCE))
 
 
 def _quadratic(rays: Array, offset: Array, radius: float) -> RayChords:

@@ -13,7 +13,9 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Triangles
 
-GeometryType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
+GeometryType: TypeAlias = Literal[
+    "sphere", "box", "cylinder", "capsule", "ellipsoid", "plane", "hull", "mesh"
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,8 @@ class Geometry:
         type: the kind. A hull is the convex hull of its vertices, a mesh the surface of its faces,
             a plane the solid half-space below the origin, opposite to its normal.
         size: metres. box: full x, y, z; sphere: radius, 0, 0; cylinder and capsule: radius,
-            length along z (of a capsule without its caps), 0; plane: its unit normal; else 0s.
+            length along z (of a capsule without its caps), 0; ellipsoid: half its lengths along
+            x, y, z; plane: its unit normal; else 0s.
         vertices: (n, 3), scaled; empty for primitives.
         faces: (m, 3) indices of vertices; empty for primitives and hulls.
     """
@@ -36,7 +39,7 @@ class Geometry:
 
     @classmethod
     def primitive(cls, type: GeometryType, size: Sequence[float]) -> Geometry:
-        """Returns a box, sphere, cylinder, capsule or plane of a size.
+        """Returns a box, sphere, cylinder, capsule, ellipsoid or plane of a size.
 
         >>> Geometry.primitive("box", (0.1, 0.2, 0.3)).size
         (0.1, 0.2, 0.3)

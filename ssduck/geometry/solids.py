@@ -2,7 +2,8 @@
 
 A solid is a core and a radius: a sphere is a point and a radius, a capsule a segment and a radius.
 The core of a box, a hull or a mesh is its corners, without a radius. The core of a cylinder is a
-segment with a disc across it. A plane is a half-space.
+segment with a disc across it, that of an ellipsoid a point with the ellipsoid around it. A plane is
+a half-space.
 """
 
 from __future__ import annotations
@@ -22,13 +23,18 @@ from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.surfaces import Surface, enclosed_volume, unique_points
 
-SolidType: TypeAlias = Literal["sphere", "box", "cylinder", "capsule", "plane", "hull", "mesh"]
+SolidType: TypeAlias = Literal[
+    "sphere", "box", "cylinder", "capsule", "ellipsoid", "plane", "hull", "mesh"
+]
 
 # FCL gets an inscribed prism for a cylinder. Against convex shapes the result is corrected to be
 # exact. Against meshes the prism has more sides. It never leaves the cylinder's bounding box and
 # sphere, so that the bounds that these give hold.
 PRISM_SIDES = 24
 FINE_SIDES = 64
+# An inscribed polyhedron stands for an ellipsoid against meshes: an icosahedron that is divided so
+# often. It is off by up to 0.0013 of the longest half length.
+ELLIPSOID_DIVISIONS = 4
 # Sets of points that are thinner than this fraction of their length are flat.
 FLAT = 1e-9
 CACHED_SOLIDS = 1024
@@ -45,8 +51,10 @@ class Solid:
         core: (n, 3), the points whose convex hull, or surface, is the core.
         radius: of the ball that is swept along the core.
         disc_radius: of the disc that is swept along a cylinder's core, else 0.
-        normals: (m, 3), the outward unit normals of the faces of a box or a hull, or of a
-            cylinder's caps.
+        semi_axes: (3,), half the lengths of the ellipsoid that is swept along the core: of an
+            ellipsoid its own, of a cylinder those of the disc; else 0s.
+        normals: (m, 3), the outward unit normals of the faces of a box or a hull, of a cylinder's
+            caps, or at the ends of an ellipsoid's axes.
         offsets: (m,), of the faces: x is inside if `normals @ x <= offsets`. None for hulls
             without an inside, and for round shapes.
         faces: (k, 3), triangles of core points, for boxes, hulls and meshes.
@@ -64,6 +72,7 @@ class Solid:
     core: Array
     radius: float = 0.0
     disc_radius: float = 0.0
+    semi_axes: tuple[float, float, float] = (0.0, 0.0, 0.0)
     normals: Array = field(default_factory=lambda: np.zeros((0, 3)))
     offsets: Array | None = None
     faces: Triangles = field(default_factory=lambda: np.zeros((0, 3), np.int32))
@@ -83,6 +92,16 @@ class Solid:
         """Whether it is its own convex hull."""
         return self.type != "mesh"
 
+    @cached_property
+    def is_swept(self) -> bool:
+        """Whether an ellipsoid, or a disc, is swept along the core."""
+        return any(self.semi_axes)
+
+    @cached_property
+    def largest_radius(self) -> float:
+        """The largest radius or half length of a round shape; 0 for others."""
+        return max(self.radius, *self.semi_axes)
+
     @property
     def is_empty(self) -> bool:
         """Whether it is a hull or a mesh without points."""
@@ -95,9 +114,11 @@ class Solid:
 
     @cached_property
     def surface(self) -> Surface:
-        """The triangles of the core; those of an inscribed prism for a cylinder."""
+        """The triangles of the core; of an inscribed polyhedron for a cylinder and an ellipsoid."""
         if self.type == "cylinder":
             return prism(self.disc_radius, self.half_length, PRISM_SIDES)
+        if self.type == "ellipsoid":
+            return _inscribed_polyhedron(self.semi_axes)
         if self.type in ("sphere", "capsule"):
             return Surface(self.core, np.array([[0, 0, len(self.core) - 1]], np.int32))
         return Surface(self.core, self.faces)
@@ -124,6 +145,8 @@ class Solid:
         """Points whose convex hull is the shape's; within 0.002 of the radius for round shapes."""
         if self.type == "cylinder":
             return self._equal_volume_surface.vertices
+        if self.type == "ellipsoid":
+            return _unit_ball() * self.semi_axes
         if not self.radius:
             return self.core
         ball = _unit_ball() * self.radius
@@ -138,7 +161,7 @@ class Solid:
     @cached_property
     def closed_surface(self) -> Surface:
         """A closed surface of the shape; a polyhedron for a round shape."""
-        if self.radius:
+        if self.radius or self.type == "ellipsoid":
             size = self.bounding_radius or 1.0  # qhull takes very large or very small sets for flat
             hull = hull_solid(self.points / size)
             return Surface(hull.core * size, hull.faces)
@@ -223,6 +246,8 @@ def _build(geometry: Geometry) -> Solid:
             return _round("capsule", np.array([[0.0, 0.0, -b / 2], [0.0, 0.0, b / 2]]), a)
         case "cylinder":
             return _cylinder(a, b)
+        case "ellipsoid":
+            return _ellipsoid(a, b, c)
         case "box":
             return _box(a, b, c)
         case "plane":
@@ -248,6 +273,8 @@ def _is_valid(geometry: Geometry) -> bool:
         return False
     if geometry.type == "plane":
         return math.hypot(*size) > 0.0
+    if geometry.type == "ellipsoid" and not min(size) > 0.0:
+        return False
     in_range = not len(faces) or (faces.min() >= 0 and faces.max() < len(geometry.vertices))
     return min(size) >= 0.0 and bool(in_range)
 
@@ -270,10 +297,23 @@ def _cylinder(radius: float, length: float) -> Solid:
         "cylinder",
         axis * length / 2,
         disc_radius=radius,
+        semi_axes=(radius, radius, 0.0),
         normals=axis,
         volume=math.pi * radius**2 * length,
         bounding_radius=math.hypot(radius, length / 2),
         inscribed_radius=min(radius, length / 2),
+    )
+
+
+def _ellipsoid(a: float, b: float, c: float) -> Solid:
+    return Solid(
+        "ellipsoid",
+        np.zeros((1, 3)),
+        semi_axes=(a, b, c),
+        normals=np.concatenate((np.eye(3), -np.eye(3))),
+        volume=4.0 / 3.0 * math.pi * a * b * c,
+        bounding_radius=max(a, b, c),
+        inscribed_radius=min(a, b, c),
     )
 
 
@@ -420,6 +460,14 @@ def prism(radius: float, half_length: float, sides: int) -> Surface:
     bottom = np.stack((np.zeros_like(fan), fan + 1, fan), 1)
     top = np.stack((np.zeros_like(fan), fan, fan + 1), 1) + sides
     return Surface(vertices, np.concatenate((walls, bottom, top)).astype(np.int32))
+
+
+def _inscribed_polyhedron(semi_axes: Sequence[float]) -> Surface:
+    """Returns a polyhedron whose corners are on an ellipsoid."""
+    from trimesh.creation import icosphere
+
+    ball = icosphere(subdivisions=ELLIPSOID_DIVISIONS)
+    return Surface(np.array(ball.vertices) * semi_axes, np.array(ball.faces, np.int32))
 
 
 _UNIT_BALL: list[Array] = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,7 @@ from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest
 from ssduck.recording.episode import Episode
 from ssduck.recording.paths import expand_path
+from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
@@ -63,6 +64,10 @@ class RecordedRun(Protocol):
     @property
     def tags(self) -> Tags:
         """What the user says of the run, by name."""
+
+    @property
+    def description(self) -> Mapping[str, Any]:
+        """The description of the run, which was checked."""
 
     @property
     def episode(self) -> Episode:
@@ -197,7 +202,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         source=rows.source,
         tags=run.tags,
     )
-    return ReplayedWorld(run.world, record, archive)
+    return ReplayedWorld(run.world, record, archive, camera_of(run.description))
 
 
 # -- DuckDB files -----------------------------------------------------------------------------

@@ -331,12 +331,18 @@ class Execution(Namespace):
         return self.database.connection.meter
 
     @contextmanager
-    def worlds_pinned(self, *nodes: Node) -> Iterator[None]:
-        """Pins all worlds at their tick, and reads the tables of relations."""
+    def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> Iterator[None]:
+        """Pins all worlds at their tick, and reads the tables of relations.
+
+        Args:
+            *nodes: what is evaluated meanwhile.
+            is_settled: whether DuckDB may read the tables.
+        """
         tables = frozenset().union(*map(self.tables_read, nodes))
         # Which worlds are read matters for their tables, and for stale ticks of users' clients.
         is_relevant = tables or self.database.has_attached_world
-        with self.database.pinned(tables, self.worlds_of(nodes) if is_relevant else ()):
+        worlds = self.worlds_of(nodes) if is_relevant else ()
+        with self.database.pinned(tables, worlds, is_settled=is_settled):
             yield
 
 

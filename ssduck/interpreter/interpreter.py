@@ -26,7 +26,6 @@ interpreters.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Protocol, Self
 from weakref import WeakKeyDictionary
@@ -64,6 +63,7 @@ from ssduck.language.overrides import OPERATOR_NAMES
 from ssduck.language.parser import parse
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
+from ssduck.lazy import service
 from ssduck.limits import Limits, UsageMeter
 from ssduck.recording.spec import Recording
 from ssduck.world.public_names import PublicNames
@@ -80,6 +80,10 @@ class ServedPage(Protocol):
 
     def close(self) -> None:
         """Stops serving."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
 
 
 class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
@@ -281,7 +285,9 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
     def _result(self, node: Query, frame: Frame, form: AsClause) -> Any:
         """Returns the result that a form makes from the rows of a query."""
         adapted = self._query_of(node, form.adapter)
-        with self._execution.worlds_pinned(adapted):  # the result is made of one tick, too
+        # The result is made of one tick, too.
+        is_settled = not self._planner.is_kept(adapted)
+        with self._execution.worlds_pinned(adapted, is_settled=is_settled):
             return form.value(adapted, frame, self._planner.run)
 
     def _query_of(self, node: Query, adapter: Adapter) -> Query:
@@ -572,8 +578,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             SimulatorError: the address cannot be listened at.
         """
         port = validation.integer(port, "view: port", minimum=0, maximum=65535)
-        # The page is a layer above: it asks interpreters.
-        page: ServedPage = import_module("ssduck.view.view").view(self, world, host=host, port=port)
+        page: ServedPage = service("page")(self, world, host=host, port=port)
         return page
 
     def statistics(self) -> dict[str, Statistics]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from ssduck import validation
 from ssduck.adapters.registry import tables_read_by
+from ssduck.adapters.sizes import made_bytes
 from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, LimitError, UnknownNameError, nearest, warn
 from ssduck.formatting import short_repr
@@ -463,12 +464,12 @@ def _size_kept(value: Any, before: Any, size_before: int) -> int:
     if value is before:
         return size_before
     if not isinstance(value, ValueHistory):
-        return SMALL_BYTES + size_of(value)
+        return SMALL_BYTES + size_of(value) + made_bytes(value)
     first, size = 0, 0
     if isinstance(before, ValueHistory) and (before.log, before.first) == (value.log, value.first):
         first, size = before.end - before.first, size_before
     added = value.log.values[value.first + first : value.end]
-    return size + sum(SMALL_BYTES + size_of(kept) for kept in added)
+    return size + sum(SMALL_BYTES + size_of(kept) + made_bytes(kept) for kept in added)
 
 
 def check_name(name: str, owner: str) -> None:

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any, TypeAlias
 
 from ssduck.adapters.registry import Adapter, Selection, all_adapters, find
+from ssduck.adapters.sizes import made_bytes
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -79,7 +80,7 @@ class AsClause:
 
         def make(selection: Selection) -> Any:
             value = self._make(selection)
-            meter.check_time()
+            meter.charge(0 if isinstance(value, World) else made_bytes(value))
             return value
 
         if self.adapter.needs == "query" and not query.group and query.recursion is None:

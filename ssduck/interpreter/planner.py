@@ -9,6 +9,7 @@ from ssduck.database.database import Database
 from ssduck.database.values import sql_type_of
 from ssduck.errors import ArgumentError, EvaluationError, FunctionError
 from ssduck.formatting import short_repr, type_in_words
+from ssduck.interpreter.kept_scalars import KeptScalars
 from ssduck.interpreter.query_runner import PlannedQuery, RowByRowQuery, SqlFailedError, is_small
 from ssduck.interpreter.signatures import TypeHints
 from ssduck.interpreter.sources import INLINE, all_elements, source_types, with_present_ticks
@@ -89,6 +90,8 @@ class Planner:
         self._row_by_row_queries: dict[
             Query, list[tuple[tuple[SourceType, ...], RowByRowQuery]]
         ] = {}
+        # The SELECTs of one row that ran; None for those that have to be planned each time.
+        self._kept: dict[Query, KeptScalars | None] = {}
         # The nested queries in FROM, by the query around them, that must be evaluated before it.
         self._evaluated_aliases: dict[Query, set[str]] = {}
 
@@ -99,6 +102,7 @@ class Planner:
             for planned in plans:
                 planned.forget()
         self._plans.clear()
+        self._kept.clear()
         self._row_by_row_queries.clear()
         self._evaluated_aliases.clear()
 
@@ -114,6 +118,13 @@ class Planner:
             frame: the scope and the rows around it.
             check: a function that is called with the columns before the query runs.
         """
+        is_outermost = not (frame.elements or frame.local or frame.placeholders)
+        kept = self._kept.get(query) if is_outermost else None
+        if kept is not None and (selected := kept.run(frame)) is not None:
+            check(kept.columns)
+            return selected
+        if self.is_kept(query):
+            self._database.settle()
         if not self._row_by_row:
             for cautious in (False, True):
                 try:
@@ -193,7 +204,21 @@ class Planner:
         if planned.skips_sql():
             raise SqlFailedError
         check(planned.columns)
-        return planned.run(types.frame(), values)
+        selected = planned.run(types.frame(), values)
+        if query not in self._kept and planned.scalars is not None:
+            self._keep(query, planned, frame)
+        return selected
+
+    def is_kept(self, query: Query) -> bool:
+        """Checks whether a query is a SELECT of one row whose next run may need no DuckDB."""
+        return self._kept.get(query) is not None
+
+    def _keep(self, query: Query, planned: PlannedQuery, frame: Frame) -> None:
+        """Keeps a SELECT of one row for its next run, if that is possible."""
+        try:
+            self._kept[query] = KeptScalars(planned, frame)
+        except ValueError:
+            self._kept[query] = None
 
     def _types_in(self, frame: Frame) -> InterpreterTypes:
         """Returns the types and names that a frame offers the translator."""

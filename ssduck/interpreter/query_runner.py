@@ -30,6 +30,7 @@ from ssduck.language.analysis import (
     states,
 )
 from ssduck.language.clauses import (
+    MANY_COLUMNS,
     Clauses,
     Paths,
     PythonClauses,
@@ -43,6 +44,7 @@ from ssduck.language.evaluator import EvaluationScope, ExpressionCompiler, Frame
 from ssduck.language.graph_paths import Vertex, simple_paths
 from ssduck.language.hierarchy import Hierarchy
 from ssduck.language.memo import MEMOS
+from ssduck.language.operators import ELEMENT_BYTES
 from ssduck.language.tree import Call, Literal, Name, Node, Placeholder, Query, This
 from ssduck.simulators.joints import JointError
 from ssduck.sql.name_resolution import ResolvedQuery
@@ -76,6 +78,11 @@ class PlannedQuery:
         plan: the plan.
         database: the database that runs its SQL.
         scope: the variables and functions.
+
+    Attributes:
+        plan: the plan.
+        scalars: the query as functions of Python, if it is a SELECT of one row that Python can
+            evaluate as DuckDB does.
     """
 
     def __init__(self, plan: Plan, database: Database, scope: EvaluationScope) -> None:
@@ -84,9 +91,9 @@ class PlannedQuery:
         self._database = database
         self._statement: Statement | None = None
         try:
-            self._scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
+            self.scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
         except ValueError:
-            self._scalars = None
+            self.scalars = None
         # The parameters that are no numbers, at the last run.
         self._last_texts: dict[str, Any] | None = None
         self._converters = {
@@ -164,6 +171,18 @@ class PlannedQuery:
             self._failures += 1
             raise SqlFailedError from error
         self._failures = 0
+        return self.selected(fetched, outer, sources)
+
+    def selected(
+        self, fetched: list[tuple[Any, ...]], outer: Frame, sources: Mapping[str, Any]
+    ) -> Selected:
+        """Returns the query's rows for the rows from SQL.
+
+        Args:
+            fetched: the rows.
+            outer: the variables, and the rows of the queries around this one.
+            sources: the values of the sources by alias.
+        """
         if self._clauses is None:
             return self.output_rows(fetched)
         return self._clauses.selected(self._frames(fetched, outer, sources), outer)
@@ -174,6 +193,9 @@ class PlannedQuery:
         converters = [self._converters[output.sql_type] for output in outputs]
         indices = [output.index for output in outputs]
         if any(converters) or indices != list(range(len(fetched[0]) if fetched else 0)):
+            if len(indices) > MANY_COLUMNS:
+                size = ELEMENT_BYTES * len(indices) * len(fetched)
+                self._database.connection.meter.charge(size)
             fetched = [
                 tuple(
                     [
@@ -203,7 +225,7 @@ class PlannedQuery:
                 database.connection.meter.check_time()
                 database.connection.meter.check_rows(len(rows))
                 return rows
-        one_row = None if self._scalars is None else self._scalars.rows(parameters)
+        one_row = None if self.scalars is None else self.scalars.rows(parameters)
         if one_row is not None:
             database.connection.meter.check_time()
             return one_row
@@ -453,6 +475,8 @@ class RowByRowQuery:
     ) -> Callable[[dict[str, Any]], Iterable[dict[str | None, Any]]]:
         """Returns a function that gives the combinations of elements at a state of the search."""
         if self._sources_change or prod(map(len, elements)) > MAX_COMBINATIONS:
+            # `product` copies lists, so each open state would have a copy; tuples are shared.
+            elements = [tuple(part) if type(part) is list else part for part in elements]
             return lambda state: self._combinations(outer, state, elements, cached)
         rows = list(combinations(self._aliases, elements, outer))
         return lambda _: rows

@@ -17,9 +17,9 @@ from typing import Any, Literal, TypeAlias
 from sqlglot import exp
 
 from ssduck.sql.plan import Plan
-from ssduck.sql.relations.geometry_query import MARGINS_UDF
-from ssduck.sql.relations.registry import GEOMETRY_UDFS
-from ssduck.sql.types import EXACT
+from ssduck.sql.relation_calls import PAIR_CALL, PairCall
+from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
+from ssduck.sql.types import EXACT, SqlType
 
 Kind: TypeAlias = Literal["double", "integer", "decimal", "boolean", "string", "list"]
 # A function from the values of parameters to that of an expression.
@@ -138,10 +138,22 @@ def _kinds_of(plan: Plan) -> dict[str, Kind]:
     kinds: dict[str, Kind] = dict(plan.numbers)
     for binding in plan.bindings:
         if binding.source is None and binding.name not in kinds:
-            if binding.sql_type.type != "string":
-                raise _LeftToDuckDBError
-            kinds[binding.name] = "string"
+            kinds[binding.name] = _kind_of(binding.sql_type)
     return kinds
+
+
+def _kind_of(sql_type: SqlType) -> Kind:
+    """Returns the type of a parameter that is no number.
+
+    Raises:
+        _LeftToDuckDBError: it is no text, and no list of doubles.
+    """
+    element = sql_type.element
+    if sql_type.type == "list" and element is not None and element.type == "double":
+        return "list"
+    if sql_type.type != "string":
+        raise _LeftToDuckDBError
+    return "string"
 
 
 def _checked(value: Any, kind: Kind) -> Any:
@@ -152,6 +164,8 @@ def _checked(value: Any, kind: Kind) -> Any:
         return value
     if kind == "string" and type(value) is str:
         return value
+    if kind == "list" and set(map(type, value)) == {float}:
+        return list(map(_number_of, value))
     raise _LeftToDuckDBError
 
 
@@ -201,6 +215,9 @@ class _Compiler:
         Raises:
             _LeftToDuckDBError: DuckDB has to.
         """
+        pair = sql.meta.get(PAIR_CALL)
+        if isinstance(pair, PairCall) and pair.relation in self._functions:
+            return self._pair(pair)
         match sql:
             case exp.Paren() | exp.Alias():
                 return self.scalar(sql.this)
@@ -213,6 +230,8 @@ class _Compiler:
             case exp.Literal():
                 return _constant("string", sql.name) if sql.is_string else _number(sql.name)
             case exp.Cast() if sql.to.sql("duckdb") == "DOUBLE":
+                if isinstance(sql.this, exp.Literal) and sql.this.name == "infinity":
+                    return _constant("double", math.inf)
                 return self._double(sql.this)
             case exp.Neg():
                 return self._negated(sql)
@@ -231,6 +250,8 @@ class _Compiler:
                 return self._list_of(sql)
             case exp.Anonymous() if sql.name in self._functions:
                 return self._call(sql)
+            case exp.Anonymous() if sql.name.lower() == "list_extract":
+                return self._element(sql)
             case exp.Div():
                 return self._quotient(sql)
             case exp.And() | exp.Or() | exp.Not():
@@ -362,11 +383,26 @@ class _Compiler:
 
         return _Scalar(kinds.pop(), compute)
 
+    def _element(self, sql: exp.Anonymous) -> _Scalar:
+        """Returns an element of a parameter that is a list of doubles, counted from 1."""
+        whole, place = sql.expressions
+        if isinstance(whole, exp.Cast):
+            whole = whole.this
+        is_known = isinstance(whole, exp.Parameter) and self._kinds.get(whole.name) == "list"
+        if not (is_known and isinstance(place, exp.Literal) and place.name.isdecimal()):
+            raise _LeftToDuckDBError
+        name, index = whole.name, int(place.name) - 1
+        if index < 0:
+            raise _LeftToDuckDBError
+        return _Scalar("double", lambda values: values[name][index])
+
     def _call(self, sql: exp.Anonymous) -> _Scalar:
         """Returns a call of a function of shapes."""
         function, name = self._functions[sql.name], sql.name
-        result = "DOUBLE" if name == MARGINS_UDF else GEOMETRY_UDFS[name].result
-        count = 1 if name == MARGINS_UDF else 1 + 2 * GEOMETRY_UDFS[name].entities
+        udf = GEOMETRY_UDFS.get(name)
+        result = "DOUBLE" if udf is None else udf.result
+        # Behind the keys of entities, a function of shapes has numbers.
+        count = len(sql.expressions) if udf is None else 1 + 2 * udf.entities
         parts = [self.scalar(part) for part in sql.expressions[:count]]
         numbers = [self._double(part) for part in sql.expressions[count:]]
         if result not in ("BOOLEAN", "DOUBLE"):
@@ -380,6 +416,17 @@ class _Compiler:
             return bool(value) if result == "BOOLEAN" else _finite(float(value))
 
         return _Scalar("boolean" if result == "BOOLEAN" else "double", compute)
+
+    def _pair(self, pair: PairCall) -> _Scalar:
+        """Returns a relation of two entities by their contacts."""
+        function, schema = self._functions[pair.relation], pair.schema
+        first, second = (self._numeric(id, ("integer",)).compute for id in pair.ids)
+        kind: Kind = "boolean" if RELATIONS[pair.relation].result == "boolean" else "double"
+        if kind == "boolean":
+            return _Scalar(kind, lambda values: function(schema, first(values), second(values)))
+        return _Scalar(
+            kind, lambda values: _finite(function(schema, first(values), second(values)))
+        )
 
     def _has_unknown(self, sql: exp.Expr) -> bool:
         """Checks whether an expression calls a function that Python does not know, or fails."""

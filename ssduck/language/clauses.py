@@ -17,9 +17,12 @@ from ssduck.errors import ArgumentError, EvaluationError, SelectScriptError
 from ssduck.formatting import as_evaluation_error, short_repr
 from ssduck.language.aggregates import GroupFunction, over_rows
 from ssduck.language.evaluator import ExpressionCompiler, Frame
-from ssduck.language.operators import apply, truth
+from ssduck.language.operators import ELEMENT_BYTES, apply, truth
 from ssduck.language.tree import Node, OrderKey
 from ssduck.language.value_keys import equality_key
+
+# Rows of more columns are counted by Python, too, since SQL may have fetched fewer.
+MANY_COLUMNS = 16
 
 
 @dataclass(frozen=True)
@@ -260,6 +263,8 @@ class SelectedItems:
 
     def values(self, frame: Frame) -> tuple[Any, ...]:
         """Returns the selected values of a row."""
+        if len(self._items) > MANY_COLUMNS:
+            frame.scope.meter.charge(ELEMENT_BYTES * len(self._items))
         frame.scope.meter.step()
         return tuple([item(frame) for item in self._items])
 

@@ -30,6 +30,8 @@ from ssduck.language.value_keys import ValueKeys
 
 # The largest number of states whose rows are cached.
 MAX_STATES = 10_000
+# The size of a row of a path with its frame, bytes, roughly.
+_STEP_BYTES = 400
 # The key of the selected values among the cached calls of a row; no call has it.
 _SELECT = "SELECT"
 
@@ -248,11 +250,8 @@ class Hierarchy:
         result_node = stop_node if self._query.where is None else self._query.where
         # Under UNIQUE, STOP WITH decides whether a result counts as visited.
         always_stops = where is None or self._recursion.unique
-        scope, placeholders, count = (
-            outer.scope,
-            outer.placeholders,
-            outer.scope.meter.combination_counter(),
-        )
+        scope, placeholders = outer.scope, outer.placeholders
+        count, charge = scope.meter.combination_counter(), scope.meter.charge
 
         def steps(state: dict[str, Any], calls: Iterator[Calls]) -> Iterator[PathStep]:
             state_values: dict[Node, Any] = {}
@@ -272,6 +271,7 @@ class Hierarchy:
                 if where is None:
                     result = stops
                 if result or not stops:
+                    charge(_STEP_BYTES)
                     yield PathStep(frame, selection, result, stops)
                     frame = None  # the step refers to it; a dead end's frame is reused
 

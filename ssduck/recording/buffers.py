@@ -140,13 +140,18 @@ class RowBuffer:
         """Returns the buffered rows, with NULL for NaN."""
         return self._with_nulls(self.arrow.slice(0, self.count))
 
-    def _with_nulls(self, rows: pa.Table) -> pa.Table:
-        """Returns a table of the buffered rows with NULL for NaN."""
+    def rows_after(self, tick: int) -> pa.Table:
+        """Returns a copy of the buffered rows of later ticks, with NULL for NaN."""
+        first = int(np.searchsorted(self.ticks[: self.count], tick, side="right"))
+        return self._with_nulls(self._table(slice(first, self.count), copied=True), first)
+
+    def _with_nulls(self, rows: pa.Table, first: int = 0) -> pa.Table:
+        """Returns a table of the buffered rows from a first one on with NULL for NaN."""
         with np.errstate(invalid="ignore"):  # a sum takes a third of the time of testing each value
-            sums = self.doubles[:, : self.count].sum(axis=1)
+            sums = self.doubles[:, first : self.count].sum(axis=1)
         for row in np.flatnonzero(np.isnan(sums)).tolist():
             place = len(self.integers) + row
-            column = pa.array(self.doubles[row, : self.count], from_pandas=True)
+            column = pa.array(self.doubles[row, first : self.count], from_pandas=True)
             rows = rows.set_column(place, rows.column_names[place], column)
         return rows
 

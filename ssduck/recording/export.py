@@ -54,7 +54,14 @@ def export(
     check_names(Recording(entities=names), members)
     selected = members if names is None else chosen_members(members, names)
     ids = None if names is None else pa.array([member.id for member in selected])
-    store = ParquetStore(path, world, chosen, is_export=True, tags={**record.tags, **(tags or {})})
+    store = ParquetStore(
+        path,
+        world,
+        chosen,
+        is_export=True,
+        tags={**record.tags, **(tags or {})},
+        camera=record.world.camera,
+    )
     try:
         store.add_members(selected, record.world.snapshot)
         for first, last in _parts(numbers, max(len(selected), 1)):

@@ -15,6 +15,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError, SceneError
 from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import GeometryType
+from ssduck.recording.recorded_visuals import check_visuals
 from ssduck.recording.static_tables import with_joint_numbers
 from ssduck.recording.stores.descriptions import parse_description
 from ssduck.schema import LINK_FACTOR
@@ -26,7 +27,7 @@ Array = npt.NDArray[Any]
 _REGION = ("region", "region_x", "region_y", "region_z")
 # The columns that may be unknown.
 _OPTIONAL = {
-    "entities": {"parent", "movable", "host", "host_link", "sensor"},
+    "entities": {"parent", "movable", "host", "host_link", "sensor", "visuals"},
     "links": {"parent", *_REGION},
     "joints": {"lower", "upper", "max_effort", "max_velocity"},
     "shapes": {"exact"},
@@ -94,11 +95,21 @@ def _check_entities(models: Mapping[str, pa.Table]) -> None:
     if not all(rows["name"].to_pylist()):
         _fail("an entity has no name")
     links = _link_counts(rows)
+    geometries = frozenset(models["geometries"]["id"].to_pylist())
     for row in rows.to_pylist():
         if row["kind"] == "sensor":
             _check_sensor(row, links)
         elif row["movable"] is None:
             _fail(f"it is unknown whether the body {short_repr(row['name'])} can move")
+        elif row.get("visuals") is not None:
+            _check_visuals(row["visuals"], links[row["id"]], geometries)
+
+
+def _check_visuals(text: str, links: int, geometries: frozenset[int]) -> None:
+    try:
+        check_visuals(text, links, geometries)
+    except RecordError as error:
+        _fail(error.message)
 
 
 def _check_sensor(row: Mapping[str, Any], links: Mapping[int, int]) -> None:
@@ -146,6 +157,8 @@ def _check_geometries(models: Mapping[str, pa.Table]) -> None:
             _fail("a plane has no normal")
         if type != "plane" and sizes[number].min() < 0.0:
             _fail(f"a {type} has a negative size")
+        if type == "ellipsoid" and not sizes[number].min() > 0.0:
+            _fail("an ellipsoid has no volume")
 
 
 def _points(value: pa.Scalar, name: str) -> Array:

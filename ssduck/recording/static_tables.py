@@ -12,8 +12,9 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.recording.recorded_visuals import visuals_of, visuals_text
 from ssduck.schema import MODELS, RECORDED
-from ssduck.simulators.interface import Body, Joint, Link
+from ssduck.simulators.interface import Body, Joint, Link, VisualShape
 from ssduck.simulators.scenes import SensorSpec
 from ssduck.world.layout import EntityInfo
 from ssduck.world.live_tables import ARROW_TYPES
@@ -34,9 +35,16 @@ class IdProvider(Protocol):
     def geometry_id(self, geometry: Geometry) -> int:
         """Returns the number of a geometry."""
 
+    def visuals(self, body: Body) -> Sequence[VisualShape] | None:
+        """Returns what is drawn of a body; None if that is not known."""
+
 
 def model_rows(
-    members: Collection[EntityInfo], id_provider: IdProvider, stored: Collection[int]
+    members: Collection[EntityInfo],
+    id_provider: IdProvider,
+    stored: Collection[int],
+    *,
+    with_visuals: bool = True,
 ) -> dict[str, pa.Table]:
     """Returns the rows of the models of entities, by table.
 
@@ -44,11 +52,16 @@ def model_rows(
         members: the entities.
         id_provider: gives the numbers of their run and of their geometries.
         stored: the numbers of geometries that are stored already.
+        with_visuals: whether they say what is drawn; the simulator of a record in memory does.
     """
     rows: dict[str, list[tuple[Any, ...]]] = {table: [] for table in MODELS}
     geometries: dict[int, Geometry] = {}
     for member in members:
-        rows["entities"].append((*_member_row(member), id_provider.run))
+        visuals = id_provider.visuals(member.body) if with_visuals and member.body else None
+        for visual in visuals or ():
+            geometries[id_provider.geometry_id(visual.geometry)] = visual.geometry
+        text = None if visuals is None else visuals_text(visuals, id_provider.geometry_id)
+        rows["entities"].append((*_member_row(member), text, id_provider.run))
         if member.body is None:
             continue
         for number, link in enumerate(member.body.links):
@@ -118,6 +131,7 @@ def members_of(models: Mapping[str, pa.Table]) -> dict[int, EntityInfo]:
             links=tuple(map(_link, links.get(id, ()))),
             joints=tuple(map(_joint, joints.get(id, ()))),
             shapes=tuple(_shape(shape, geometries) for shape in shapes.get(id, ())),
+            visuals=visuals_of(row.get("visuals"), geometries),
         )
         members[id] = EntityInfo(id, row["name"], row["kind"], row["parent"], body=body)
     return members

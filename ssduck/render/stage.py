@@ -151,6 +151,8 @@ def _radius(geometry: Geometry) -> float:
             return float(np.hypot(a, b / 2))
         case "capsule":
             return float(a + b / 2)
+        case "ellipsoid":
+            return float(max(a, b, c))
     vertices = geometry.vertices
     return float(np.linalg.norm(vertices.max(axis=0) - vertices.min(axis=0))) / 2
 

@@ -15,11 +15,18 @@ from typing import Any, Protocol, TypeAlias, cast
 
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.geometry.arrays import Array
-from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Kind, LinkPoses, Simulator
+from ssduck.simulators.interface import (
+    DEFAULT_BACKEND,
+    Body,
+    Kind,
+    LinkPoses,
+    Simulator,
+    VisualShape,
+)
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
 from ssduck.simulators.static import StaticSimulator
-from ssduck.simulators.visuals import VisualShape, collision_visuals
+from ssduck.simulators.visuals import collision_visuals
 
 BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
@@ -105,11 +112,26 @@ class Backend(Protocol):
         """
 
     def scene_of(
-        self, simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
+        self,
+        simulator: Simulator,
+        originals: Sequence[BodyToCopy],
+        tick: TickToCopy,
+        folder: Path,
+        target: str,
     ) -> Scene:
         """Describes a simulation of this backend as a scene, without its sensors.
 
         Writes the models of the scene into a folder.
+
+        Args:
+            simulator: the simulation.
+            originals: its bodies.
+            tick: the time of the tick and its flags.
+            folder: the folder of the scene.
+            target: the name of the simulator that is to load the scene.
+
+        Raises:
+            UnsupportedError: the other simulator has no models of this kind.
         """
 
     def visual_shapes(self, simulator: Simulator, body: Body) -> list[VisualShape]:
@@ -136,6 +158,8 @@ def backend(name: str = DEFAULT_BACKEND) -> Backend:
 
 def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what a simulator draws of a body; its collision shapes where that is not known."""
-    if isinstance(simulator, StaticSimulator):  # a what-if world, or a record
+    if body.visuals is not None:  # of a record
+        return list(body.visuals)
+    if isinstance(simulator, StaticSimulator):  # a what-if world, or an older record
         return collision_visuals(body)
     return backend(simulator.backend).visual_shapes(simulator, body)

@@ -37,8 +37,8 @@ class Link:
         name: the name of the link.
         parent: the index of its parent among the links of the body; -1 for the base.
         mass: kg.
-        region: of a site, its region: a sphere, capsule, cylinder or box around the origin of its
-            frame, by which nothing collides; None for a rigid part.
+        region: of a site, its region: a sphere, capsule, cylinder, ellipsoid or box around the
+            origin of its frame, by which nothing collides; None for a rigid part.
     """
 
     name: str
@@ -84,6 +84,25 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
+class VisualShape:
+    """A shape that is drawn.
+
+    Attributes:
+        link: the index of its link; the base is 0.
+        geometry: its form.
+        position: (3,), in the link frame, m.
+        orientation: (4,), in the link frame, w, x, y, z.
+        colour: red, green, blue, alpha, from 0 to 1; None if the simulator has none.
+    """
+
+    link: int
+    geometry: Geometry
+    position: Array
+    orientation: Array
+    colour: tuple[float, float, float, float] | None
+
+
+@dataclass(frozen=True, eq=False)
 class Body:
     """The links, joints and shapes of a body.
 
@@ -97,6 +116,7 @@ class Body:
             fixed to its parent, a rigid part.
         joints: any number for each link, in the order of the links.
         shapes: the collision shapes; `PlacedGeometry.frame` is the index of the link.
+        visuals: of a recorded body, what was drawn of it; None if the simulator tells, or nobody.
     """
 
     handle: int
@@ -106,6 +126,7 @@ class Body:
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     shapes: tuple[PlacedGeometry, ...]
+    visuals: tuple[VisualShape, ...] | None = None
 
     @property
     def masses(self) -> list[float]:

@@ -88,8 +88,11 @@ def _clients(simulation: Any, depth: int) -> Iterator[int]:
 def simulator_of_scene(scene: Scene) -> str:
     """Returns the name of the simulator that loads a scene by default.
 
-    MuJoCo loads an MJCF file by itself, if it is installed, PyBullet everything else.
+    A scene file may name one. Otherwise, MuJoCo loads an MJCF file by itself, if it is installed,
+    and PyBullet everything else.
     """
+    if scene.simulator is not None:
+        return scene.simulator
     if scene.model_file and find_spec(MUJOCO) is not None and _is_mjcf(scene.path):
         return MUJOCO
     return DEFAULT_BACKEND

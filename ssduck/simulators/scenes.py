@@ -134,6 +134,8 @@ class Scene:
         elastic: whether there is neither friction nor damping, and collisions lose no energy.
         constraints: the constraints.
         engine: the settings of the physics solver.
+        simulator: the name of the simulator that loads it, see
+            `ssduck.simulators.backends.BACKENDS`; None for the default.
     """
 
     name: str
@@ -149,6 +151,7 @@ class Scene:
     elastic: bool = False
     constraints: tuple[ConstraintSpec, ...] = ()
     engine: Engine = Engine()
+    simulator: str | None = None
 
     @property
     def model_file(self) -> Path | None:
@@ -262,6 +265,7 @@ def _scene(table: TomlTable, path: Path) -> Scene:
             engine.whole("iterations", at_least=1),
             engine.whole("joint_iterations", at_least=1),
         ),
+        simulator=table.text("simulator", "") or None,
     )
     if scene.camera.eye == scene.camera.target:
         camera.fail("target", "the target is where the camera is")

@@ -1,31 +1,8 @@
-"""Visual shapes: what a simulator draws of a body, beside the shapes that it collides with."""
+"""What is drawn of a body of which only the shapes are known that it collides with."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from ssduck.geometry.arrays import Array
-from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.interface import Body
-
-
-@dataclass(frozen=True, eq=False)
-class VisualShape:
-    """A shape that is drawn.
-
-    Attributes:
-        link: the index of its link; the base is 0.
-        geometry: its form.
-        position: (3,), in the link frame, m.
-        orientation: (4,), in the link frame, w, x, y, z.
-        colour: red, green, blue, alpha, from 0 to 1; None if the simulator has none.
-    """
-
-    link: int
-    geometry: Geometry
-    position: Array
-    orientation: Array
-    colour: tuple[float, float, float, float] | None
+from ssduck.simulators.interface import Body, VisualShape
 
 
 def collision_visuals(body: Body) -> list[VisualShape]:

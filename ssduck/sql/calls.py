@@ -13,7 +13,7 @@ from ssduck.language.tree import Binary, Call, Node, Query, Unary
 from ssduck.sql import subqueries
 from ssduck.sql.arithmetic import double_of
 from ssduck.sql.lists import element_at
-from ssduck.sql.relation_calls import expanded, in_world
+from ssduck.sql.relation_calls import expanded, in_world, note_pair
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Parameter, Relation
 from ssduck.sql.scope import ExpressionScope
@@ -96,6 +96,8 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     if relation.tables:
         formula = in_world(relation, formula, values)
     result = expanded(formula, values, relation.link_name if has_links else None)
+    if relation.of_contacts is not None and not has_links:
+        note_pair(result, relation, values)
     domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
     if isinstance(result, exp.Array):
         elements = tuple(SqlValue(part, DOUBLE, domain=domain) for part in result.expressions)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from sqlglot import exp
 
@@ -63,6 +64,35 @@ def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValu
     if past:
         return _at_ticks(formula, schema, past)
     return in_schema(formula, schema)
+
+
+@dataclass(frozen=True)
+class PairCall:
+    """A relation of two entities of a world's present tick, which a formula stands for.
+
+    Attributes:
+        relation: the name of the relation.
+        schema: the schema of the world.
+        ids: the ids of the entities, as SQL.
+    """
+
+    relation: str
+    schema: str
+    ids: tuple[exp.Expr, ...]
+
+
+# The key of a formula's metadata that has its call.
+PAIR_CALL = "pair call"
+
+
+def note_pair(result: exp.Expr, relation: Relation, values: Mapping[str, SqlValue]) -> None:
+    """Notes in a formula which relation of two entities of the present tick it stands for."""
+    schemas = {value.sql_type.schema for value in values.values()}
+    columns = [value.column for value in values.values() if value.column is not None]
+    is_past = any(value.sql_type.past for value in values.values())
+    if len(schemas) == 1 and len(columns) == len(values) and not is_past:
+        ids = tuple(column("id") for column in columns)
+        result.meta[PAIR_CALL] = PairCall(relation.name, str(schemas.pop()), ids)
 
 
 def _as_exists(part: exp.Expr) -> exp.Expr:

@@ -17,10 +17,13 @@ from ssduck.adapters.display import DisplayTable, RowsOfColumns, as_json, displa
 from ssduck.adapters.formats import FORMATS
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError, nearest
 from ssduck.interpreter.completion import KEYWORDS, complete
-from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.view.asking import has_intervals, lanes_of, value_of
+from ssduck.view.drawings import drawing_of
+from ssduck.view.facts import facts_of, plot_of
 from ssduck.view.marks import Mark, Marks
+from ssduck.view.scans import Scan
 from ssduck.view.sources import Source
-from ssduck.world.entities import Sensor
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
@@ -30,17 +33,6 @@ MAX_COMPLETIONS = 60
 MAX_LINES = 100
 # The formats of downloads.
 _DOWNLOADS = ("csv", "json", "parquet")
-# What is told of an entity: the names that a query with the entity's id as its parameter selects.
-_PAIRS = (
-    "SELECT b.name FROM entities a, entities b WHERE a.id = ? AND a.id <> b.id "
-    "AND b.kind <> 'sensor' AND "
-)
-_RELATIONS = {
-    "on it": _PAIRS + """a.kind <> 'sensor' AND "on"(a, b) ORDER BY b.name""",
-    "it is on": _PAIRS + """a.kind <> 'sensor' AND "on"(b, a) ORDER BY b.name""",
-    "touching it": _PAIRS + "a.kind <> 'sensor' AND touching(a, b) ORDER BY b.name",
-    "nearest": _PAIRS + "true ORDER BY distance(a, b) LIMIT 5",
-}
 
 
 class Answers:
@@ -53,6 +45,8 @@ class Answers:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._result: Any = None
+        # A program with intervals, its language and the last tick, and its bars there.
+        self._bars: tuple[Any, list[Any]] = None, []
 
     def answer(self, question: dict[str, Any]) -> dict[str, Any]:
         """Returns the answer to a question; an error has its place and suggestions."""
@@ -60,6 +54,7 @@ class Answers:
             "ask": self._ask,
             "complete": self._complete,
             "pick": self._pick,
+            "plot": self._plot,
             "download": self._download,
         }
         try:
@@ -68,23 +63,21 @@ class Answers:
                 raise ArgumentError(f"a page cannot ask {str(kind)[:40]!r}")
             return kinds[kind](question)
         except SelectScriptError as error:
-            return {"error": _error(error)}
+            return {"error": error_message(error)}
 
     # -- queries ------------------------------------------------------------------------------
 
     def _ask(self, question: dict[str, Any]) -> dict[str, Any]:
-        text, language = _text(question, "text"), _language(question)
+        text, language = text_of(question, "text"), language_of(question)
         started = time.perf_counter()
-        world = self._source.mirror(_time(question))
-        ss = self._source.interpreter
+        bars = self._bars_of(text, language, _time(question))
+        asked = self._source.mirror(_time(question))
+        ss, world = asked.interpreter, asked.world
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            if language == "sql":
-                value: Any = ss.sql(text)
-            else:
-                value = rows_to_show(ss.compile(text), ss.eval)
+            value = value_of(ss, text, language)
         self._result = value
-        picture = _picture(value)
+        picture, drawing = _picture(value), drawing_of(value)
         table = DisplayTable([], []) if picture else display_table(value)
         marks = Marks(world)
         rows = table.rows[:MAX_ROWS]
@@ -99,17 +92,44 @@ class Answers:
             "boxes": list(_boxes(world, everything)),
             "count": len(table.rows),
             "picture": picture,
+            "drawing": drawing,
+            "lanes": bars,
             "warnings": [str(each.message) for each in caught],
             "time": world.time,
             "ms": (time.perf_counter() - started) * 1e3,
         }
 
+    def _bars_of(self, text: str, language: Any, at: float | None) -> list[Any]:
+        """Returns the intervals of a program over all recorded ticks, for the time line."""
+        asked = self._source.mirror(at)
+        if not has_intervals(asked.interpreter, text, language):
+            return []
+        ticks = self._source.ticks()
+        if ticks is None or not len(ticks.times):
+            return []
+        key = text, language, int(ticks.numbers[-1])
+        if self._bars[0] != key:
+            asked = self._source.mirror(None if at is None else float(ticks.times[-1]))
+            value = value_of(asked.interpreter, text, language)
+            table = display_table(value, MAX_ROWS)
+            self._bars = key, [list(lane) for lane in lanes_of(value, table.columns, table.rows)]
+        return self._bars[1]
+
+    def scan(self, question: dict[str, Any]) -> Scan:
+        """Returns a search for the changes of an answer; only the thread of scans calls this.
+
+        Raises:
+            SelectScriptError: nothing is recorded, or the question is wrong.
+        """
+        asked = self._source.recorded()
+        world = asked.world
+        assert isinstance(world, ReplayedWorld)
+        return Scan(asked.interpreter, world, text_of(question, "text"), language_of(question))
+
     def _complete(self, question: dict[str, Any]) -> dict[str, Any]:
-        text, language = _text(question, "text"), _language(question)
+        text, language = text_of(question, "text"), language_of(question)
         cursor = validation.integer(question.get("cursor"), "complete: cursor", minimum=0)
-        if not self._source.interpreter.worlds:
-            self._source.mirror(None)
-        found = complete(self._source.interpreter, text, cursor, language)
+        found = complete(self._source.mirror(_time(question)).interpreter, text, cursor, language)
         return {
             "completions": [
                 [each.text, each.start, each.kind, each.usage, each.about]
@@ -138,20 +158,15 @@ class Answers:
 
     def _pick(self, question: dict[str, Any]) -> dict[str, Any]:
         id = validation.integer(question.get("entity"), "pick: entity", minimum=0)
-        world = self._source.mirror(_time(question))
-        entity = world.entity(id)
-        facts: dict[str, Any] = {"kind": entity.kind, "id": entity.id}
-        facts["position (m)"] = _rounded(entity.position)
-        facts["orientation (w, x, y, z)"] = _rounded(entity.orientation)
-        if not isinstance(entity, Sensor):
-            facts["velocity (m/s, rad/s)"] = _rounded(entity.velocity)
-            facts["mass (kg)"] = round(entity.mass, 4)
-            facts["links"] = [link.name for link in entity.links]
-        relations = {title: self._names(query, id) for title, query in _RELATIONS.items()}
-        return {"name": entity.name, "facts": facts, "relations": relations}
+        asked = self._source.mirror(_time(question))
+        return facts_of(asked.interpreter, asked.world, id)
 
-    def _names(self, statement: str, id: int) -> list[str]:
-        return [name for (name,) in self._source.interpreter.sql(statement, [id])]
+    def _plot(self, question: dict[str, Any]) -> dict[str, Any]:
+        id = validation.integer(question.get("entity"), "plot: entity", minimum=0)
+        joint = question.get("joint")
+        name = None if joint is None else validation.text(joint, "plot: joint is a text")
+        column = validation.text(question.get("column", ""), "plot: column is a text")
+        return plot_of(self._source.mirror(None).interpreter, id, column, name)
 
 
 def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float]]]:
@@ -196,7 +211,8 @@ def _picture(value: Any) -> str | None:
     return None
 
 
-def _error(error: SelectScriptError) -> dict[str, Any]:
+def error_message(error: SelectScriptError) -> dict[str, Any]:
+    """Returns an error with its place and suggestions, as a page shows it."""
     span = error.span
     return {
         "type": type(error).__name__,
@@ -209,11 +225,8 @@ def _error(error: SelectScriptError) -> dict[str, Any]:
     }
 
 
-def _rounded(values: Any) -> list[float]:
-    return [round(float(value), 4) for value in values]
-
-
-def _text(question: dict[str, Any], key: str) -> str:
+def text_of(question: dict[str, Any], key: str) -> str:
+    """Returns a text of a question."""
     return validation.text(question.get(key), f"{question['type']}: {key} is a text")
 
 
@@ -222,7 +235,8 @@ def _time(question: dict[str, Any]) -> float | None:
     return None if value is None else validation.seconds(value, "a time")
 
 
-def _language(question: dict[str, Any]) -> Any:
+def language_of(question: dict[str, Any]) -> Any:
+    """Returns the language of a question."""
     language = question.get("language", "selectscript")
     if not isinstance(language, str) or language not in KEYWORDS:
         raise UnknownNameError(

@@ -53,6 +53,21 @@ class Frame:
         parts = [np.hstack((each.positions, each.states[:, 3:7])) for each in self.link_poses]
         return np.concatenate([np.zeros((0, _POSE)), *parts]).astype(np.float32)
 
+    @cached_property
+    def ids(self) -> tuple[int, ...]:
+        """The ids of the entities of the bodies."""
+        ids = {body: id for id, body in self.layout.bodies}
+        return tuple(ids[body] for body in self.bodies)
+
+    @property
+    def hidden_ids(self) -> frozenset[int]:
+        """The ids of the entities that are not drawn."""
+        return frozenset(
+            id for id, body in zip(self.ids, self.bodies, strict=True) if body in self.hidden
+        )
+
     def has_same_scene(self, other: Frame) -> bool:
         """Checks whether another frame has the same entities, with the same ones hidden."""
-        return self.layout is other.layout and self.hidden is other.hidden
+        if self.layout is other.layout and self.hidden is other.hidden:
+            return True
+        return self.ids == other.ids and self.hidden_ids == other.hidden_ids

@@ -1,9 +1,10 @@
-"""The binary messages to the page: the scene, and the poses of links that moved.
+"""The binary messages to the page: the scene, poses of links that moved, and recorded poses.
 
 Numbers are little-endian. The first number, of 32 bits, is the kind of the message. A scene has the
 length of its head, the head as JSON, and then the vertices (float32) and triangles (uint32) of its
 meshes. Poses have a count, the time (float64), the tick (float64), the rows of the links (uint32),
-and for each row x y z w x y z (float32).
+and for each row x y z w x y z (float32). A track has the length of its head, the head as JSON, the
+poses of all links at its first tick, and those of the moving ones at all ticks (float32).
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ import numpy.typing as npt
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.simulators.interface import Body
-from ssduck.simulators.visuals import VisualShape
+from ssduck.simulators.interface import Body, VisualShape
 from ssduck.view.frames import Frame, Poses
+from ssduck.view.tracks import Track
 from ssduck.world.layout import EntityInfo
 
-SCENE, POSES = 1, 2
+SCENE, POSES, TRACK = 1, 2, 3
 # The types of geometries that the page makes by itself.
 _PRIMITIVES = frozenset(("box", "sphere", "cylinder", "capsule", "plane"))
 
@@ -39,6 +40,20 @@ def poses_message(frame: Frame, last: Poses | None) -> bytes:
         rows = np.flatnonzero(moved.any(axis=1)).astype(np.uint32)
     head = struct.pack("<IIdd", POSES, len(rows), frame.time, frame.number)
     return head + rows.astype("<u4").tobytes() + poses[rows].astype("<f4").tobytes()
+
+
+def track_message(id: Any, track: Track) -> bytes:
+    """Returns the message of recorded poses, which answers the question of an id."""
+    head = {
+        "id": id,
+        "first": track.first,
+        "count": len(track.poses),
+        "links": len(track.base),
+        "rows": track.moving.tolist(),
+    }
+    text = _padded(head)
+    poses = track.base.astype("<f4").tobytes() + track.poses.astype("<f4").tobytes()
+    return struct.pack("<II", TRACK, len(text)) + text + poses
 
 
 def scene_message(
@@ -67,9 +82,14 @@ def scene_message(
         "shapes": shapes,
         "geometries": meshes.descriptions,
     }
-    text = json.dumps(head, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
+    text = _padded(head)
     return struct.pack("<II", SCENE, len(text)) + text + b"".join(meshes.arrays())
+
+
+def _padded(head: dict[str, Any]) -> bytes:
+    """Returns JSON whose length is a multiple of 4, so that numbers may follow."""
+    text = json.dumps(head, separators=(",", ":")).encode()
+    return text + b" " * (-len(text) % 4)
 
 
 def _entity(info: EntityInfo) -> dict[str, Any]:

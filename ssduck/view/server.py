@@ -24,13 +24,21 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ssduck.errors import SelectScriptError, SimulatorError
-from ssduck.view.answers import Answers
-from ssduck.view.frames import Frame, Poses
-from ssduck.view.messages import poses_message
+from ssduck.view.answers import Answers, error_message
+from ssduck.view.messages import poses_message, track_message
 from ssduck.view.sources import Source
+from ssduck.view.tracks import Track
+from ssduck.view.viewer import Viewer
 
-# The shortest real time between two updates of a page, s.
-PERIOD = 1.0 / 30.0
+# The shortest real time between two updates of a page, s; a little less than a thirtieth, as timers
+# are late.
+PERIOD = 1.0 / 32.0
+# The real time between two messages of recorded ticks, s.
+TICKS_PERIOD = 0.25
+# The real time between two messages of a scan, s.
+SCAN_PERIOD = 0.1
+# The largest number of ticks of a track.
+MAX_TRACK = 4096
 # The largest question of a page, bytes.
 MAX_QUESTION = 2_000_000
 _LOCAL = ("127.0.0.1", "localhost")
@@ -67,10 +75,11 @@ class PageServer:
         self._source, self._host = source, host
         self._controls: Controls | None = None
         self._token = secrets.token_urlsafe(24)
-        self._viewers: set[_Viewer] = set()
+        self._viewers: set[Viewer] = set()
         # Queries wait for each other, and never for the simulation or for poses.
         self._queries = ThreadPoolExecutor(1, "ssduck view: queries")
         self._frames = ThreadPoolExecutor(1, "ssduck view: frames")
+        self._scans = ThreadPoolExecutor(1, "ssduck view: scans")
         self._loop = asyncio.new_event_loop()
         self._is_woken = False
         self._thread = threading.Thread(
@@ -115,7 +124,6 @@ class PageServer:
             self._loop.call_soon_threadsafe(self._wake_viewers)
 
     def _wake_viewers(self) -> None:
-        self._is_woken = False
         for viewer in self._viewers:
             viewer.news.set()
 
@@ -124,6 +132,10 @@ class PageServer:
         self._source.watch(None)
 
         async def stop() -> None:
+            scans = [viewer.scan for viewer in self._viewers if viewer.scan is not None]
+            for scan in scans:
+                scan.cancel()
+            await asyncio.gather(*scans, return_exceptions=True)
             self._server.close()
             await self._server.wait_closed()
 
@@ -135,6 +147,7 @@ class PageServer:
         self._thread.join()
         self._queries.shutdown()
         self._frames.shutdown()
+        self._scans.shutdown()
         self._loop.close()
 
     # -- who may ask --------------------------------------------------------------------------
@@ -182,7 +195,7 @@ class PageServer:
     # -- connections --------------------------------------------------------------------------
 
     async def _connected(self, connection: ServerConnection) -> None:
-        viewer = _Viewer(connection, Answers(self._source))
+        viewer = Viewer(connection, Answers(self._source))
         self._viewers.add(viewer)
         try:
             if len(self._viewers) == 1:
@@ -192,6 +205,8 @@ class PageServer:
                 async for message in connection:
                     await self._received(viewer, message)
             finally:
+                if viewer.scan is not None:
+                    viewer.scan.cancel()
                 sending.cancel()
                 with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                     await sending
@@ -205,41 +220,121 @@ class PageServer:
     async def _in(self, executor: ThreadPoolExecutor, function: Callable[[], Any]) -> Any:
         return await self._loop.run_in_executor(executor, function)
 
-    async def _send_news(self, viewer: _Viewer) -> None:
+    async def _send_news(self, viewer: Viewer) -> None:
         """Sends scene and poses whenever there are new ones: the latest, and what moved."""
         about = {**self._source.about, "type": "hello", "controls": self._controls is not None}
-        await viewer.connection.send(json.dumps(about))
+        await viewer.send(about)
         while True:
+            started = self._loop.time()
             viewer.news.clear()
-            at = viewer.time
-            frame = await self._in(self._frames, lambda: self._source.frame(at))  # noqa: B023
-            if viewer.frame is None or not viewer.frame.has_same_scene(frame):
-                scene = await self._in(self._frames, lambda: self._source.scene(frame))  # noqa: B023
-                await viewer.connection.send(scene)
-                viewer.sent = None
-            if frame is not viewer.frame:
-                await viewer.connection.send(poses_message(frame, viewer.sent))
-                viewer.frame, viewer.sent = frame, frame.poses
+            await self._send_ticks(viewer, started)
+            await self._send_frame(viewer)
             if self._controls is not None and self._controls.status != viewer.status:
                 viewer.status = self._controls.status
-                await viewer.connection.send(json.dumps({"type": "status", **viewer.status}))
-            await asyncio.sleep(PERIOD)
-            await viewer.news.wait()
+                await viewer.send({"type": "status", **viewer.status})
+            rest = PERIOD - (self._loop.time() - started)
+            if rest > 0:
+                await asyncio.sleep(rest)
+            # From here on a tick wakes this task; one that came before has been seen.
+            self._is_woken = False
+            if not self._has_news(viewer):
+                await self._wait_for_news(viewer)
 
-    async def _received(self, viewer: _Viewer, message: str | bytes) -> None:
-        question = _parsed(message)
-        reply: dict[str, Any]
-        if question.get("type") == "seek":
-            value = question.get("at")
-            viewer.time = float(value) if isinstance(value, int | float) else None
-            viewer.news.set()
+    def _has_news(self, viewer: Viewer) -> bool:
+        """Checks whether there is a frame or a status that a viewer did not get."""
+        if self._controls is not None and self._controls.status != viewer.status:
+            return True
+        latest = self._source.latest
+        return viewer.time is None and latest is not None and latest is not viewer.frame
+
+    async def _wait_for_news(self, viewer: Viewer) -> None:
+        """Waits for news; a page that lacks recorded ticks gets them though nothing is new."""
+        if viewer.ticks.is_complete:
+            await viewer.news.wait()
             return
-        if question.get("type") == "control":
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(viewer.news.wait(), TICKS_PERIOD)
+
+    async def _send_frame(self, viewer: Viewer) -> None:
+        """Sends the frame that a viewer looks at, unless the page has it."""
+        at = viewer.time
+        if at is not None and (viewer.is_local or at == viewer.shown):
+            return
+        frame = self._source.latest if at is None else None
+        if frame is None:
+            frame = await self._in(self._frames, lambda: self._source.frame(at))
+        viewer.shown = at
+        if viewer.frame is None or not viewer.frame.has_same_scene(frame):
+            scene = await self._in(self._frames, lambda: self._source.scene(frame))
+            await viewer.connection.send(scene)
+            viewer.sent = None
+        if frame is not viewer.frame or viewer.sent is None:
+            await viewer.connection.send(poses_message(frame, viewer.sent))
+            viewer.frame, viewer.sent = frame, frame.poses
+
+    async def _send_ticks(self, viewer: Viewer, now: float) -> None:
+        """Sends the recorded ticks that are new to a viewer, and the firings of triggers."""
+        if now < viewer.ticks.sent_at + TICKS_PERIOD:
+            viewer.ticks.is_complete = False
+            return
+        ticks = await self._in(self._frames, self._source.ticks)
+        viewer.ticks.sent_at = now
+        viewer.ticks.is_complete = True
+        message = viewer.ticks.message(ticks, self._source.firings)
+        if message is not None:
+            await viewer.send(message)
+
+    async def _received(self, viewer: Viewer, message: str | bytes) -> None:
+        question = _parsed(message)
+        kind, id = question.get("type"), question.get("id")
+        if kind == "seek":
+            viewer.seek(question)
+            return
+        if kind == "scan":
+            viewer.scan = asyncio.create_task(self._scan(viewer, question))
+            return
+        reply: dict[str, Any]
+        if kind == "track":
+            track = await self._in(self._frames, lambda: self._track(viewer, question))
+            if track is not None:
+                await viewer.connection.send(track_message(id, track))
+                return
+            reply = {"none": True}
+        elif kind == "control":
             reply = self._control(question)
         else:
             reply = await self._in(self._queries, lambda: viewer.answers.answer(question))
-        reply |= {"type": question.get("type"), "id": question.get("id")}
-        await viewer.connection.send(json.dumps(reply))
+        reply |= {"type": kind, "id": id}
+        await viewer.send(reply)
+
+    def _track(self, viewer: Viewer, question: dict[str, Any]) -> Track | None:
+        """Returns recorded poses; None if there are none, or the scene is another one then."""
+        first, count = question.get("first"), question.get("count")
+        frame = viewer.frame
+        if frame is None or type(first) is not int or type(count) is not int:
+            return None
+        if first < 0 or not 0 < count <= MAX_TRACK:
+            return None
+        try:
+            return self._source.track(frame, first, count)
+        except SelectScriptError:  # the world is recorded anew
+            return None
+
+    async def _scan(self, viewer: Viewer, question: dict[str, Any]) -> None:
+        """Looks for the ticks at which an answer changes, and sends what is found bit by bit."""
+        task = asyncio.current_task()
+        head = {"type": "scan", "id": question.get("id")}
+        is_over = False
+        try:
+            scan = await self._in(self._scans, lambda: viewer.answers.scan(question))
+            while not is_over and viewer.scan is task:
+                is_over = not await self._in(self._scans, lambda: scan.advance(SCAN_PERIOD))
+                await viewer.send(head | scan.progress | {"done": is_over})
+        except SelectScriptError as error:
+            with contextlib.suppress(ConnectionClosed):
+                await viewer.send(head | {"error": error_message(error)})
+        except ConnectionClosed:
+            pass
 
     def _control(self, question: dict[str, Any]) -> dict[str, Any]:
         if self._controls is None:
@@ -249,26 +344,6 @@ class PageServer:
         except SelectScriptError as error:
             return {"error": {"message": str(error)}}
         return {}
-
-
-class _Viewer:
-    """A page that is connected.
-
-    Attributes:
-        news: is set when there may be something to send.
-        time: the time that it shows, s; None for the present.
-        frame: the last frame that it got.
-        sent: the poses that it has.
-        status: the state of the simulation that it knows.
-    """
-
-    def __init__(self, connection: ServerConnection, answers: Answers) -> None:
-        self.connection, self.answers = connection, answers
-        self.news = asyncio.Event()
-        self.time: float | None = None
-        self.frame: Frame | None = None
-        self.sent: Poses | None = None
-        self.status: dict[str, Any] | None = None
 
 
 def _parsed(message: str | bytes) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError
-from ssduck.view.sources import LiveSource
+from ssduck.view.live import LiveSource
 from ssduck.world.world import World
 
 # The real time between two looks at what was asked, s: updates of the page come as often.

@@ -11,8 +11,9 @@ from typing import Any, Self
 from ssduck.adapters.optional import library
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.view.live import LiveSource
 from ssduck.view.simulation import Simulation
-from ssduck.view.sources import LiveSource, RecordSource, Source
+from ssduck.view.sources import RecordSource, Source
 from ssduck.world.world import World
 
 _HEIGHT = 640
@@ -57,6 +58,13 @@ class View:
             self._stack = stack.pop_all()
         self.url = self._server.url
 
+    def close_afterwards(self, stack: contextlib.ExitStack) -> None:
+        """Closes what the page uses when the page is closed."""
+        serving = self._stack
+        self._stack = contextlib.ExitStack()
+        self._stack.push(stack)
+        self._stack.push(serving)
+
     def close(self) -> None:
         """Stops serving; the world goes on. A second call does nothing."""
         self._stack.close()
@@ -84,12 +92,32 @@ def view(ss: Interpreter, world: str | None = None, **address: Any) -> View:
     name = next(iter(worlds)) if world is None else world
     if name not in worlds:
         raise UnknownNameError(f"there is no world {name!r}", suggestions=nearest(name, worlds))
-    return View(LiveSource(worlds[name], name), **address)
+    return View(LiveSource(ss, worlds[name], name), **address)
 
 
-def view_scene(world: World, reload: Callable[[], World], **address: Any) -> View:
-    """Serves the page of a world that the page itself runs."""
-    return View(LiveSource(world, world.name), reload, **address)
+def view_scene(load: Callable[[], World], **address: Any) -> View:
+    """Serves the page of a world that the page itself runs.
+
+    Args:
+        load: returns the world, anew at each call; the page closes it.
+        address: the host and the port; see `View`.
+    """
+    with contextlib.ExitStack() as stack:
+        ss = stack.enter_context(Interpreter())
+        world = load()
+        name = world.name
+        ss.add_variable(name, world)
+        source = LiveSource(ss, world, name)
+        stack.callback(lambda: source.world.close())  # noqa: PLW0108  # the last one
+
+        def reload() -> World:
+            again = load()
+            ss.add_variable(name, again)
+            return again
+
+        page = View(source, reload, **address)
+        page.close_afterwards(stack.pop_all())
+    return page
 
 
 def view_record(path: str | Path, episode: int | None = None, **address: Any) -> View:

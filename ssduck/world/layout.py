@@ -199,16 +199,26 @@ class BodyGroup:
 
     def write_entities(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the bodies and of their sensors; `block` is (19, entities)."""
-        boxes = self._entity_boxes(link_poses)
+        self.write_states(link_poses, block)
+        self.write_boxes(link_poses, block)
+
+    def write_states(self, link_poses: LinkPoses, block: Array) -> bool:
+        """Writes the poses and velocities of these rows; returns whether all are finite."""
         positions = link_poses.positions.take(self._row_frames, axis=0)
         first = len(self.bodies)
         if self._mounts:
             # A sensor is a point that moves with its link; its box contains only this point.
-            positions[first:] = boxes[:3, first:].T
+            positions[first:] = self._entity_boxes(link_poses)[:3, first:].T
         states = link_poses.states_at(positions, self._row_frames)
         if self._mounts:
             states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turn_matrices)
-        block[:, self._rows] = np.concatenate((states.T, boxes))
+        block[: states.shape[1], self._rows] = states.T
+        return bool(np.isfinite(states).all())
+
+    def write_boxes(self, link_poses: LinkPoses, block: Array) -> None:
+        """Writes the boxes of these rows, the last columns."""
+        boxes = self._entity_boxes(link_poses)
+        block[-len(boxes) :, self._rows] = boxes
 
     def sensor_poses(self, link_poses: LinkPoses) -> tuple[Array, Array]:
         """Returns positions (n, 3), m, and rotation matrices (n, 3, 3) of the sensors."""

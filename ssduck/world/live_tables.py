@@ -1,13 +1,14 @@
 """Holds the rows of a tick in numpy buffers that an Arrow table shares.
 
 The numbers of a table are overwritten in place, so that readers of the Arrow table, such as
-DuckDB, see the next tick without further calls.
+DuckDB, see the next tick without further calls. Columns that few programs read may be written later
+(`defer`): when they are asked for here, or when a world is pinned for a statement.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from itertools import count
 from typing import Any
 
@@ -53,7 +54,6 @@ class LiveTable:
     Attributes:
         columns: the declared columns.
         count: the number of rows.
-        block: the columns of doubles, (columns, rows).
         version: a number that changes whenever `arrow` is replaced; see `new_version`.
         is_complete: whether every number is known; an unknown one is NaN in the buffers and NULL
             in `arrow`.
@@ -66,6 +66,8 @@ class LiveTable:
     def fill(self, count: int, values: dict[str, Any]) -> None:
         """Resets the table to a number of rows; columns of numbers without values start at 0."""
         self.count = count
+        # The rows of the block that are still to be written, and the function that writes them.
+        self._deferred: tuple[range, Callable[[], None]] | None = None
         kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
         self._numbers: dict[str, npt.NDArray[Any]] = {}
         # Columns of numbers without missing values get buffers; the others stay Arrow arrays.
@@ -76,15 +78,15 @@ class LiveTable:
         ]
         # One block for all doubles: adjacent columns can be written in one operation.
         doubles = [name for name, kind in buffered if kind == "double"]
-        self.block = np.zeros((len(doubles), count))
+        self._block = np.zeros((len(doubles), count))
         self._row = {name: row for row, name in enumerate(doubles)}
         self._block_rows: dict[tuple[str, ...], slice | Indices] = {}
         for name, kind in buffered:
             if kind == "double":
-                self._numbers[name] = self.block[self._row[name]]
+                self._numbers[name] = self._block[self._row[name]]
             else:
                 self._numbers[name] = np.zeros(count, dtype=np.int64)
-        self._buffers = self.block, dict(self._numbers)
+        self._buffers = self._block, dict(self._numbers)
         self._arrays = {
             name: pa.array(values[name] if name in values else [None] * count, ARROW_TYPES[kind])
             for name, kind in kinds.items()
@@ -106,9 +108,9 @@ class LiveTable:
             self.fill(count + count // _SPARE_FRACTION, {})
         block, numbers = self._buffers
         self.count = count
-        self.block = block[:, :count]
+        self._block = block[:, :count]
         self._numbers = {name: column[:count] for name, column in numbers.items()}
-        self._numbers |= {name: self.block[row] for name, row in self._row.items()}
+        self._numbers |= {name: self._block[row] for name, row in self._row.items()}
         self.publish()
 
     def set_columns(self, values: dict[str, Any]) -> None:
@@ -120,19 +122,20 @@ class LiveTable:
 
     def clone(self) -> LiveTable:
         """Returns a table of the same rows with its own buffers; constant columns are shared."""
+        self.settle()
         clone = copy.copy(self)
-        clone.block = self.block.copy()
-        clone._numbers = {  # noqa: SLF001  # one class
-            name: clone.block[self._row[name]] if name in self._row else column.copy()
+        block = clone._block = self._block.copy()  # noqa: SLF001  # one class
+        clone._numbers = {  # noqa: SLF001
+            name: block[self._row[name]] if name in self._row else column.copy()
             for name, column in self._numbers.items()
         }
-        clone._buffers = clone.block, dict(clone._numbers)  # noqa: SLF001
+        clone._buffers = block, dict(clone._numbers)  # noqa: SLF001
         clone.publish()
         return clone
 
     def publish(self) -> None:
         """Replaces the Arrow table; columns with unknown numbers are copied, others shared."""
-        self.is_complete = not _has_nan(self.block)
+        self.is_complete = not _has_nan(self._block)
         self.version = new_version()
         self._arrow: pa.Table | None = None
         # The values of columns without buffers, as far as they were asked for.
@@ -144,8 +147,9 @@ class LiveTable:
 
         It is made when it is asked for: that takes longer than to fill a table that is recorded.
         """
+        self.settle()
         if self._arrow is None:
-            unknown = np.logical_or.reduce(np.isnan(self.block), axis=1)
+            unknown = np.logical_or.reduce(np.isnan(self._block), axis=1)
             self._arrow = pa.table(
                 [self._arrow_column(column, unknown) for column in self.columns],
                 names=[column.name for column in self.columns],
@@ -176,6 +180,7 @@ class LiveTable:
 
     def __getitem__(self, name: str) -> npt.NDArray[Any]:
         """Returns the buffer of a column of numbers, (rows,)."""
+        self._settle(name)
         return self._numbers[name]
 
     def values(self, name: str, rows: Indices | None = None) -> list[Any]:
@@ -193,6 +198,7 @@ class LiveTable:
                 return values
             objects: list[Any] = np.fromiter(values, object, len(values)).take(rows).tolist()
             return objects
+        self._settle(name)
         column = self._numbers[name]
         selected = column if rows is None else column.take(rows)
         numbers: list[Any] = selected.tolist()
@@ -200,9 +206,54 @@ class LiveTable:
             return [None if number != number else number for number in numbers]  # noqa: PLR0124
         return numbers
 
+    def value(self, name: str, row: int) -> Any:
+        """Returns the value of a column in a row as Python's; None if it is unknown."""
+        column = self._numbers.get(name)
+        if column is None:
+            return self.values(name)[row]
+        self._settle(name)
+        number = column[row].item()
+        return None if number != number else number  # noqa: PLR0124  # NaN is unknown
+
     def doubles(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns of doubles, (columns, rows)."""
-        return self.block[self._row[first] : self._row[last] + 1]
+        self._settle(first, last)
+        return self._block[self._row[first] : self._row[last] + 1]
+
+    @property
+    def block(self) -> Array:
+        """The columns of doubles, (columns, rows)."""
+        self.settle()
+        return self._block
+
+    def defer(self, first: str, last: str, write: Callable[[], None]) -> None:
+        """Has adjacent columns of doubles written later, before anything reads them.
+
+        Their numbers must all be finite. Until then, the columns have those of an earlier tick.
+        """
+        self._deferred = range(self._row[first], self._row[last] + 1), write
+
+    def settle(self) -> None:
+        """Writes the columns that were deferred."""
+        deferred = self._deferred
+        if deferred is not None:
+            deferred[1]()
+            if self._deferred is deferred:
+                self._deferred = None
+
+    def overwritten(self, first: str, last: str) -> Array:
+        """Returns the buffer of adjacent columns that the caller overwrites, deferred or not."""
+        self._deferred = None
+        return self.doubles(first, last)
+
+    def _settle(self, first: str, last: str | None = None) -> None:
+        """Writes the columns that were deferred if any of some adjacent ones is of them."""
+        deferred = self._deferred
+        if deferred is None or first not in self._row:
+            return
+        rows = deferred[0]
+        if self._row[first] < rows.stop and self._row[last or first] >= rows.start:
+            self.settle()
 
     @property
     def names_of_doubles(self) -> list[str]:
@@ -225,7 +276,8 @@ class LiveTable:
 
     def publish_unknown(self) -> None:
         """Turns unknown numbers (NaN) into NULL, after numbers were written."""
-        if not self.is_complete or _has_nan(self.block):
+        if not self.is_complete or _has_nan(self._block):
+            self.settle()
             self.publish()
 
 

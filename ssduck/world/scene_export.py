@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import SceneError
-from ssduck.simulators.backends import backend
+from ssduck.simulators.backends import BACKENDS, backend
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.scene_bodies import BodySpec, Material, Primitive
 from ssduck.simulators.scenes import Camera, ConstraintSpec, Engine, Scene, SensorSpec
@@ -22,7 +22,7 @@ FILE = "scene.toml"
 _ARRAY = re.compile(r"\[\n((?: {4}[^ ]+,\n)+)\]")
 
 # The attributes of a scene that its file has under the same keys.
-_SCENE = ("description", "gravity", "timestep", "time", "elastic")
+_SCENE = ("description", "simulator", "gravity", "timestep", "time", "elastic")
 
 
 @contextmanager
@@ -44,11 +44,21 @@ def new_folder(folder: Path) -> Iterator[None]:
         raise SceneError(f"{folder}: {reason or error}") from error
 
 
-def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path) -> Scene:
-    """Returns the scene of a simulation at a tick, after writing its models into a folder."""
+def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path, target: str) -> Scene:
+    """Returns the scene of a simulation at a tick, after writing its models into a folder.
+
+    Args:
+        snapshot: the tick.
+        simulator: the simulation.
+        folder: the folder of the scene.
+        target: the name of the simulator that is to load it.
+    """
     ids = {info.id for info in snapshot.load_order}
     originals = list(originals_of(snapshot, ids))
-    scene = backend(simulator.backend).scene_of(simulator, originals, tick_of(snapshot), folder)
+    if target not in BACKENDS:
+        backend(target)  # raises the error; to write a model, its simulator need not be there
+    source = backend(simulator.backend)
+    scene = source.scene_of(simulator, originals, tick_of(snapshot), folder, target)
     return replace(scene, sensors=tuple(sensors_of(snapshot, ids)))
 
 
@@ -79,11 +89,15 @@ def _document(scene: Scene, folder: Path) -> dict[str, Any]:
 
 def _differences(part: Any, default: Any) -> dict[str, Any]:
     values = {f.name: getattr(part, f.name) for f in fields(part)}
-    return {name: value for name, value in values.items() if value != getattr(default, name)}
+    return {
+        name: value
+        for name, value in values.items()
+        if value is not None and value != getattr(default, name)
+    }
 
 
 def _body(body: BodySpec, folder: Path) -> dict[str, Any]:
-    values: dict[str, Any] = {"name": body.name, "kind": body.kind}
+    values: dict[str, Any] = {"name": body.name, "kind": body.kind}  # left out if None
     if isinstance(body.model, Primitive):
         values |= _primitive(body.model, body.fixed)
     else:

@@ -12,9 +12,11 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate, chain
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -29,7 +31,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, STORED_TABLES
-from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator
+from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
 from ssduck.world.contact_rows import contact_rows
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -99,6 +101,8 @@ class Snapshot:
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self.geometries: dict[str, int] = {} if geometries is None else geometries
+        # Returns what is drawn of a body; None if that is not known.
+        self.visuals: Callable[[Body], Sequence[VisualShape] | None] = attrgetter("visuals")
         self.sensing = SensorReader()
         self.calls = CallCounter()
         self._shapes: ShapeQueries | None = None
@@ -154,7 +158,7 @@ class Snapshot:
                 first += len(body.joints)
         return by_body
 
-    def clone(self, unavailable: Mapping[str, str]) -> Snapshot:
+    def clone(self, unavailable: Mapping[str, str], run: int | None = None) -> Snapshot:
         """Returns a copy to be taken of the same tick with the entities in other poses.
 
         The copy shares what does not depend on poses. It does not read the poses of bodies that
@@ -162,6 +166,7 @@ class Snapshot:
 
         Args:
             unavailable: the tables whose rows are unknown there, with the reason.
+            run: the number of the run of its ticks; None for a new one.
         """
         clone = copy.copy(self)
         # The two snapshots must not write to each other's buffers.
@@ -181,7 +186,7 @@ class Snapshot:
         clone.recorded = frozenset()
         clone._requested_sensors, clone._read_sensors = {}, frozenset()  # noqa: SLF001
         clone._warned = set(self._warned)  # noqa: SLF001
-        clone._set_run(new_run())  # noqa: SLF001
+        clone._set_run(new_run() if run is None else run)  # noqa: SLF001
         return clone
 
     def restart(self) -> None:
@@ -342,7 +347,7 @@ class Snapshot:
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
-        return self.tables[table].arrow[column][row].as_py()
+        return self.tables[table].value(column, row)
 
     # -- a tick ---------------------------------------------------------------------------
 
@@ -452,7 +457,7 @@ class Snapshot:
         is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
-        self._write_poses(state.static, state.moving, with_static=is_static_new)
+        self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
             self.tables["joints"].doubles("position", "effort")[:] = state.joints.T
         if "contacts" in tables:
@@ -485,8 +490,8 @@ class Snapshot:
         if static is None:
             static = simulator.read_link_poses(layout.static_bodies.bodies, with_velocities=True)
         group = layout.moving_bodies
-        with_velocities = "links" in tables or group.sensors_on_links
-        moving = simulator.read_link_poses(group.bodies, with_velocities=with_velocities)
+        velocities = "links" in tables or group.sensors_on_links
+        moving = simulator.read_link_poses(group.bodies, with_velocities=velocities)
         joints = None
         if "joints" in tables:
             joints = simulator.read_joints([body for _, body in layout.bodies if body.joints])
@@ -526,10 +531,14 @@ class Snapshot:
 
     def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
         """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
-        entities = self.tables["entities"].doubles("x", "zmax")
+        table, bodies = self.tables["entities"], self._layout.moving_bodies
+        block = table.overwritten("x", "zmax")
         if with_static:
-            self._layout.static_bodies.write_entities(static, entities)
-        self._layout.moving_bodies.write_entities(moving, entities)
+            self._layout.static_bodies.write_entities(static, block)
+        if bodies.write_states(moving, block) and table.is_complete:  # many read only poses
+            table.defer("xmin", "zmax", partial(bodies.write_boxes, moving, block))
+        else:
+            bodies.write_boxes(moving, block)
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
 

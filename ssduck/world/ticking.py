@@ -7,6 +7,7 @@ import time
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
+from functools import partial
 from itertools import count
 from typing import Never, Protocol, Self
 
@@ -22,6 +23,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES
+from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
@@ -103,6 +105,8 @@ class SteppedSimulation(Observable):
         """Sets the simulator and its last tick."""
         self.snapshot = snapshot
         self._simulator = simulator
+        if not isinstance(simulator, StaticSimulator):
+            snapshot.visuals = partial(drawn_shapes, simulator)
         self._registry = EntityRegistry(snapshot.load_order)
 
     @property
@@ -401,8 +405,16 @@ class SteppedSimulation(Observable):
         """
         return Pin(self, tables, is_read=is_read)
 
-    def pin(self, tables: Collection[str] = (), *, is_read: bool = True) -> None:
-        """Does what entering `pinned` does; `unpin` ends it."""
+    def pin(
+        self, tables: Collection[str] = (), *, is_read: bool = True, is_settled: bool = True
+    ) -> None:
+        """Does what entering `pinned` does; `unpin` ends it.
+
+        Args:
+            tables: the tables to include.
+            is_read: whether the query reads the world.
+            is_settled: whether all columns are written: DuckDB reads them without asking.
+        """
         self._waiting += 1
         try:
             self.lock.acquire()
@@ -413,6 +425,8 @@ class SteppedSimulation(Observable):
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             if tables:
                 self.request_tables(tables)
+            if is_settled:
+                self.snapshot.tables["entities"].settle()
             self._queries += 1
         except BaseException:
             self.lock.release()

@@ -301,17 +301,26 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             raise entity.removed()
         return entity.id
 
-    def save(self, path: str | Path) -> Path:
+    def save(self, path: str | Path, simulator: str | None = None) -> Path:
         """Saves the world at this tick as a scene, which `ssduck.load` reads.
+
+        For MuJoCo, the model is the file `world.xml` in MJCF, which MuJoCo also loads by itself.
+        The key `ssduck` in it is the state at the tick. What a world of PyBullet has and MJCF has
+        not is named by a warning.
 
         Args:
             path: a new or empty folder for the file `scene.toml` and the models.
+            simulator: the simulator to load it with: `"mujoco"` also for a world of PyBullet; by
+                default that of the world.
 
         Returns:
             The path of the scene's file.
 
         Raises:
             SceneError: the folder is not empty, or something cannot be written.
+            UnknownNameError: there is no such simulator; with the nearest names.
+            UnsupportedError: the model of a MuJoCo world is not known as MJCF, or is to be saved
+                for PyBullet.
         """
         folder = Path(path)
         with new_folder(folder):
@@ -319,7 +328,9 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
             copy = self.excerpt(self)
             try:
                 with copy.pinned(("joints",)):
-                    scene = scene_of(copy.snapshot, copy.simulator, folder)
+                    scene = scene_of(
+                        copy.snapshot, copy.simulator, folder, simulator or copy.simulator.backend
+                    )
             finally:
                 copy.close()
             scene = replace(scene, name=variable_name(self.name), camera=self.camera)

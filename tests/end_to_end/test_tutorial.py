@@ -6,6 +6,7 @@ below them. Handles are compared by name; numbers to the precision that the scen
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import pytest
@@ -174,9 +175,26 @@ def on(o1, o2):
 
 
 @pytest.fixture(scope="module")
-def tutorial():
+def mujoco_kitchen(tmp_path_factory):
+    """The kitchen, saved for MuJoCo."""
+    pytest.importorskip("mujoco")
+    folder = tmp_path_factory.mktemp("saved") / "kitchen"
+    with ssduck.load("kitchen") as ss, warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # its motors
+        ss["kitchen"].save(folder, "mujoco")
+    return folder
+
+
+def loaded(request, simulator):
+    """The path or the name of the kitchen in a simulator."""
+    return request.getfixturevalue("mujoco_kitchen") if simulator == "mujoco" else "kitchen"
+
+
+@pytest.fixture(scope="module", params=["pybullet", "mujoco"])
+def tutorial(request):
     """An interpreter in which the tutorial's cells run one after another, with its Python."""
-    with ssduck.load("kitchen") as ss:
+    with ssduck.load(loaded(request, request.param)) as ss:
+        assert ss["kitchen"].simulator.backend == request.param
         env = ss.callVariable("kitchen")
         ss.addFunction(
             "onX",
@@ -247,11 +265,16 @@ def test_help_lists_the_tutorials_functions(tutorial):
 # -- section 7 ---------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=[False, True], ids=["as SQL", "row by row"])
+@pytest.fixture(
+    params=[(False, "pybullet"), (True, "pybullet"), (False, "mujoco")],
+    ids=["as SQL", "row by row", "in MuJoCo"],
+)
 def sensing(request):
     """An interpreter with the kitchen, its sensors switched on as in cell 23."""
-    with ssduck.Interpreter(row_by_row=request.param) as ss:
-        env = ss.addVariable("kitchen", ssduck.World.load(find_scene("kitchen")))
+    row_by_row, simulator = request.param
+    with ssduck.Interpreter(row_by_row=row_by_row) as ss:
+        scene = find_scene(loaded(request, simulator))
+        env = ss.addVariable("kitchen", ssduck.World.load(scene))
         Sensor = ssduck.Sensor  # noqa: N806  # the tutorial imports it by that name
         for sensor in env.GetSensors():
             sensor.Configure(Sensor.ConfigureCommand.PowerOff)

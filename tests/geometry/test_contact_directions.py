@@ -27,7 +27,7 @@ from tests.support import pairs
 from tests.support.pairs import Shape, gap
 from tests.support.solids import box, narrow, sorts_of, sphere
 
-KINDS = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
+KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(KINDS, 2))
 HEIGHTS = (0.05, MIN_RISING, 0.5, MIN_UP, 0.99)
 STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])

@@ -109,6 +109,7 @@ BOX = Geometry.primitive("box", (0.4, 0.2, 1.0))
 SPHERE = Geometry.primitive("sphere", (0.3, 0, 0))
 CAPSULE = Geometry.primitive("capsule", (0.1, 0.7, 0))
 CYLINDER = Geometry.primitive("cylinder", (0.25, 0.6, 0))
+ELLIPSOID = Geometry.primitive("ellipsoid", (0.3, 0.1, 0.2))
 PLANE = Geometry.primitive("plane", (0, 0, 1))
 HULL = Geometry.hull(np.random.default_rng(5).normal(size=(40, 3)))
 FLAT = Geometry.hull([[x, y, 0.0] for x in range(4) for y in range(4)])
@@ -122,6 +123,7 @@ SOLID = {
     "sphere": SPHERE,
     "capsule": CAPSULE,
     "cylinder": CYLINDER,
+    "ellipsoid": ELLIPSOID,
     "hull": HULL,
     "flat hull": FLAT,
     "mesh": MESH,
@@ -145,6 +147,8 @@ def samples(shape):
             return np.concatenate([ball * a + up * b / 2, ball * a - up * b / 2])
         case "cylinder":
             return np.concatenate([circle * a + up * b / 2, circle * a - up * b / 2])
+        case "ellipsoid":
+            return ball * shape.size
     return shape.vertices
 
 
@@ -188,6 +192,7 @@ def test_box_of_a_shape_along_an_axis_is_exact(name, axis):
         "sphere": (x, x, x),
         "capsule": (x, x, x + y / 2),
         "cylinder": (x, x, y / 2),
+        "ellipsoid": (x, y, z),
     }.get(shape.type)
     points = shape.vertices if half is None else np.array([half, half]) * [[-1], [1]]
     low, high = points.min(axis=0), points.max(axis=0)

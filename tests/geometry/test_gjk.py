@@ -35,7 +35,7 @@ from tests.support.solids import (
     sphere,
 )
 
-CONVEX = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
+CONVEX = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
 COMBINATIONS = list(itertools.combinations_with_replacement(CONVEX, 2))
 COLLIDE = PairPredicate("colliding", MIN_DEPTH)
 BOUNDS = (-MIN_DEPTH, 0.0, 1e-3, 0.05, 0.3)

@@ -18,6 +18,7 @@ SHAPES = {
     "sphere": Geometry.primitive("sphere", (0.4, 0, 0)),
     "cylinder": Geometry.primitive("cylinder", (0.3, 0.6, 0)),
     "capsule": Geometry.primitive("capsule", (0.2, 0.7, 0)),
+    "ellipsoid": Geometry.primitive("ellipsoid", (0.5, 0.3, 0.4)),
     "hull": Geometry.hull(CORNERS),
     "plane": Geometry.primitive("plane", (0.6, 0.0, 0.8)),
 }
@@ -46,6 +47,8 @@ def is_in(kind, points):
         return (np.hypot(x, y) <= a) & (abs(z) <= b / 2)
     if kind == "capsule":
         return x**2 + y**2 + np.maximum(abs(z) - b / 2, 0) ** 2 <= a**2
+    if kind == "ellipsoid":
+        return (x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2 <= 1
     if kind == "plane":
         return points @ [a, b, c] <= 0
     planes = ConvexHull(CORNERS).equations

@@ -27,6 +27,7 @@ CONVEX = {
     "disc": Geometry.primitive("cylinder", (0.4, 0.02, 0)),
     "rod": Geometry.primitive("cylinder", (0.03, 1.2, 0)),
     "capsule": Geometry.primitive("capsule", (0.2, 0.7, 0)),
+    "ellipsoid": Geometry.primitive("ellipsoid", (0.45, 0.15, 0.3)),
     "hull": Geometry.hull(POINTS),
 }
 TURNS = {
@@ -61,6 +62,8 @@ def fcl_geometry(geometry):
             return fcl.Cylinder(a, b)
         case "capsule":
             return fcl.Capsule(a, b)
+        case "ellipsoid":
+            return fcl.Ellipsoid(a, b, c)
     hull = ConvexHull(geometry.vertices)
     faces = np.concatenate([[3, *face] for face in hull.simplices])
     return fcl.Convex(geometry.vertices, len(hull.simplices), faces)

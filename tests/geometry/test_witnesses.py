@@ -20,7 +20,7 @@ from tests.support.pairs import Shape, gap
 from tests.support.solids import box
 
 BOUNDS = (-1e-6, 0.0, 1e-3, 0.1)
-KINDS = ("sphere", "box", "cylinder", "capsule", "hull", "flat")
+KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull", "flat")
 
 
 class Ticks:

@@ -252,18 +252,45 @@ PYTHON = [
     ("SELECT kitchen = 1 FROM n AS list;", LimitError, "kitchen is a world"),
 ]
 
+# Forms that copy the texts of each row, and names of columns.
 TEXT_FORMS = [
     (f"x = text * 90; SELECT {columns} FROM n AS {form};", LimitError, TOO_MUCH + "|" + DUCKDB)
     for columns, form in (
-        ("x, this", "csv"),
-        ("x, this", "json"),
-        ("x, this", "markdown"),
+        *(
+            ("x, this", form)
+            for form in ("csv", "json", "markdown", "arrow", "table", "df", "polars", "numpy")
+        ),
+        *(("to(this, x)", form) for form in ("json", "prolog")),
+        ("to(x, 'a')", "prolog"),
+        ("to(this, 'p' + x)", "prolog"),
+        ("to(this, x)", "asp"),
+        ("to(x, 'a')", "asp"),
     )
 ]
+MANY = _many(3000, "to(this, 'c{}')")
+BODIES = "SELECT obj, mass FROM kitchen WHERE NOT isPlane(this) AS"
+# Rows of many columns, worlds, and grids that variables keep.
+MADE = [
+    (f"SELECT {MANY} FROM m AS dict;", LimitError, TOO_MUCH),
+    (f"SELECT {MANY} FROM m AS list;", LimitError, TOO_MUCH),
+    (f"SELECT {MANY} FROM m AS df;", LimitError, TOO_MUCH),
+    (f"SELECT IF(round(this) >= 0; 1), {MANY} FROM m AS list;", LimitError, TOO_MUCH),
+    (_many(9, "w{} = SELECT obj FROM kitchen WHERE isRobot(this) AS environment", "; ") + ";",
+     LimitError, TOO_MUCH),
+    ("SELECT obj FROM kitchen WHERE NOT isSensor(this) GROUP BY id AS environment;", LimitError,
+     TOO_MUCH),
+    (_many(40, f"p{{}} = {BODIES} plane('XY', [0, 0], [500, 500, 0.01])", "; ") + ";", LimitError,
+     TOO_MUCH),
+    ("SELECT this, s FROM m START WITH s='' CONNECT BY UNIQUE s = s+'aaaaaaaaaaaaaaaaaaaa' "
+     "STOP WITH False AS list;", LimitError, "a path has more than 1000 rows|" + TOO_MUCH),
+    ("SELECT a.this, s FROM a=m, b=[1] START WITH s='' CONNECT BY UNIQUE s = s+'aaaaaaaaaaaaaaaa' "
+     "STOP WITH False AS list;", LimitError, "a path has more than 1000 rows|" + TOO_MUCH),
+]  # fmt: skip
 
 REFUSED = [
     *LARGE_VALUES,
     *TEXT_FORMS,
+    *MADE,
     *LONG_TEXTS,
     *COMBINATIONS,
     *ON_BODIES,
@@ -346,6 +373,18 @@ def test_variables_of_one_program_after_another_are_counted(patient):
         patient.eval(f"clear('{name}');")
     assert patient.eval("x = text * 90; count(x);") == 9_000_000
     patient.eval("clear('x');")
+
+
+def test_grids_and_worlds_that_variables_keep_are_counted(patient):
+    """Those of one program after another."""
+    for number in range(4):
+        patient.eval(f"w{number} = SELECT obj FROM kitchen WHERE isRobot(this) AS environment;")
+    with pytest.raises(LimitError, match=VARIABLES):
+        patient.eval(f"g = {BODIES} plane('XY', [0, 0], [1200, 1200, 0.01]);")
+    for number in range(4):
+        patient.eval(f"clear('w{number}');")
+    assert patient.eval(f"g = {BODIES} plane('XY', [0, 0], [1200, 1200, 0.01]); 1;") == 1
+    patient.eval("clear('g');")
 
 
 def test_the_users_own_variables_do_not_count(patient):

@@ -117,6 +117,15 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
     ("a recording of text", lambda f: about(f, recording="all"), "'recording' is to be an object"),
     ("an unknown setting", lambda f: about(f, recording={"x": 1}), "no valid recording settings"),
     ("tables of numbers", lambda f: about(f, recording={"tables": [1]}), "no valid recording"),
+    *(
+        (f"a camera: {camera}", lambda f, camera=camera: about(f, camera=camera), "a camera that sees")
+        for camera in (
+            [], {}, {"eye": [0, 0, 0], "target": [1, 0, 0]},
+            {"eye": [0, 0, 0], "target": [0, 0, 0], "fov": 50}, {"eye": [0, 0], "target": [1, 0, 0], "fov": 50},
+            {"eye": [0, 0, 0], "target": [1, 0, 0], "fov": 180},
+            {"eye": [0, 0, "1"], "target": [1, 0, 0], "fov": 50},
+        )
+    ),
     ("every 0", lambda f: about(f, recording={"every": 0}), "no valid recording settings"),
     ("a column of text", sql(f"ALTER TABLE {ROWS} ALTER x TYPE VARCHAR"),
      "'entities 0' is damaged: its column 'x' has the type string"),
@@ -148,6 +157,22 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
             ("sensor = replace(sensor, '5.0', '1e-9')", "more than 1,000,000 rays"),
             ("sensor = replace(sensor, '5.0', 'NaN')", "expected a finite number"),
             ("sensor = replace(sensor, '5.0', '[1]')", "expected a finite number"),
+        ]
+    ),
+    *(
+        (f"visuals: {value}", sql(f"UPDATE {ENTITIES} SET visuals = '{value}' WHERE name = 'arm'"), words)
+        for value, words in [
+            ("{", "is no JSON"),
+            ("[" * 100_000, "is no JSON"),
+            ("{}", "is no list of shapes"),
+            ("[[0, 1, 0, 0, 0, 1, 0, 0]]", "is no list of shapes"),
+            ("[[0, 1, 0, 0, 0, 0, 0, 0, 0]]", "is no list of shapes"),
+            ("[[0, 1, NaN, 0, 0, 1, 0, 0, 0]]", "is no list of shapes"),
+            ("[[0, 1, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 1]]", "is no list of shapes"),
+            ("[[0, true, 0, 0, 0, 1, 0, 0, 0]]", "is no list of shapes"),
+            ("[[9, 1, 0, 0, 0, 1, 0, 0, 0]]", "on an unknown link"),
+            ("[[-1, 1, 0, 0, 0, 1, 0, 0, 0]]", "on an unknown link"),
+            ("[[0, 99, 0, 0, 0, 1, 0, 0, 0]]", "has an unknown geometry"),
         ]
     ),
     ("a parent of later", sql(f"UPDATE {place('links model')} SET parent = 7"), "does not come before"),

@@ -96,7 +96,7 @@ def backend(monkeypatch):
         (original,) = [one for one in originals if one.body.movable]
         return TwoBoxes(float(original.link_poses.positions[0, 2]))
 
-    def scene_of(simulator, originals, tick, folder):
+    def scene_of(simulator, originals, tick, folder, target):
         raise UnsupportedError("two boxes have no scene")
 
     module.load, module.attach, module.excerpt, module.scene_of = load, attach, excerpt, scene_of

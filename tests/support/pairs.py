@@ -25,7 +25,9 @@ from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 
-KINDS = ("sphere", "box", "cylinder", "capsule", "plane", "hull", "flat", "mesh", "open mesh")
+KINDS = (
+    "sphere", "box", "cylinder", "capsule", "ellipsoid", "plane", "hull", "flat", "mesh", "open mesh",
+)  # fmt: skip
 COMBINATIONS = list(itertools.combinations_with_replacement(KINDS, 2))
 TURNS = [
     (1, 0, 0, 0),
@@ -37,6 +39,8 @@ TURNS = [
 MESHES = ("mesh", "open mesh")
 SIDES = 64
 ROUND_POINT = 5e-3
+# Of these the distances to other shapes are computed by steps that converge.
+SWEPT = {"cylinder", "ellipsoid"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +81,8 @@ def geometry(kind, random, is_round):
             return Geometry.primitive(kind, (a, b, c))
         case "cylinder" | "capsule":
             return Geometry.primitive(kind, (a / 2, b, 0))
+        case "ellipsoid":
+            return Geometry.primitive(kind, (a / 2, b / 2, c / 2))
         case "plane":
             normal = (0, 0, 1) if is_round else random.normal(size=3)
             return Geometry.primitive(kind, normal / np.linalg.norm(normal))
@@ -219,6 +225,8 @@ def reach(shape, direction):
             return base + abs(local[2]) * b / 2 + a * math.hypot(local[0], local[1])
         case "capsule":
             return base + abs(local[2]) * b / 2 + a
+        case "ellipsoid":
+            return base + math.sqrt(float((local * (a, b, c)) @ (local * (a, b, c))))
         case "plane":
             return base if np.linalg.norm(local - shape.geometry.size) < 1e-7 else math.inf
     return base + float((shape.geometry.vertices @ local).max())
@@ -237,12 +245,22 @@ def corners(shape, sides=SIDES):
             ring = np.stack((np.cos(angles), np.sin(angles)), 1) * a
             local = np.column_stack((np.tile(ring, (2, 1)), np.repeat([-b / 2, b / 2], sides)))
             radius = 0.0
+        case "ellipsoid":
+            local, radius = spiral(sides**2 // 4) * (a, b, c), 0.0
         case "box":
             local = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * (a, b, c)
             radius = 0.0
         case _:
             local, radius = shape.geometry.vertices, 0.0
     return local @ shape.matrix.T + shape.position, radius
+
+
+def spiral(count):
+    """Returns points on the unit ball, evenly spread."""
+    height, turn = 1 - (2 * np.arange(count) + 1) / count, np.arange(count) * 2.399963229728653
+    return np.stack((np.cos(turn), np.sin(turn), height), 1) * np.stack(
+        (np.sqrt(1 - height**2),) * 2 + (np.ones(count),), 1
+    )
 
 
 def is_in(shape, point, slack):
@@ -258,6 +276,8 @@ def is_in(shape, point, slack):
             return math.hypot(x, y) <= a + slack and abs(z) <= b / 2 + slack
         case "capsule":
             return math.hypot(x, y, z - min(max(z, -b / 2), b / 2)) <= a + slack
+        case "ellipsoid":
+            return math.hypot(x / (a + slack), y / (b + slack), z / (c + slack)) <= 1
         case "plane":
             return float(np.dot((x, y, z), shape.geometry.size)) <= slack
     vertices = shape.geometry.vertices
@@ -283,7 +303,7 @@ def convex_error(a, b, result: SignedDistance, *, full=True):
     error = max(error, abs(reach(b, normal) + reach(a, -normal) + result.distance))
     if full:
         # Near its minimum the depth of a round side hardly changes: its points are less exact.
-        slack = ROUND_POINT if result.distance < 1e-9 and "cylinder" in (a.kind, b.kind) else 1e-5
+        slack = ROUND_POINT if result.distance < 1e-9 and {a.kind, b.kind} & SWEPT else 1e-5
         is_inside = is_in(a, result.point_a, slack) and is_in(b, result.point_b, slack)
         error = error if is_inside else math.inf
     if result.distance < 0 and full and "plane" not in (a.kind, b.kind):
@@ -297,7 +317,7 @@ def depth_error(a, b, result):
     if core <= 0:
         return 0.0  # the cores are separate: proved like a distance
     depth = least_depth(p, q)
-    if "cylinder" in (a.kind, b.kind):  # the depth of a prism inside is a lower bound
+    if {a.kind, b.kind} & SWEPT:  # the depth of a polyhedron inside is a lower bound
         return max(0.0, depth - core) if depth >= 0.9 * core - 0.01 else math.inf
     return abs(depth - core)
 
@@ -410,7 +430,7 @@ def enclosed(points, t):
 
 
 def is_solid(shape):
-    return shape.kind in ("box", "hull", "cylinder", "mesh")
+    return shape.kind in ("box", "hull", "cylinder", "ellipsoid", "mesh")
 
 
 def mesh_error(a, b, result: SignedDistance):

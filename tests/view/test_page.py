@@ -1,4 +1,4 @@
-"""The page in a real browser: scene, queries, highlights, errors, time and clicks."""
+"""The page in a real browser: scene, queries, highlights, errors, and clicks."""
 
 import numpy as np
 import pytest
@@ -7,21 +7,13 @@ from PIL import Image
 import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
-from ssduck.view.view import view_record
 from tools import draw_page
-from tools.browser import Browser, chromium
+from tools.browser import chromium
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(chromium() is None, reason="there is no Chromium"),
 ]
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    browser = Browser(tmp_path_factory.mktemp("browser"))
-    yield browser
-    browser.close()
 
 
 @pytest.fixture(scope="module")
@@ -41,14 +33,33 @@ def page(ss, browser):
     page.close()
 
 
+def cells(page):
+    """Returns the texts of the table, row by row."""
+    return page.value(
+        "[...document.querySelectorAll('#result tbody tr')].map(row => "
+        "[...row.cells].map(cell => cell.textContent))"
+    )
+
+
 def test_a_query_fills_the_table_and_lights_up(page):
     before = page.picture()
     page.ask("SELECT id(this) FROM kitchen WHERE id(this) == 'table';")
-    assert page.value("document.querySelector('#result td').textContent") == "table"
+    assert cells(page) == [["table"]]
     x, y = map(int, page.value("__ss.placeOf('table')"))
     red, green, blue = page.picture()[y, x].astype(int)
     assert tuple(before[y, x]) != (red, green, blue)
     assert red > blue + 60  # orange
+
+
+def test_a_click_on_a_head_sorts_the_table(page):
+    page.ask("SELECT id, z FROM kitchen WHERE z > 0.5;")
+    heights = []
+    for _ in range(2):
+        page.value("document.querySelectorAll('#result th')[1].click(); 0")
+        heights.append([float(row[1]) for row in cells(page)])
+    assert len(heights[0]) > 3
+    assert heights[0] == sorted(heights[0])
+    assert heights[1] == heights[0][::-1]
 
 
 def test_a_wrong_name_has_the_nearest_right_one(page):
@@ -66,6 +77,21 @@ def test_a_click_shows_the_entity(page):
     assert "plate" in page.value("document.getElementById('entity').textContent")
 
 
+@pytest.mark.parametrize(
+    ("program", "has_picture"),
+    [
+        ("SELECT this FROM kitchen WHERE id(this) == 'table' AS occupancygrid(0.4, 0.1);", True),
+        ("SELECT this FROM kitchen WHERE id(this) == 'table' AS points(0.05);", True),
+        ("SELECT id FROM kitchen WHERE id == 'table';", False),
+    ],
+)
+def test_grids_and_clouds_are_drawn_in_the_scene(page, program, has_picture):
+    page.ask(program)
+    assert page.value("__ss.error") is None
+    assert page.value("__ss.drawings") == has_picture
+    assert page.value("document.querySelectorAll('#result img').length") == has_picture
+
+
 def test_what_moves_in_the_world_moves_on_all_pages(ss, page, browser):
     cup = ss["kitchen"]["cup_905a"]
     second = browser.open(page.value("location.href"))
@@ -78,34 +104,49 @@ def test_what_moves_in_the_world_moves_on_all_pages(ss, page, browser):
     second.close()
 
 
+def test_a_lost_connection_comes_back(ss, page):
+    cup = ss["kitchen"]["cup_905a"]
+    page.value("__ss.drop(); 0")
+    page.wait("!__ss.connected")
+    assert page.value("!document.getElementById('lost').hidden")
+    page.wait("__ss.connected && __ss.ready")
+    assert page.value("document.getElementById('lost').hidden")
+    x, y, z = map(float, cup.position)
+    cup.move([x, y, z + 0.1])
+    ss["kitchen"].tick()
+    page.wait(f"Math.abs(__ss.poseOf('cup_905a')[2] - {z + 0.1}) < 1e-5")
+    page.ask("2 + 2;")
+    assert cells(page) == [["4"]]
+
+
 def test_a_page_that_is_loaded_again_works(page):
     page.value("__ss.ready = false; location.reload(); 0")
     page.wait("window.__ss && __ss.ready")
     page.ask("1 + 1;")
-    assert page.value("document.querySelector('#result td').textContent") == "2"
+    assert cells(page) == [["2"]]
 
 
-def test_the_slider_goes_through_a_record(tmp_path, browser):
-    with ssduck.load("kitchen") as ss:
-        kitchen = ss["kitchen"]
-        ss.record_to(tmp_path / "run")
-        name = "cup_905a"
-        heights = []
-        for step in range(4):
-            x, y, z = kitchen[name].position
-            kitchen[name].move([x, y, z + 0.2 * step])
-            kitchen.step()
-            heights.append(float(kitchen[name].position[2]))
-    with view_record(tmp_path / "run") as served:
-        page = browser.open(served.url)
-        page.wait("window.__ss && __ss.ready")
-        times = page.value("Number(document.getElementById('slider').max)") + 1
-        page.value(f"__ss.seek({times - 1}); 0")
-        page.wait(f"Math.abs(__ss.poseOf('{name}')[2] - {heights[-1]}) < 1e-4")
-        page.ask(f"SELECT z(this) FROM kitchen WHERE id(this) == '{name}' AS value;")
-        shown = float(page.value("document.querySelector('#result td').textContent"))
-        assert np.isclose(shown, heights[-1], atol=1e-4)
-        page.close()
+@pytest.mark.parametrize("size", [(1280, 720), (800, 600)])
+def test_nothing_overlaps(page, size):
+    page.resize(*size)
+    page.ask("SELECT id, z FROM kitchen WHERE z > 0.5;")
+    page.click(*page.value("__ss.placeOf('table')"))
+    page.wait("__ss.picked === 'table'")
+    boxes = page.value(
+        "['#stage', 'aside header', '#editor', '#summary', '#result', '#entity', '#controls', "
+        "'#slider', '#moment'].map(name => { const box = document.querySelector(name)"
+        ".getBoundingClientRect(); return [name, box.left, box.top, box.right, box.bottom]; })"
+    )
+    shown = [
+        (name, *map(round, box)) for name, *box in boxes if box[2] > box[0] and box[3] > box[1]
+    ]
+    assert {"#stage", "#result", "#entity", "#slider"} <= {name for name, *_ in shown}
+    for place, (name, left, top, right, bottom) in enumerate(shown):
+        assert 0 <= left < right <= size[0], name
+        assert 0 <= top < bottom <= size[1], name
+        for other, *box in shown[place + 1 :]:
+            is_apart = box[0] >= right or box[2] <= left or box[1] >= bottom or box[3] <= top
+            assert is_apart, (name, other)
 
 
 def test_the_manuals_picture_is_up_to_date(tmp_path):

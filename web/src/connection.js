@@ -2,6 +2,7 @@
 
 const SCENE = 1;
 const POSES = 2;
+const TRACK = 3;
 const RETRY_MS = 1000;
 
 export class Connection {
@@ -49,13 +50,14 @@ export class Connection {
 
   text(data) {
     const message = JSON.parse(data);
-    if (this.waiting.has(message.id)) {
-      const { resolve } = this.waiting.get(message.id);
-      this.waiting.delete(message.id);
-      resolve(message);
-    } else if (message.type in this.on) {
-      this.on[message.type](message);
-    }
+    if (this.waiting.has(message.id)) this.answer(message);
+    else if (message.type in this.on) this.on[message.type](message);
+  }
+
+  answer(message) {
+    const question = this.waiting.get(message.id);
+    this.waiting.delete(message.id);
+    question?.resolve(message);
   }
 
   binary(data) {
@@ -70,6 +72,12 @@ export class Connection {
       head.vertices = new Float32Array(data, 8 + count, 3 * vertices);
       head.faces = new Uint32Array(data, 8 + count + 12 * vertices, 3 * faces);
       this.on.scene(head);
+    } else if (kind === TRACK) {
+      const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, count)));
+      head.base = new Float32Array(data, 8 + count, 7 * head.links);
+      head.poses = new Float32Array(data, 8 + count + 28 * head.links, 7 * head.count * head.rows.length);
+      head.all = Uint32Array.from({ length: head.links }, (_, row) => row);
+      this.answer(head);
     } else if (kind === POSES) {
       const rows = new Uint32Array(data, 24, count);
       const poses = new Float32Array(data, 24 + 4 * count, 7 * count);

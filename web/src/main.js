@@ -2,7 +2,11 @@
 
 import { Connection } from "./connection.js";
 import { Editor } from "./editor.js";
+import { element } from "./elements.js";
+import { EntityPanel } from "./entity.js";
 import { Scene } from "./scene.js";
+import { Timeline } from "./timeline.js";
+import { Tracks } from "./tracks.js";
 
 const at = (id) => document.getElementById(id);
 const nonce = at("program").dataset.nonce;
@@ -10,17 +14,31 @@ const AGAIN_MS = 250;
 
 const state = {
   hello: null, language: "selectscript", status: null, time: 0, tick: 0, question: null,
-  answer: null, sorted: null, index: 0, isPlaying: false, isSeeking: false, wanted: null,
+  answer: null, sorted: null, isReplaying: false, isSeeking: false, wanted: null, track: null, scan: 0,
 };
-window.__ss = { ready: false, answers: 0, updates: 0, connected: false, error: null };
+window.__ss = { ready: false, answers: 0, updates: 0, connected: false, error: null, scans: 0, highlighted: 0 };
 
 const scene = new Scene(at("stage"), (entity) => pick(entity));
 const editor = new Editor(at("editor"), nonce, { run: () => run(), complete });
-const connection = new Connection({ hello, scene: show, poses: move, status, lost });
+const timeline = new Timeline(
+  {
+    slider: at("slider"), lanes: at("lanes"), previous: at("previous"), next: at("next"), live: at("live"),
+  },
+  { seek: (index) => goTo(index), live: () => goLive() },
+);
+const tracks = new Tracks(askForTrack);
+const panel = new EntityPanel(at("entity"), {
+  pick: (name) => pick(name === null ? null : (scene.head.entities.find((each) => each.name === name)?.id ?? null)),
+  mark: (links) => scene.mark(links, []),
+  plot: (question) => connection.ask({ type: "plot", ...question }),
+  go: (time) => timeline.go(timeline.indexAt(time)),
+});
+const connection = new Connection({ hello, scene: show, poses: move, status, ticks, lost, scan: scanned });
 
 // -- the world
 
 function hello(message) {
+  const isAgain = state.hello !== null;
   state.hello = message;
   window.__ss.connected = true;
   at("lost").hidden = true;
@@ -28,37 +46,60 @@ function hello(message) {
   document.title = `${message.world} · ssduck`;
   const isRecord = message.kind === "record";
   at("kind").textContent = isRecord ? "recorded" : "live";
-  const isControlled = isRecord || message.controls;
-  for (const id of ["play", "step", "reset", "speed"]) at(id).hidden = !isControlled;
-  at("slider").disabled = !isRecord;
-  if (isRecord) {
-    at("slider").max = message.times.length - 1;
-    seek(Math.min(state.index, message.times.length - 1));
-  }
+  timeline.isLive = !isRecord;
+  if (!isAgain) timeline.isFollowing = !isRecord;
+  tracks.clear();
+  state.track = null;
+  Object.assign(state, { isSeeking: false, wanted: null });
+  showPlaying();
   if (!editor.text) editor.text = `SELECT id(this) FROM ${message.world} WHERE isRobot(this);`;
+  timeline.show();
 }
 
 function show(head) {
   scene.show(head);
-  if (state.answer) scene.mark(state.answer.all, state.answer.lines, state.answer.boxes);
+  tracks.clear();
+  state.track = null;
+  if (state.answer) highlight(state.answer);
 }
 
+function ticks(message) {
+  const dropped = timeline.setTicks(message);
+  if (message.anew) tracks.clear();
+  else if (dropped) tracks.shift(dropped);
+  window.__ss.ticks = timeline.times.length;
+  at("overTime").hidden = !state.answer || timeline.times.length < 2;
+}
+
+// Poses from the server: of the present, or of a tick whose track is not here.
 function move(rows, poses, time, tick) {
+  state.isSeeking = false;
+  if (!timeline.isFollowing && timeline.isLive && time > timeline.time + 1e-9 && window.__ss.ready) {
+    if (state.wanted !== null) goTo(state.wanted);
+    return;
+  }
   scene.move(rows, poses);
-  Object.assign(state, { time, tick, isSeeking: false });
-  at("time").textContent = `${time.toFixed(3)} s · tick ${tick}`;
-  window.__ss.ready = true;
+  state.track = null;
+  state.tick = tick;
   window.__ss.updates += 1;
+  seen(time, `${time.toFixed(3)} s · tick ${tick}`);
+  if (state.wanted !== null) goTo(state.wanted);
+  else if (!timeline.isFollowing && timeline.times.length && Math.abs(timeline.time - time) > 1e-9) goTo(timeline.index);
+}
+
+function seen(time, text) {
+  state.time = time;
+  at("time").textContent = text;
+  panel.setTime(time);
+  window.__ss.ready = true;
   window.__ss.time = time;
-  if (state.wanted !== null) seek(state.wanted);
   askAgain();
 }
 
 function status(message) {
   state.status = message;
-  state.isPlaying = message.playing;
   showPlaying();
-  at("speed").value = String(message.speed);
+  if (timeline.isFollowing) at("speed").value = String(message.speed);
   if (message.error) showError({ message: message.error, suggestions: [] });
 }
 
@@ -69,54 +110,99 @@ function lost() {
 
 // -- time
 
-function seek(index) {
+async function askForTrack(first, count) {
+  const answer = await connection.ask({ type: "track", first, count });
+  return answer.none ? null : answer;
+}
+
+// Shows a recorded tick: from its track if that is here, else from the server.
+function goTo(index) {
+  showPlaying();
+  const time = timeline.times[index];
+  const track = tracks.at(index);
+  if (track && !track.isRemote) {
+    if (!state.isLocal) connection.send({ type: "seek", at: time, local: true });
+    Object.assign(state, { isLocal: true, wanted: null });
+    scene.showTrack(track, index, state.track !== track);
+    state.track = track;
+    window.__ss.local = (window.__ss.local ?? 0) + 1;
+    seen(time, `${time.toFixed(3)} s · tick ${index + 1} of ${timeline.times.length}`);
+    prefetch(index, track);
+    return;
+  }
+  if (!track) {
+    const isBackwards = time < state.time;
+    tracks.load(index, isBackwards).then((loaded) => {
+      if (loaded && !timeline.isFollowing) goTo(timeline.index);
+    });
+  }
   state.wanted = index;
-  at("slider").value = index;
   if (state.isSeeking) return;
   state.wanted = null;
-  state.index = index;
-  const time = state.hello.times[index];
-  if (time === state.time && window.__ss.ready) return;
+  state.isLocal = false;
+  if (time === state.time && window.__ss.ready && !state.track) return;
   state.isSeeking = true;
   connection.send({ type: "seek", at: time });
 }
 
+// The next track is asked for before it is needed.
+function prefetch(index, track) {
+  const next = track.first + track.count;
+  if (next - index < track.count / 3 && next < timeline.times.length && !tracks.at(next)) tracks.load(next + 32, false);
+}
+
+function goLive() {
+  stopReplay();
+  Object.assign(state, { isLocal: false, isSeeking: false, wanted: null, track: null });
+  connection.send({ type: "seek", at: null });
+}
+
 let played = null;
 function playOn(now) {
-  if (!state.isPlaying || state.hello.kind !== "record") return;
-  const times = state.hello.times;
-  const start = (played ??= { now, time: times[state.index] });
+  if (!state.isReplaying) return;
+  const { times } = timeline;
+  const start = (played ??= { now, time: timeline.time });
   const wanted = start.time + ((now - start.now) / 1000) * Number(at("speed").value);
-  let index = state.index;
-  while (index < times.length - 1 && times[index + 1] <= wanted) index += 1;
-  if (index !== state.index && !state.isSeeking) seek(index);
-  if (index === times.length - 1) state.isPlaying = false;
+  const index = Math.max(timeline.index, timeline.indexAt(wanted));
+  if (index !== timeline.index) {
+    timeline.go(index);
+    state.isReplaying = true;
+  }
+  if (index === times.length - 1) stopReplay();
+  else requestAnimationFrame(playOn);
+}
+
+function stopReplay() {
+  state.isReplaying = false;
   showPlaying();
-  requestAnimationFrame(playOn);
 }
 
 function play() {
-  if (state.hello?.kind !== "record") {
-    connection.ask({ type: "control", action: state.isPlaying ? "pause" : "play" }).catch(() => {});
+  if (timeline.isFollowing) {
+    connection.ask({ type: "control", action: state.status?.playing ? "pause" : "play" }).catch(() => {});
     return;
   }
-  state.isPlaying = !state.isPlaying;
-  if (state.isPlaying && state.index === state.hello.times.length - 1) seek(0);
+  state.isReplaying = !state.isReplaying;
+  if (state.isReplaying && timeline.index === timeline.times.length - 1) timeline.go(0);
   played = null;
   showPlaying();
   requestAnimationFrame(playOn);
 }
 
 function showPlaying() {
-  const path = state.isPlaying ? "M3 2 H6.5 V14 H3 Z M9.5 2 H13 V14 H9.5 Z" : "M4 2 L13 8 L4 14 Z";
+  // A world that is stepped elsewhere is not played, but its recorded ticks are.
+  const isPlayed = !timeline.isFollowing || state.hello?.controls;
+  for (const id of ["play", "step", "reset", "speed"]) at(id).hidden = !isPlayed;
+  const isPlaying = timeline.isFollowing ? state.status?.playing : state.isReplaying;
+  const path = isPlaying ? "M3 2 H6.5 V14 H3 Z M9.5 2 H13 V14 H9.5 Z" : "M4 2 L13 8 L4 14 Z";
   at("play").querySelector("path").setAttribute("d", path);
 }
 
 function control(action, value) {
-  if (state.hello?.kind === "record") {
-    if (action === "step") seek(Math.min(state.index + 1, state.hello.times.length - 1));
-    if (action === "reset") seek(0);
-    played = null;
+  if (!timeline.isFollowing) {
+    if (action === "step") timeline.go(timeline.index + 1);
+    if (action === "reset") timeline.go(0);
+    if (action === "speed") played = null;
     return;
   }
   connection.ask({ type: "control", action, value }).catch(() => {});
@@ -124,24 +210,26 @@ function control(action, value) {
 
 at("play").onclick = play;
 at("step").onclick = () => control("step", 1);
-at("reset").onclick = () => control("reset");
-at("speed").onchange = (event) => control("speed", Number(event.target.value));
-at("slider").oninput = (event) => {
-  state.isPlaying = false;
-  showPlaying();
-  seek(Number(event.target.value));
+at("reset").onclick = () => {
+  if (state.hello?.controls) timeline.follow();
+  control("reset");
 };
+at("speed").onchange = () => control("speed", Number(at("speed").value));
+at("slider").addEventListener("pointerdown", stopReplay);
 document.addEventListener("keydown", (event) => {
-  if (event.key === " " && event.target === document.body) {
+  if (event.target !== document.body) return;
+  if (event.key === " ") {
     event.preventDefault();
     play();
+  } else if (event.key === "ArrowRight" || event.key === "ArrowLeft") {
+    timeline.go(timeline.index + (event.key === "ArrowRight" ? 1 : -1));
   }
 });
 
-// -- questions
+// -- queries
 
 function timeAsked() {
-  return state.hello?.kind === "record" ? { at: state.hello.times[state.index] } : {};
+  return timeline.isFollowing || !timeline.times.length ? {} : { at: timeline.time };
 }
 
 async function complete(text, cursor) {
@@ -153,13 +241,46 @@ async function complete(text, cursor) {
   }
 }
 
+// What the result has stands out, and is drawn where it is.
+function highlight(answer) {
+  scene.mark(answer.all, answer.lines, answer.boxes);
+  scene.draw3d(answer.drawing);
+}
+
+// Looks for the ticks at which the answer changes.
+function scan() {
+  if (!state.question || timeline.times.length < 2) return;
+  state.scan += 1;
+  at("overTime").textContent = "looking …";
+  connection.send({ type: "scan", id: `scan ${state.scan}`, ...state.question });
+}
+
+function scanned(message) {
+  if (message.id !== `scan ${state.scan}`) return;
+  if (message.error) {
+    at("overTime").textContent = "over time";
+    timeline.setRuns([]);
+    if (!state.answer) showError(message.error);
+    return;
+  }
+  timeline.setRuns(message.runs);
+  at("overTime").textContent = message.done ? "over time" : `looking … ${Math.round(100 * message.share)} %`;
+  if (message.done) window.__ss.scans += 1;
+}
+
 async function run() {
   const text = editor.text.trim() ? editor.text : "";
   if (!text) return;
   editor.remember(text);
   state.question = { text, language: state.language };
   state.sorted = null;
+  timeline.setRuns([]);
+  timeline.setSpans([]);
+  state.scan += 1;
   await ask(true);
+  // What is drawn, or says itself when something held, is looked for only if asked.
+  const { answer } = state;
+  if (answer && state.hello.kind === "record" && !answer.picture && !answer.lanes.length) scan();
 }
 
 let isAsking = false;
@@ -174,15 +295,18 @@ async function ask(isNew) {
     if (answer.error) {
       state.answer = null;
       if (!isNew) state.question = null;
-      scene.mark([], []);
+      highlight({ all: [], lines: [], boxes: [] });
       showError(answer.error);
     } else {
       state.answer = answer;
-      scene.mark(answer.all, answer.lines, answer.boxes);
+      highlight(answer);
+      timeline.setSpans(answer.lanes);
       showAnswer();
     }
     window.__ss.error = answer.error ?? null;
     window.__ss.answers += 1;
+    const asked = lastAsked;
+    scene.afterDrawing(() => (window.__ss.highlighted = performance.now() - asked));
   } catch (error) {
     showError({ message: error.message, suggestions: [] });
   } finally {
@@ -243,6 +367,7 @@ function showAnswer() {
   const rows = answer.picture ? "a picture" : `${answer.count} ${answer.count === 1 ? "row" : "rows"}${shown}`;
   at("count").textContent = `${rows} · ${answer.ms.toFixed(1)} ms · at ${answer.time.toFixed(3)} s`;
   at("downloads").hidden = false;
+  at("overTime").hidden = timeline.times.length < 2;
   for (const button of at("downloads").querySelectorAll("[data-format]")) button.hidden = !!answer.picture;
   if (answer.picture) {
     const image = new Image();
@@ -303,16 +428,14 @@ function textOf(value) {
   return typeof value === "object" ? JSON.stringify(value) : String(value);
 }
 
-function element(name, text) {
-  const made = document.createElement(name);
-  if (text !== undefined) made.textContent = text;
-  return made;
-}
-
 at("run").onclick = run;
+at("overTime").onclick = scan;
 at("clear").onclick = () => {
   state.question = state.answer = null;
-  scene.mark([], []);
+  state.scan += 1;
+  timeline.setRuns([]);
+  timeline.setSpans([]);
+  highlight({ all: [], lines: [], boxes: [] });
   at("result").replaceChildren();
   at("count").textContent = "";
   at("downloads").hidden = true;
@@ -341,10 +464,10 @@ for (const button of at("downloads").querySelectorAll("[data-format]")) {
 
 async function pick(entity) {
   scene.select(entity);
-  const box = at("entity");
   window.__ss.picked = null;
+  state.picked = entity;
   if (entity === null) {
-    box.hidden = true;
+    panel.hide();
     return;
   }
   let answer;
@@ -353,38 +476,33 @@ async function pick(entity) {
   } catch {
     return;
   }
+  if (state.picked !== entity) return;
   if (answer.error) return showError(answer.error);
-  const title = element("h2", answer.name);
-  const close = element("button", "×");
-  close.onclick = () => pick(null);
-  title.append(close);
-  const list = element("dl");
-  for (const [name, value] of Object.entries(answer.facts)) {
-    const text = Array.isArray(value) ? value.join(", ") : String(value);
-    list.append(element("dt", name), element("dd", text));
-  }
-  for (const [name, others] of Object.entries(answer.relations)) {
-    const cell = element("dd", others.length ? undefined : "–");
-    for (const other of others) {
-      const button = element("button", other);
-      button.onclick = () => pick(scene.head.entities.find((each) => each.name === other)?.id ?? null);
-      cell.append(button);
-    }
-    list.append(element("dt", name), cell);
-  }
-  box.replaceChildren(title, list);
-  box.hidden = false;
+  panel.show(entity, answer, state.time);
   window.__ss.picked = answer.name;
 }
 
 // What tests wait on and look at.
-Object.assign(window.__ss, {
+Object.defineProperties(window.__ss, Object.getOwnPropertyDescriptors({
   poseOf: (name) => scene.poseOf(name),
   placeOf: (name) => scene.placeOf(name),
   type: (text) => (editor.text = text),
   run,
-  seek,
+  seek: (index) => timeline.go(index),
+  get index() {
+    return timeline.index;
+  },
+  get changes() {
+    return timeline.changes;
+  },
+  get lanes() {
+    return timeline.lanes.map(({ label, bars }) => [label, bars.map(({ start, end }) => [start, end])]);
+  },
+  get drawings() {
+    return scene.drawn.children.length;
+  },
+  drop: () => connection.socket.close(),
   get frames() {
     return scene.framesDrawn;
   },
-});
+}));

@@ -3,12 +3,14 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { toCreasedNormals } from "three/examples/jsm/utils/BufferGeometryUtils.js";
+import { cloudOf, gridOf } from "./drawings.js";
 
 const BACKGROUND = 0xe9edf2;
 const HIGHLIGHT = new THREE.Color(0xff6a13);
 const DIMMED = new THREE.Color(0xc3cad3);
 const GROUND = new THREE.Color(0xd5dbe2);
 const GROUND_SIZE = 60;
+const FLOOR_SAMPLES = 6;
 const PALETTE = [
   0x6f8fb3, 0xb38f6f, 0x7fa88a, 0xa88aa0, 0x9a9f6d, 0x6fa3a8, 0xb3807a, 0x8286b5, 0xa3a3a3, 0xc2a878,
 ].map((hex) => new THREE.Color(hex));
@@ -40,10 +42,12 @@ export class Scene {
     this.lines.frustumCulled = false;
     this.scene.add(this.lines);
     this.boxes = new THREE.Group();
-    this.scene.add(this.boxes);
+    this.drawn = new THREE.Group();
+    this.scene.add(this.boxes, this.drawn);
     this.marks = null;
     this.selected = null;
     this.framesDrawn = 0;
+    this.waiting = [];
     new ResizeObserver(() => this.resize()).observe(element);
     this.listenToClicks(onPick);
     this.resize();
@@ -78,7 +82,14 @@ export class Scene {
       this.isDue = false;
       this.renderer.render(this.scene, this.camera);
       this.framesDrawn += 1;
+      for (const done of this.waiting.splice(0)) done();
     });
+  }
+
+  // Calls a function when what is to be drawn now was drawn.
+  afterDrawing(done) {
+    this.waiting.push(done);
+    this.draw();
   }
 
   // -- what is shown
@@ -110,7 +121,8 @@ export class Scene {
     this.shapesOfLink = head.links.map(() => []);
     this.entities = new Map(head.entities.map((each) => [each.id, each]));
     const order = new Map(head.entities.map((each, index) => [each.id, index]));
-    this.shapes = head.shapes.map(([row, number, pose, colour], index) => {
+    const drawn = head.shapes.filter(([, , , colour]) => !colour || colour[3] > 0.02);
+    this.shapes = drawn.map(([row, number, pose, colour], index) => {
       const isPlane = head.geometries[number].type === "plane";
       const [entity, link] = head.links[row];
       const plain = isPlane
@@ -129,6 +141,14 @@ export class Scene {
     this.scene.add(this.batch);
     this.paint();
     if (isFirst) this.isFitted = false;
+  }
+
+  // Shows a tick of a track: the poses of all links of its first tick, and those that move.
+  showTrack(track, index, isNew) {
+    if (isNew) this.move(track.all, track.base);
+    const size = 7 * track.rows.length;
+    const start = size * (index - track.first);
+    this.move(track.rows, track.poses.subarray(start, start + size));
   }
 
   move(rows, poses) {
@@ -210,6 +230,39 @@ export class Scene {
     this.lines.geometry.dispose();
     this.lines.geometry = new THREE.BufferGeometry().setFromPoints(points);
     this.paint();
+  }
+
+  // Draws a grid on the floor or points in the scene; null for nothing.
+  draw3d(drawing) {
+    for (const each of this.drawn.children) {
+      each.geometry.dispose();
+      each.material.map?.dispose();
+      each.material.dispose();
+    }
+    this.drawn.clear();
+    if (drawing?.kind === "grid") {
+      const [width, height] = drawing.shape.map((count) => count * drawing.resolution);
+      this.drawn.add(gridOf(drawing, this.floorAt(...drawing.origin, width, height)));
+    }
+    if (drawing?.kind === "cloud") this.drawn.add(cloudOf(drawing, PALETTE));
+    this.draw();
+  }
+
+  // The height of the floor below a rectangle, m: the lowest surface that looks up, at most places.
+  floorAt(x, y, width, height) {
+    const ray = new THREE.Raycaster();
+    const top = this.bounds().max.z + 1;
+    const heights = [];
+    for (let i = 0.5; i < FLOOR_SAMPLES; i++) {
+      for (let j = 0.5; j < FLOOR_SAMPLES; j++) {
+        const from = new THREE.Vector3(x + (width * i) / FLOOR_SAMPLES, y + (height * j) / FLOOR_SAMPLES, top);
+        ray.set(from, new THREE.Vector3(0, 0, -1));
+        const hits = ray.intersectObject(this.batch).filter((each) => each.face.normal.z > 0.5);
+        if (hits.length) heights.push(hits[hits.length - 1].point.z);
+      }
+    }
+    heights.sort((a, b) => a - b);
+    return heights.length ? heights[heights.length >> 1] : 0;
   }
 
   select(entity) {

@@ -18,9 +18,9 @@ MAX_POINTS = 1 << 20
 class ConvexCores:
     """The convex hulls of solids' cores, relative to the centres of the solids.
 
-    A core is the sum of a box with half extents (a point for a sphere, a segment for a capsule or a
-    cylinder) and a disc across z, or it is the hull of points. A half-space is represented by a
-    point without a meaning.
+    A core is the hull of points, or the sum of a box and an ellipsoid. The box is a point for a
+    sphere and an ellipsoid, and a segment for a capsule and a cylinder; the ellipsoid is a disc
+    across z for a cylinder. A half-space is represented by a point without a meaning.
 
     Args:
         solids: the distinct solids.
@@ -31,8 +31,14 @@ class ConvexCores:
         self.half_extents = (
             np.array([_half_extents(solid) for solid in solids]).reshape(-1, 3).T[:, solid_indices]
         )
+        axes = np.array([solid.semi_axes for solid in solids]).reshape(-1, 3)
+        self.semi_axes = axes.T[:, solid_indices]
+        self.is_swept: Flags = np.asarray(self.semi_axes.any(axis=0))
         self.disc_radius = np.array([solid.disc_radius for solid in solids])[solid_indices]
-        self.is_round = self.disc_radius > 0.0
+        self.largest_radius = np.array([solid.largest_radius for solid in solids])[solid_indices]
+        self.is_ellipsoid = np.array([solid.type == "ellipsoid" for solid in solids], dtype=bool)[
+            solid_indices
+        ]
         self.radius = np.array([solid.radius for solid in solids])[solid_indices]
         radii = [
             solid.bounding_radius if np.isfinite(solid.bounding_radius) else 0.0 for solid in solids
@@ -133,10 +139,8 @@ class PlacedCores:
         local += rotations[3:6] * y
         local += rotations[6:9] * z
         points = np.copysign(cores.half_extents.take(shapes, axis=1), local)
-        disc = cores.disc_radius.take(shapes)
-        if disc.any():
-            length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
-            points[:2] += local[:2] * (disc / length)
+        if cores.is_swept.take(shapes).any():
+            points += _ellipsoid_points(cores.semi_axes.take(shapes, axis=1), local)
         kinds = cores.kind.take(shapes)
         for kind, hulls in enumerate(cores.points):
             selected = np.flatnonzero(kinds == kind)
@@ -160,10 +164,8 @@ class PlacedCores:
         cores, rotations = self.cores, self.rotations.take(unique, axis=1).reshape(3, 3, -1)
         local = np.einsum("jin,jm->imn", rotations, directions)
         points = np.copysign(cores.half_extents.take(unique, axis=1)[:, None], local)
-        disc = cores.disc_radius.take(unique)
-        if disc.any():
-            length = np.maximum(np.sqrt(local[0] * local[0] + local[1] * local[1]), 1e-300)
-            points[:2] += local[:2] * (disc / length)
+        if cores.is_swept.take(unique).any():
+            points += _ellipsoid_points(cores.semi_axes.take(unique, axis=1)[:, None], local)
         kinds = cores.kind.take(unique)
         for kind, hulls in enumerate(cores.points):
             selected = np.flatnonzero(kinds == kind)
@@ -176,6 +178,15 @@ class PlacedCores:
                 points[..., some] = np.take_along_axis(corners, farthest, 2).transpose(1, 2, 0)
         in_world: Array = np.einsum("ijn,jmn->imn", rotations, points)
         return in_world.take(places, axis=2)
+
+
+def _ellipsoid_points(semi_axes: Array, directions: Array) -> Array:
+    """Returns the support points (3, …) of ellipsoids around the origin, in directions (3, …)."""
+    scaled = semi_axes * directions
+    lengths = np.sqrt(scaled[0] * scaled[0] + scaled[1] * scaled[1] + scaled[2] * scaled[2])
+    scaled *= semi_axes
+    scaled /= np.maximum(lengths, 1e-300)
+    return scaled
 
 
 def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Array:

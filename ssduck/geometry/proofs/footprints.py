@@ -189,7 +189,7 @@ def _support_points(tick: TickShapes, shapes: Indices, directions: Array) -> tup
     points += tick.placed_cores.centres[:2, None].take(shapes, axis=2)
     radius = cores.radius[shapes]
     points += directions[:2, :, None] * radius
-    return points, _ROUND_ERROR * np.maximum(radius, cores.disc_radius[shapes])
+    return points, _ROUND_ERROR * cores.largest_radius[shapes]
 
 
 def _of_entities(

@@ -159,11 +159,11 @@ def decide_gaps(
 def tolerances(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
     """Returns the distances from the bound, metres, within which pairs stay undecided."""
     cores, largest = bodies.cores, bodies.largest_coordinates
-    is_round = cores.is_round[first] | cores.is_round[second]
+    is_swept = cores.is_swept[first] | cores.is_swept[second]
     largest_of_pair = np.maximum(largest[first], largest[second])
     size = cores.bounding_radius[first] + cores.bounding_radius[second]
     error: Array = (
-        np.where(is_round, 2.5 * CYLINDER_TOLERANCE, 2.5 * CONTACT_TOLERANCE)
+        np.where(is_swept, 2.5 * CYLINDER_TOLERANCE, 2.5 * CONTACT_TOLERANCE)
         + 4e-12 * size
         + 4e-15 * largest_of_pair
     )

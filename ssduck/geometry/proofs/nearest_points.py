@@ -42,8 +42,8 @@ def upward_round_verdicts(
         min_height: the least z of an upward unit normal, from 0 to 1.
     """
     verdicts = np.full(len(first), UNDECIDED, np.int8)
-    kinds, radius = cores.cores.kind, cores.cores.radius
-    has_formula = (kinds[first] < 0) & (kinds[second] < 0)
+    has_projection, radius = (cores.cores.kind < 0) & ~cores.cores.is_ellipsoid, cores.cores.radius
+    has_formula = has_projection[first] & has_projection[second]
     places = np.flatnonzero(has_formula & (radius[first] + radius[second] > 0.0))
     if len(places):
         verdicts[places] = _verdicts(cores, first[places], second[places], min_height)
@@ -51,7 +51,7 @@ def upward_round_verdicts(
 
 
 def _verdicts(cores: PlacedCores, first: Indices, second: Indices, min_height: float) -> Verdicts:
-    """Returns the verdicts of pairs without hulls."""
+    """Returns the verdicts of pairs without hulls and ellipsoids."""
     points = _difference_points(cores, first, second)
     lengths = column_lengths(points)
     directions = points / np.maximum(lengths, 1e-300)

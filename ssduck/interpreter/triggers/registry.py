@@ -226,6 +226,9 @@ class TriggerRegistry:
         interpreter: the interpreter that evaluates their programs.
         names: its variables and functions.
         batches: evaluates triggers together; None if each is evaluated by itself.
+
+    Attributes:
+        listeners: are called with the name of each trigger that fires.
     """
 
     def __init__(
@@ -235,6 +238,7 @@ class TriggerRegistry:
         self._names = names
         self._batches = batches
         self._by_name: dict[str, Trigger] = {}
+        self.listeners: list[Callable[[str], object]] = []
         self._lock = threading.Lock()
         # The number of times that a trigger was paused or resumed.
         self._pauses = 0
@@ -489,6 +493,8 @@ class TriggerRegistry:
     def _fire(self, trigger: Trigger, delivery: tuple[Any] | None) -> None:
         """Fires a trigger if there is a value to deliver."""
         if delivery is not None:
+            for listener in self.listeners:
+                listener(trigger.config.name)
             trigger.fire(*delivery)
             # The callback may have stepped worlds; evaluations that were due meanwhile are skipped.
             trigger.reschedule(self._worlds_of(trigger))

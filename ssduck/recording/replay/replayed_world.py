@@ -35,14 +35,17 @@ class ReplayedWorld(PastWorld):
         name: the name of the world.
         record: the record of the world; its `world` becomes this one.
         archive: stores the recorded ticks.
+        camera: the camera of the world; None for that of any scene.
     """
 
     _record: Record
     # Whether the tables of the current tick are those of another one.
     _is_elsewhere: bool = False
 
-    def __init__(self, name: str, record: Record, archive: TickArchive) -> None:
-        self._begin(name, Camera())
+    def __init__(
+        self, name: str, record: Record, archive: TickArchive, camera: Camera | None = None
+    ) -> None:
+        self._begin(name, camera or Camera())
         record.world = self
         self._record = record
         self.archive = archive

@@ -14,6 +14,7 @@ from typing import Any
 
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
+from ssduck.recording.recorded_visuals import is_camera
 from ssduck.recording.stores.checksums import CHECKSUM_KEY, WRONG_CHECKSUM, pop_checksum
 from ssduck.recording.tags import are_tags
 from ssduck.schema import RECORDED
@@ -71,6 +72,7 @@ _IDENTITY = {
     "id": Value("a UUID", _is_id, is_required=False),
     "tags": Value("an object of texts and numbers", are_tags, is_required=False),
 }
+_CAMERA = Value("a camera that sees something", is_camera, is_required=False)
 _COUNT = Value("a number of parts", lambda value: _is_whole(value, 0), is_required=False)
 # What describes an episode in a folder.
 EPISODE: Description = {
@@ -84,6 +86,7 @@ EPISODE: Description = {
     "checksums": Value("a text", lambda value: isinstance(value, str), is_required=False),
     "removed": Value("a list of parts", _is_parts, is_required=False),
     **_IDENTITY,
+    "camera": _CAMERA,
 }
 # What it says of the recording, and of the number of complete parts.
 RECORDING: Description = {
@@ -102,6 +105,7 @@ DATABASE_EPISODE: Description = {
     "started": _TEXT,
     "recording": _OBJECT,
     **_IDENTITY,
+    "camera": _CAMERA,
 }
 
 

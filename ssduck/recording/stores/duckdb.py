@@ -42,6 +42,7 @@ from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.recording.tags import Tags
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, recorded_tables
+from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
 SLOTS = RETENTION_PARTS + 2
@@ -68,6 +69,7 @@ class DuckDBStore(TickStore, TickArchive):
         *,
         file: RecordFile | None = None,
         tags: Tags | None = None,
+        camera: Camera | None = None,
     ) -> None:
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
@@ -84,7 +86,7 @@ class DuckDBStore(TickStore, TickArchive):
         self._max_bytes = bytes_before_dropping(recording)
         if world is not None:
             with self._models.transaction():
-                self._models.create(world, recording, tags)
+                self._models.create(world, recording, tags, camera)
                 for table in self.tables:
                     for slot in range(self._slots):
                         self._create_slot(table, slot)

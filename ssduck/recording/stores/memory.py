@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.recording.background_writer import NO_LOCK, BufferedRows, CommitLock
-from ssduck.recording.buffers import buffer_schema
+from ssduck.recording.buffers import RowBuffer, buffer_schema
 from ssduck.recording.spec import RETENTION_PARTS, Recording, bytes_before_dropping
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import (
@@ -69,6 +69,8 @@ class MemoryStore(TickStore, TickArchive):
         # The first tick of each part, its first and its last time.
         self._parts: list[tuple[int, float, float]] = []
         self._max_bytes = bytes_before_dropping(recording)
+        # The parts of another store that it shares.
+        self._shared: list[tuple[int, float, float]] = []
 
     @property
     def nbytes(self) -> int:
@@ -83,7 +85,7 @@ class MemoryStore(TickStore, TickArchive):
 
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
         """Stores the models of entities, before any row of theirs."""
-        self._models.add_members(members, id_provider)
+        self._models.add_members(members, id_provider, with_visuals=False)
 
     def add(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
         """Keeps the rows of whole ticks, under the lock."""
@@ -135,6 +137,25 @@ class MemoryStore(TickStore, TickArchive):
                 del stored.parts[0]
                 stored.version = new_version()
         return self._parts[0][0]
+
+    def share(self, original: MemoryStore, buffers: Mapping[str, RowBuffer]) -> None:
+        """Takes over the rows of another store; only those that wait in its buffers are copied.
+
+        Args:
+            original: the other store, which may get further rows afterwards.
+            buffers: the buffers of its recorder; nothing is written to them during the call.
+        """
+        if self._shared != original._parts:
+            self._shared = list(original._parts)
+            self._parts = list(original._parts)
+            for table, stored in self._stored.items():
+                stored.parts = list(original._stored[table].parts)
+                stored.version = new_version()
+        parts = self._stored["ticks"].parts
+        last = int(parts[-1]["tick"][-1].as_py()) if parts else 0
+        added = {table: buffers[table].rows_after(last) for table in self._stored}
+        if added["ticks"].num_rows:
+            self._add(added)
 
     # -- reading ----------------------------------------------------------------------------
 

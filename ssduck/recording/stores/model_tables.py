@@ -13,6 +13,7 @@ import pyarrow as pa
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.episode import new_id
 from ssduck.recording.model_checks import check_models
+from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.spec import Recording, description_of
 from ssduck.recording.static_tables import IdProvider, default_values, model_rows
 from ssduck.recording.stores.base import StoreConnection
@@ -21,6 +22,7 @@ from ssduck.recording.stores.record_file import RecordFile
 from ssduck.recording.stores.stored_columns import types_of
 from ssduck.recording.tags import Tags
 from ssduck.schema import MODELS
+from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
 # The version of the format, and the table that has it.
@@ -50,8 +52,21 @@ class ModelTables:
         # A SELECT of all columns of each model of an older record.
         self._completed: dict[str, str] = {}
 
-    def create(self, world: str, recording: Recording, tags: Tags | None = None) -> None:
-        """Creates the schema, a table that describes the record, and empty models."""
+    def create(
+        self,
+        world: str,
+        recording: Recording,
+        tags: Tags | None = None,
+        camera: Camera | None = None,
+    ) -> None:
+        """Creates the schema, a table that describes the record, and empty models.
+
+        Args:
+            world: the name of the world.
+            recording: what is recorded.
+            tags: what the user says of the run.
+            camera: the camera of the world; None if it is not stored.
+        """
         about = {
             "version": VERSION,
             "world": world,
@@ -61,6 +76,8 @@ class ModelTables:
             "tags": dict(tags or {}),
             "complete": False,
         }
+        if camera is not None:
+            about["camera"] = camera_text(camera)
         self._about = about
         self.connection.run(f"CREATE SCHEMA {quoted(self.schema)}")
         self.connection.insert_new(self.place(ABOUT), pa.table({"about": [json.dumps(about)]}))
@@ -103,9 +120,15 @@ class ModelTables:
                 if added.num_rows:
                     self.connection.insert(place, added)
 
-    def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
+    def add_members(
+        self,
+        members: Collection[EntityInfo],
+        id_provider: IdProvider,
+        *,
+        with_visuals: bool = True,
+    ) -> None:
         """Stores the models of entities (`ssduck.recording.stores.base.TickStore`)."""
-        models = model_rows(members, id_provider, self._geometries)
+        models = model_rows(members, id_provider, self._geometries, with_visuals=with_visuals)
         self.insert({self._model_place(table): rows for table, rows in models.items()})
         self._geometries |= set(models["geometries"]["id"].to_pylist())
 

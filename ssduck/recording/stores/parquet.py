@@ -22,6 +22,7 @@ from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
 from ssduck.recording.episode import Episode, new_id
 from ssduck.recording.paths import expand_path
+from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, model_rows
@@ -51,6 +52,8 @@ from ssduck.recording.stores.part_log import PartLog
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import MODELS, recorded_tables
+from ssduck.simulators.interface import Body
+from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
 if TYPE_CHECKING:
@@ -73,6 +76,7 @@ class ParquetStore(TickStore):
         recording: what is recorded of each tick.
         is_export: whether the episode exists only when it is finished.
         tags: what the user says of the run.
+        camera: the camera of the world; None if it is not stored.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
@@ -87,11 +91,14 @@ class ParquetStore(TickStore):
         *,
         is_export: bool = False,
         tags: Tags | None = None,
+        camera: Camera | None = None,
     ) -> None:
         self.path = expand_path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
         about = _description(world, self.tables, recording, tags or {}, is_export=is_export)
+        if camera is not None:
+            about["camera"] = camera_text(camera)
         self.run = _begin_episode(self.path, world, about)
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
@@ -256,6 +263,10 @@ class _NoIds:
         """Fails: there are no geometries."""
         raise AssertionError(geometry)
 
+    def visuals(self, body: Body) -> None:
+        """Fails: there are no bodies."""
+        raise AssertionError(body)
+
 
 class ParquetRecording:
     """A recording of a world to a folder, until it is closed.
@@ -295,7 +306,9 @@ class ParquetRecording:
     def _start(self) -> None:
         """Starts a new episode."""
         recording, world = self._recording, self.world
-        self._folder = ParquetStore(self._path, self._name, recording, tags=self._tags)
+        self._folder = ParquetStore(
+            self._path, self._name, recording, tags=self._tags, camera=world.camera
+        )
         self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
         self._recorders.append(self._recorder)
         try:

@@ -264,7 +264,7 @@ def exact_path(place: Path) -> str:
 
 
 def pattern_of(path: str) -> str:
-    """Returns the same for an absolute path of this machine without links."""
+    """Returns the same for an absolute path without links."""
     if not _PATTERN.search(path):
         return path
     if "\\" in path and os.sep != "\\":

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count, islice
@@ -141,6 +141,11 @@ class FolderRun:
             RecordError: the file that describes the episode is damaged.
         """
         return tuple(self._about["tables"])
+
+    @property
+    def description(self) -> Mapping[str, Any]:
+        """The description of the episode, which was checked."""
+        return self._about
 
     @property
     def recording(self) -> dict[str, Any]:

@@ -10,13 +10,15 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
-from ssduck.simulators.interface import Body, Kind, Simulator
-from ssduck.simulators.mujoco.bodies import body_names, roots_of
+from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
+from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
+from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.mujoco.sources import source_of
+from ssduck.simulators.recognition import MUJOCO
+from ssduck.simulators.scene_bodies import BodySpec
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.visuals import VisualShape, collision_visuals
 
 __all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 
@@ -24,22 +26,53 @@ __all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 def load(scene: Scene) -> MuJoCoSimulator:
     """Starts a simulation of an MJCF or URDF file.
 
+    It begins with the key `ssduck`, if the file has one, as those that `World.save` writes.
+
     Raises:
         SceneError: MuJoCo cannot load the file.
-        UnsupportedError: the scene is not one model file by itself.
+        UnsupportedError: the scene is more than a model file and sensors.
     """
-    if scene.model_file is None:
-        raise UnsupportedError(
-            f"{scene.path}: MuJoCo loads model files by themselves, not scene files: describe the "
-            "scene in MJCF, or load it with PyBullet"
-        )
+    file = _model_file(scene)
     try:
-        compiled = mujoco.MjModel.from_xml_path(str(scene.model_file))
+        # The specification is the source of the model, which is kept to save it.
+        spec = mujoco.MjSpec.from_file(str(file))
+        compiled = spec.compile()
     except ValueError as error:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
     data = mujoco.MjData(compiled)
+    state = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_KEY, STATE_KEY)
+    if state >= 0:
+        mujoco.mj_resetDataKeyframe(compiled, data, state)
     mujoco.mj_forward(compiled, data)
-    return MuJoCoSimulator(lambda: (compiled, data), owned=True)
+    kinds = kinds_in(compiled)
+    return MuJoCoSimulator(lambda: (compiled, data), owned=True, kinds=kinds, spec=spec)
+
+
+def _model_file(scene: Scene) -> Path:
+    """Returns the model file of a scene.
+
+    Raises:
+        UnsupportedError: the scene says more than a model file and sensors.
+    """
+    if scene.model_file is not None:
+        return scene.model_file
+    model = scene.bodies[0].model if len(scene.bodies) == 1 else None
+    plain = Scene(
+        name=scene.name,
+        path=scene.path,
+        description=scene.description,
+        camera=scene.camera,
+        sensors=scene.sensors,
+        simulator=scene.simulator,
+        bodies=(BodySpec(None, None, model),) if isinstance(model, Path) else (),
+    )
+    if not isinstance(model, Path) or scene != plain:
+        raise UnsupportedError(
+            f"{scene.path}: MuJoCo loads model files by themselves, or with sensors and a camera: "
+            "describe everything else in MJCF, or load the scene with PyBullet; "
+            "World.save(folder, 'mujoco') writes a scene of PyBullet as MJCF"
+        )
+    return model
 
 
 def attach(
@@ -119,21 +152,39 @@ def excerpt(
 
 
 def scene_of(
-    simulator: Simulator,  # noqa: ARG001
-    originals: Sequence[BodyToCopy],  # noqa: ARG001
-    tick: TickToCopy,  # noqa: ARG001
-    folder: Path,  # noqa: ARG001
+    simulator: Simulator,
+    originals: Sequence[BodyToCopy],
+    tick: TickToCopy,  # noqa: ARG001  # the copy is at the tick
+    folder: Path,
+    target: str,
 ) -> Scene:
-    """Raises `UnsupportedError`: a scene has no place for a MuJoCo model."""
-    raise UnsupportedError(
-        "a MuJoCo world cannot be saved as a scene: mujoco.mj_saveLastXML(path, model) saves the "
-        "model that was loaded last, mujoco.mj_saveModel any; Interpreter.record_to keeps the ticks"
-    )
+    """Describes a simulation as a scene of an MJCF file, without its sensors.
+
+    Raises:
+        UnsupportedError: the scene is for PyBullet, or the source of the model is not known.
+    """
+    from ssduck.simulators.mujoco import saving  # few sessions need it
+
+    assert isinstance(simulator, MuJoCoSimulator)
+    if target != MUJOCO:
+        raise UnsupportedError(
+            "a MuJoCo world is saved as MJCF, of which PyBullet reads little: name no simulator"
+        )
+    model, data = simulator.model, simulator.data
+    names = body_names(model)
+    told = {
+        names[one.body.handle]: one.body.kind
+        for one in originals
+        if one.body.kind != kind_by_joints(one.body.joints)
+    }
+    saving.write_model(model, data, simulator.spec, told, folder / MODEL_FILE)
+    return mjcf_scene(folder)
 
 
-def visual_shapes(
-    simulator: Simulator,  # noqa: ARG001
-    body: Body,
-) -> list[VisualShape]:
-    """Returns the collision shapes of a body; see `Backend.visual_shapes`."""
-    return collision_visuals(body)
+def visual_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
+    """Returns what MuJoCo draws of a body; see `Backend.visual_shapes`."""
+    from ssduck.simulators.mujoco import visual_geoms  # few sessions need it
+
+    if not isinstance(simulator, MuJoCoSimulator):
+        raise UnsupportedError("this is no simulation of MuJoCo")
+    return visual_geoms.visual_shapes(simulator.model, body)

@@ -8,7 +8,7 @@ body that it is on. Names are MuJoCo's.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, Joint, Kind, Link
+from ssduck.simulators.mjcf import KIND_PREFIX
 from ssduck.simulators.mujoco.height_fields import height_field
 from ssduck.simulators.mujoco.library import mujoco
 
@@ -121,9 +122,7 @@ class ModelReader:
     def _body(self, root: int, links: range) -> Body:
         model = self._model
         joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
-        is_jointed = any(joint.type != "free" for joint in joints)
-        name = self._link_names[root]
-        kind: Kind = "robot" if is_jointed else "kinbody"
+        name, kind = self._link_names[root], kind_by_joints(joints)
         return Body(
             handle=root,
             name=self._names.get(name, self._names.get(root, name)),
@@ -184,6 +183,23 @@ class ModelReader:
         return PlacedGeometry(
             link, geometry, position, orientation, float(model.geom_margin[number]), is_exact
         )
+
+
+def kind_by_joints(joints: Iterable[Joint]) -> Kind:
+    """Returns the kind of a body with some joints, unless something else tells it."""
+    return "robot" if any(joint.type != "free" for joint in joints) else "kinbody"
+
+
+def kinds_in(model: Any) -> dict[int | str, Kind]:
+    """Returns the kinds of entities that texts of a model tell, by the names of the roots."""
+    kinds: dict[int | str, Kind] = {}
+    for number in range(model.ntext):
+        name = name_of(model, _OBJECT.mjOBJ_TEXT, number, "text")
+        start, size = int(model.text_adr[number]), int(model.text_size[number])
+        text = bytes(model.text_data[start : start + size]).rstrip(b"\0")
+        if name.startswith(KIND_PREFIX) and text in (b"robot", b"kinbody"):
+            kinds[name.removeprefix(KIND_PREFIX)] = "robot" if text == b"robot" else "kinbody"
+    return kinds
 
 
 def link_masses(model: Any) -> Array:
@@ -269,6 +285,8 @@ def _primitive(type: int, size: Sequence[float]) -> Geometry | None:
         return Geometry.primitive("capsule", (a, 2 * b, 0))
     if type == _GEOM.mjGEOM_CYLINDER:
         return Geometry.primitive("cylinder", (a, 2 * b, 0))
+    if type == _GEOM.mjGEOM_ELLIPSOID:
+        return Geometry.primitive("ellipsoid", (a, b, c))
     return None
 
 

@@ -45,7 +45,8 @@ def excerpt(
     model = copy.copy(source.model)
     data = copied_data(source.model, source.data, mujoco.MjData(model))
     chosen = {one.body.handle for one in originals}
-    _remove(model, data, chosen)
+    # Where everything is copied, so is what the world body shows.
+    _remove(model, data, {0, *chosen} if source.has_only(chosen) else chosen)
     if not _is_present(source, originals, tick):
         _restore(model, data, originals, tick)
     return MuJoCoSimulator(
@@ -54,6 +55,7 @@ def excerpt(
         names={one.body.handle: one.name for one in originals},
         kinds={one.body.handle: one.body.kind for one in originals},
         only=chosen,
+        spec=source.spec,
     )
 
 

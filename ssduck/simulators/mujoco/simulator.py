@@ -82,8 +82,10 @@ class MuJoCoSimulator(PartialSimulator):
         only: the numbers of the root bodies of the entities to describe; None for all.
         forward: whether each tick has the poses, velocities and contacts that follow from the
             joint positions of its time. MuJoCo's own are those at the beginning of the last step.
+        spec: the `mujoco.MjSpec` that the model was compiled from; None if it is not known.
 
     Attributes:
+        spec: see above.
         model: the model at the last tick.
         data: the data at the last tick.
         episode: is incremented when the time has fallen or the model is another one.
@@ -103,11 +105,13 @@ class MuJoCoSimulator(PartialSimulator):
         kinds: Mapping[int | str, Kind] | None = None,
         only: Collection[int] | None = None,
         forward: bool = False,
+        spec: Any = None,
     ) -> None:
         self.is_external = not owned
         self._source = source
         self._names, self._kinds, self._only = names, kinds, only
         self._forward = forward
+        self.spec = spec
         self.model, self.data = source()
         # A copy of the data in which the derived quantities are computed; None until needed.
         self._copy: Any = None
@@ -154,6 +158,10 @@ class MuJoCoSimulator(PartialSimulator):
         """Checks whether the present model has a body."""
         return any(one is body for one in self._bodies)
 
+    def has_only(self, handles: Collection[int]) -> bool:
+        """Checks whether the present model has no other bodies than some."""
+        return self._only is None and all(body.handle in handles for body in self._bodies)
+
     def _refresh(self) -> None:
         """Finds the present model and data, and the derived quantities of the tick."""
         if self._is_closed:
@@ -184,7 +192,7 @@ class MuJoCoSimulator(PartialSimulator):
             self._warned.update(names)
             warn(
                 f"{joined_names(names)}: bounding boxes are used instead of shapes that ssduck "
-                "does not know (ellipsoids and signed distance fields are such), which have "
+                "does not know (signed distance fields are such), which have "
                 "exact = false in the table of shapes"
             )
 

@@ -10,14 +10,15 @@ from ssduck import validation
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError
 from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
-from ssduck.simulators.interface import Body, Kind, Simulator
+from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
+from ssduck.simulators.mjcf import MODEL_FILE, mjcf_scene
 from ssduck.simulators.pybullet.clients import handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import load_models
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.user_shapes import user_shapes
+from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
-from ssduck.simulators.visuals import VisualShape
 
 __all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 
@@ -86,12 +87,19 @@ def excerpt(
 
 
 def scene_of(
-    simulator: Simulator, originals: Sequence[BodyToCopy], tick: TickToCopy, folder: Path
+    simulator: Simulator,
+    originals: Sequence[BodyToCopy],
+    tick: TickToCopy,
+    folder: Path,
+    target: str,
 ) -> Scene:
     """Describes a simulation as a scene, without its sensors; writes its models into a folder."""
-    from ssduck.simulators.pybullet import scene_writer
+    from ssduck.simulators.pybullet import mjcf_writer, scene_writer
 
     assert isinstance(simulator, PyBulletSimulator)
+    if target == MUJOCO:
+        mjcf_writer.write_mjcf(simulator, originals, tick, folder / MODEL_FILE)
+        return mjcf_scene(folder)
     return scene_writer.scene_of(simulator, originals, tick, folder)
 
 

@@ -248,6 +248,10 @@ class _Copier:
                 self._note_difference(
                     "not all shapes are given back; it collides as its box", original
                 )
+        if any(shape.geometry.type == "ellipsoid" for shape in original.body.shapes):
+            self._note_difference(
+                "PyBullet has no ellipsoids; hulls of 1,000 corners stand for them", original
+            )
         path = write_model(model, folder, f"body_{number}")
         spec = BodySpec(None, None, path, own_inertia=description is not None)
         # PyBullet caches meshes by file name, for ever; another copy may have used that name.

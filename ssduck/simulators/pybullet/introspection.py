@@ -15,14 +15,14 @@ from ssduck.geometry.arrays import Array
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.mesh_files import load_mesh
 from ssduck.geometry.shapes import Geometry
-from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
 from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, position_nearest_zero
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
 from ssduck.simulators.scenes import ConstraintSpec
-from ssduck.simulators.visuals import VisualShape, collision_visuals
+from ssduck.simulators.visuals import collision_visuals
 
 # The body and the link at an end of a constraint, by PyBullet's numbers; -1, -1 is the world.
 ConstraintEnd: TypeAlias = tuple[int, int]

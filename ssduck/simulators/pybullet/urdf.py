@@ -19,6 +19,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.poses import compose, invert, rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
+from ssduck.geometry.solids import solid_of
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.kinematics import moved_link_poses
 
@@ -180,6 +181,9 @@ def _add_geometry(
             ET.SubElement(geometry, "plane", normal=f"{a} {b} {c}")
         case "hull" | "mesh":
             ET.SubElement(geometry, "mesh", filename=meshes.write(shape.geometry))
+        case "ellipsoid":  # PyBullet has none
+            stand_in = Geometry.hull(solid_of(shape.geometry).points)
+            ET.SubElement(geometry, "mesh", filename=meshes.write(stand_in))
     return part
 
 

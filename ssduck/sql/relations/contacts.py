@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import cycle
 
+from ssduck.simulators.contact_pairs import OPPOSING, ContactPairs
 from ssduck.sql.relations.common import A_B, link_of, recorded_numbers
 from ssduck.sql.relations.relation import Parameter, Relation
 
@@ -16,8 +17,6 @@ _PAIRS = (
     f"[{_LINK_A}, contacts.b], [contacts.a, {_LINK_B}], [{_LINK_A}, {_LINK_B}]] END)) AS pair, "
     "contacts.force AS force, contacts.nx AS nx, contacts.ny AS ny, contacts.nz AS nz FROM contacts"
 )
-# The cosine of the least angle between the normals of two contacts that oppose each other: 120°.
-OPPOSING = -0.5
 
 
 def _opposing(pairs: str) -> str:
@@ -53,6 +52,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         f"AND COALESCE(list_max({recorded_numbers('pressing', 'a', 'b')}) > 0, FALSE)",
         link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] FROM ({_PAIRS}) AS pairs "  # noqa: S608
         "WHERE pairs.force > 0)",
+        of_contacts=ContactPairs.is_pressing,
     ),
     Relation(
         "contactForce",
@@ -73,6 +73,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "SELECT map(list((pair[1], pair[2])), list(total)) FROM (SELECT pairs.pair AS pair, "
         f"sum(pairs.force) AS total FROM ({_PAIRS}) AS pairs GROUP BY ALL) AS summed), {_PAIR}), "
         "0.0::DOUBLE) END",
+        of_contacts=ContactPairs.force,
     ),
     Relation(
         "grasped",
@@ -89,6 +90,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         recorded_formula="a.id <> b.id "
         f"AND COALESCE(list_min({recorded_numbers('opposition', 'a', 'b')}) <= {OPPOSING}, FALSE)",
         link_formula=_opposing(_PAIRS),
+        of_contacts=ContactPairs.is_opposed,
     ),
 )
 

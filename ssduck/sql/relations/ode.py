@@ -156,6 +156,7 @@ ODE_RELATIONS: tuple[Relation, ...] = (
             ("isSphere", "= 'sphere'", "spheres"),
             ("isCylinder", "= 'cylinder'", "cylinders"),
             ("isCapsule", "= 'capsule'", "capsules"),
+            ("isEllipsoid", "= 'ellipsoid'", "ellipsoids"),
             ("isPlane", "= 'plane'", "planes"),
             ("isTriMesh", "IN ('hull', 'mesh')", "meshes or hulls"),
         )

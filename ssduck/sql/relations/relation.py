@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Literal, TypeAlias
@@ -11,6 +11,7 @@ import sqlglot
 from sqlglot import exp
 
 from ssduck.schema import BOX, LINK_FACTOR, MARGINS, MASSES
+from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.sql.relations.geometry_query import CandidatePairs, GeometryQuery
 
 # What an expression yields. `place` is an entity or a point [x, y, z]; `number` is real or
@@ -79,6 +80,7 @@ class Relation:
         alias_of: the first name, if this is another one.
         python_table: the table that its Python function reads, if that is not of shapes.
         may_fail: whether there are entities for which it is an error.
+        of_contacts: the function of contacts that returns the same for two entities of a tick.
     """
 
     name: str
@@ -103,6 +105,7 @@ class Relation:
     alias_of: str = ""
     python_table: str = ""
     may_fail: bool = False
+    of_contacts: Callable[[ContactPairs, int, int], bool | float] | None = None
 
     @property
     def usage(self) -> str:

@@ -260,6 +260,8 @@ def held(one, points, *, whole=False):
             return (np.hypot(x, y) <= a) & (beyond == 0)
         case "capsule":
             return np.hypot(np.hypot(x, y), beyond) <= a
+        case "ellipsoid":
+            return np.linalg.norm(local / one.geometry.size, axis=1) <= 1
         case "plane":
             return local @ one.geometry.size <= 0
     if one.kind == "mesh" and not whole:

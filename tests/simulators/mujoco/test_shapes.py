@@ -1,7 +1,10 @@
 """The shapes of MuJoCo's geoms, compared with its rays and contacts."""
 
+import warnings
+
 import numpy as np
 import pytest
+import trimesh
 
 import ssduck
 
@@ -100,14 +103,153 @@ def test_the_clearance_of_a_height_field_is_that_of_contacts(hills):
     assert compared > 10
 
 
-def test_ellipsoids_have_boxes_instead(recwarn):
+EGGS = """<mujoco><worldbody>
+<geom name="floor" type="plane" size="0 0 1"/>
+{bodies}
+<body name="nest" pos="0.1 0.2 0.3"><site name="inside" type="ellipsoid" size=".3 .2 .1"/>
+  <geom type="box" size=".4 .4 .01" pos="0 0 -.2"/></body></worldbody></mujoco>"""
+SIZES = {"ellipsoid": 3, "box": 3, "sphere": 1, "capsule": 2, "cylinder": 2}
+
+
+@pytest.fixture(scope="module")
+def eggs():
+    """Ellipsoids among other shapes, which overlap in places."""
+    rng = np.random.default_rng(4)
+
+    def numbers(values):
+        return " ".join(repr(float(value)) for value in values)
+
+    bodies = "".join(
+        f'<body name="{kind}_{n}" pos="{numbers(rng.uniform((-0.5, -0.5, 0.3), (0.5, 0.5, 1.0)))}" '
+        f'quat="{numbers(rng.normal(size=4))}"><freejoint/>'
+        f'<geom type="{kind}" size="{numbers(rng.uniform(0.05, 0.3, SIZES[kind]))}"/></body>'
+        for n, kind in enumerate(["ellipsoid"] * 5 + list(SIZES))
+    )
+    model = mujoco.MjModel.from_xml_string(EGGS.format(bodies=bodies))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("w", ssduck.World.attach(model, data, names={0: "floor"}))
+        yield ss, model, data
+
+
+def test_ellipsoids_are_ellipsoids(eggs):
+    ss, model, _ = eggs
+    found = ss.eval("SELECT id, solidVolume(this) AS volume FROM w WHERE isEllipsoid(this);")
+    assert len(found) == 6
+    for row in found:
+        size = model.geom(model.body(row["id"]).geomadr[0]).size
+        assert row["volume"] == pytest.approx(4 / 3 * np.pi * size.prod())
+    assert not ss.sql("SELECT * FROM w.shapes WHERE NOT exact").fetchall()
+
+
+def test_boxes_of_ellipsoids_are_exact(eggs):
+    """The greatest coordinate along an axis, by many points of the surface."""
+    ss, model, data = eggs
+    rng = np.random.default_rng(0)
+    ball = rng.normal(size=(50_000, 3))
+    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    for name in ss.eval("SELECT id FROM w WHERE isEllipsoid(this) AS list;"):
+        body = data.body(name)
+        size = model.geom(model.body(name).geomadr[0]).size
+        points = ball * size @ body.xmat.reshape(3, 3).T + body.xpos
+        box = np.array(ss["w"][name].aabb)
+        for found, of_points, sign in (
+            (box[0], points.min(axis=0), -1),
+            (box[1], points.max(axis=0), 1),
+        ):
+            room = sign * (found - of_points)
+            assert (room >= 0).all()
+            assert (room < 3e-4).all()
+
+
+def test_the_clearance_of_ellipsoids_is_the_distance_that_mujoco_computes(eggs):
+    """Of separate shapes, to MuJoCo's tolerance; of overlapping ones MuJoCo's depth is greater."""
+    ss, model, data = eggs
+    rows = ss.eval(
+        "SELECT id(a) AS a, id(b) AS b, clearance(a, b) AS c, penetration(a, b) AS p "
+        "FROM a=w, b=w WHERE isEllipsoid(a) AND id(a) != id(b) AND id(b) != 'nest' AND NOT isPlane(b);"
+    )
+    apart = 0
+    for row in rows:
+        geoms = [int(model.body_geomadr[model.body(row[side]).id]) for side in "ab"]
+        expected = mujoco.mj_geomDistance(model, data, *geoms, 10.0, None)
+        if expected > 1e-3:
+            apart += 1
+            assert row["c"] == pytest.approx(expected, abs=5e-5), row
+        elif expected < -1e-3:
+            assert 0.0 < row["p"] <= -expected + 1e-4, row
+    assert apart > 20
+    assert len(rows) - apart > 3
+
+
+def test_an_ellipsoid_is_a_region(eggs):
+    """A site's region: points inside and outside, on each axis."""
+    ss, _, _ = eggs
+    assert ss.sql("SELECT region, region_x, region_z FROM w.sites").fetchall() == [
+        ("ellipsoid", pytest.approx(0.3), pytest.approx(0.1))
+    ]
+    box = ss.eval("aabb(w.nest.inside);")
+    assert np.subtract(box[1::2], box[::2]) == pytest.approx([0.6, 0.4, 0.2])
+
+
+def test_points_of_an_ellipsoid_are_spread_evenly_on_it(eggs):
+    """As many on each side of a plane as the triangles of a fine mesh have area there."""
+    ss, model, data = eggs
+    body, geom = data.body("ellipsoid_0"), model.geom(model.body("ellipsoid_0").geomadr[0])
+    cloud = ss.eval("SELECT obj(this) FROM w WHERE id = 'ellipsoid_0' AS points(0.005);")
+    points = (cloud.points - body.xpos) @ body.xmat.reshape(3, 3) / geom.size
+    assert np.abs(np.linalg.norm(points, axis=1) - 1).max() < 1e-12
+    normals = cloud.normals @ body.xmat.reshape(3, 3)
+    gradients = points / geom.size
+    gradients /= np.linalg.norm(gradients, axis=1)[:, None]
+    assert np.abs(normals - gradients).max() < 1e-12
+    mesh = trimesh.creation.icosphere(subdivisions=5)
+    mesh.apply_scale(geom.size)
+    assert len(points) * 0.005**2 == pytest.approx(mesh.area, rel=0.01)
+    ends = np.abs(mesh.triangles_center / geom.size) > 0.7
+    for axis in range(3):
+        share = mesh.area_faces[ends[:, axis]].sum() / mesh.area
+        found = (np.abs(points[:, axis]) > 0.7).mean()
+        assert found == pytest.approx(share, abs=4 / np.sqrt(len(points)))
+
+
+def test_signed_distance_fields_have_boxes_instead():
+    """They need a plugin: a box that is called one is such a geom to ssduck."""
     model = mujoco.MjModel.from_xml_string(
-        '<mujoco><worldbody><body name="egg" pos="0 0 1"><geom type="ellipsoid" size=".1 .2 .3"/>'
+        '<mujoco><worldbody><body name="egg" pos="0 0 1"><geom type="box" size=".1 .2 .3"/>'
         "</body></worldbody></mujoco>"
     )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    model.geom_type[0] = int(mujoco.mjtGeom.mjGEOM_SDF)
     with pytest.warns(UserWarning, match="egg: bounding boxes are used instead"):
-        world = ssduck.World.attach(model, mujoco.MjData(model))
+        world = ssduck.World.attach(model, data)
     low, high = world["egg"].aabb
     assert np.subtract(high, low) == pytest.approx([0.2, 0.4, 0.6])
     world.request_tables(["shapes"])
     assert world.snapshot.tables["shapes"].arrow["exact"].to_pylist() == [False]
+
+
+def test_a_recorded_ellipsoid_stays_one_and_pybullet_copies_a_hull(tmp_path):
+    pytest.importorskip("pybullet")
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/><body name="egg" '
+        'pos="0 0 1"><freejoint/><geom type="ellipsoid" size=".1 .2 .3"/></body></worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("w", ssduck.World.attach(model, data))
+        ss.record_to(tmp_path / "record")
+        ss["w"].step(5)
+        box = np.array(ss["w"]["egg"].aabb)
+    with ssduck.open(tmp_path / "record") as record:
+        assert record.eval("SELECT id FROM w WHERE isEllipsoid(this) AS list;") == ["egg"]
+        assert np.array_equal(record["w"]["egg"].aabb, box)
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            copy = record.eval("SELECT obj(this) FROM w AS environment;")
+        assert any("egg: PyBullet has no ellipsoids" in str(one.message) for one in warned)
+        assert np.array(copy["egg"].aabb) == pytest.approx(box, abs=1e-3)
+        copy.close()

@@ -1,0 +1,263 @@
+"""Estimates how large the plan of a statement, and the values of its columns, may become.
+
+DuckDB puts what a name stands for in the place of the name: of an alias in the same SELECT, of a
+column of a nested query, of `*`. If each level names the one before twice, forty lines describe a
+plan, a type or a text of terabytes. Neither planning nor a step of a plan can be interrupted, so
+the check comes first. It takes every name for the largest column of that name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+from ssduck.errors import LimitError
+
+Node: TypeAlias = Mapping[str, Any]
+
+# The largest size of the columns of a query, in parts of expressions, and of tables in its plan.
+MAX_SIZE, MAX_TABLES = 200_000, 1_000
+# The number of columns of a table; none has more. The number of letters that count as a part.
+_COLUMNS, _LETTERS = 40, 100
+# Functions whose text is so many times as long as that of their argument.
+_FACTORS = {"bin": 8, "to_binary": 8} | dict.fromkeys(
+    ("hex", "to_hex", "base64", "to_base64", "regexp_escape", "encode", "strftime"), 2
+)
+_JSON_FACTOR, _CAST_FACTOR = 2, 2
+# Types whose values do not grow with those that they are made of.
+_FIXED_TYPES = frozenset(
+    ("bigint", "boolean", "date", "decimal", "double", "float", "hugeint", "integer", "interval")
+).union(("smallint", "time", "timestamp", "tinyint", "uuid"))
+
+
+def check_statement_size(tree: Node) -> None:
+    """Checks that the plan and the values of a statement cannot become far larger than its text.
+
+    Args:
+        tree: DuckDB's tree of the statement.
+
+    Raises:
+        LimitError: they can.
+    """
+    try:
+        _columns(tree, {}, {})
+    except RecursionError:
+        raise LimitError("the SQL is nested too deeply to be checked") from None
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """The columns of a query or of the tables behind FROM.
+
+    Attributes:
+        sizes: the size of each by name, in small letters, as far as it is more than 1.
+        total: the size of all together.
+        tables: the number of tables in the plan.
+        is_inlined: whether each mention of the query repeats its plan.
+    """
+
+    sizes: dict[str, int] = field(default_factory=dict)
+    total: int = 1
+    tables: int = 1
+    is_inlined: bool = False
+
+
+_Queries: TypeAlias = Mapping[str, _Columns]
+
+
+def _checked(columns: _Columns) -> _Columns:
+    if columns.total > MAX_SIZE or columns.tables > MAX_TABLES:
+        raise LimitError(
+            "names in the SQL stand for others so often that its plan or its values would be too "
+            "large (Limits: select_only)"
+        )
+    return columns
+
+
+def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns:
+    """Returns the columns of a query.
+
+    Args:
+        node: the query.
+        queries: the queries of WITH that it may name.
+        outer: the sizes of the columns around it.
+    """
+    queries = dict(queries)
+    for item in node["cte_map"]["map"] if node.get("cte_map") else ():
+        inner = _columns(item["value"]["query_node"], queries, outer)
+        is_inlined = item["value"].get("materialized") == "CTE_MATERIALIZE_NEVER"
+        inner = _Columns(inner.sizes, inner.total, inner.tables, is_inlined)
+        queries[item["key"].lower()] = _renamed(inner, item["value"].get("aliases") or ())
+    match node["type"]:
+        case "SELECT_NODE":
+            return _selected(node, queries, outer)
+        case "SET_OPERATION_NODE":
+            parts = [_columns(child, queries, outer) for child in node["children"]]
+        case "RECURSIVE_CTE_NODE":
+            first = _columns(node["left"], queries, outer)
+            name = node["cte_name"].lower()
+            parts = [first, _columns(node["right"], {**queries, name: first}, outer)]
+        case _:
+            parts = [_columns(part, queries, outer) for part in _queries_in(node)]
+    largest = max((part.total for part in parts), default=1)
+    names = parts[0].sizes if parts else {}
+    tables = sum(part.tables for part in parts)
+    return _checked(_Columns(dict.fromkeys(names, largest), largest, tables))
+
+
+def _queries_in(node: Node) -> list[Node]:
+    """Returns the queries that are parts of one of another kind."""
+    parts = [part for part in node.values() if isinstance(part, dict)]
+    return [part for part in parts if str(part.get("type")).endswith("_NODE")]
+
+
+def _selected(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns:
+    """Returns the columns of a SELECT."""
+    source = _source(node["from_table"], queries, outer)
+    names = {**outer, **source.sizes}
+    walk = _Expressions(names, source.total, queries)
+    sizes: dict[str, int] = {}
+    total = 0
+    for item in node["select_list"]:
+        size = walk.size(item)
+        total += size
+        _checked(_Columns(total=total))
+        if item.get("class") == "STAR":
+            sizes |= source.sizes
+        name = (item.get("alias") or _last_name(item)).lower()
+        if size > 1 and name:
+            sizes[name] = max(size, sizes.get(name, 1))
+            names.setdefault(name, size)
+    rest = [
+        part for key, part in node.items() if key not in ("select_list", "from_table", "cte_map")
+    ]
+    _checked(_Columns(total=walk.size(rest)))
+    return _checked(_Columns(sizes, max(total, 1), source.tables + walk.tables))
+
+
+def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns:
+    """Returns the columns of the tables behind FROM."""
+    kind = node["type"]
+    if kind == "BASE_TABLE":
+        name = node["table_name"].lower()
+        columns = _Columns(total=_COLUMNS)
+        if not node.get("schema_name") and name in queries:
+            query = queries[name]
+            columns = _Columns(query.sizes, query.total, query.tables if query.is_inlined else 1)
+        alias = node.get("alias") or name
+    elif kind == "SUBQUERY":
+        columns = _columns(node["subquery"]["node"], queries, outer)
+        alias = node.get("alias") or ""
+    elif kind == "JOIN":
+        left = _source(node["left"], queries, outer)
+        right = _source(node["right"], queries, {**outer, **left.sizes})
+        sizes = {**left.sizes}
+        for name, size in right.sizes.items():
+            sizes[name] = max(size, sizes.get(name, 1))
+        columns = _Columns(sizes, left.total + right.total, left.tables + right.tables)
+        condition = _Expressions({**outer, **sizes}, columns.total, queries)
+        condition.size([part for key, part in node.items() if key not in ("left", "right")])
+        return _checked(columns)
+    else:
+        walk = _Expressions(outer, 1, queries)
+        inner = node.get("source")
+        columns = _source(inner, queries, outer) if isinstance(inner, dict) else _Columns()
+        size = walk.size([part for key, part in node.items() if key != "source"])
+        columns = _Columns(columns.sizes, columns.total + size, columns.tables + walk.tables)
+        alias = node.get("alias") or ""
+    columns = _renamed(columns, node.get("column_name_alias") or ())
+    # The name of a table stands for all of its columns.
+    return _checked(
+        _Columns({alias.lower(): columns.total, **columns.sizes}, columns.total, columns.tables)
+    )
+
+
+def _renamed(columns: _Columns, names: Iterable[str]) -> _Columns:
+    """Returns the columns of a table that has a list of their names."""
+    sizes = columns.sizes | dict.fromkeys((name.lower() for name in names), columns.total)
+    return _Columns(sizes, columns.total, columns.tables, columns.is_inlined)
+
+
+def _last_name(item: Node) -> str:
+    names: Sequence[str] = item.get("column_names") or ("",)
+    return names[-1]
+
+
+class _Expressions:
+    """Measures expressions.
+
+    Args:
+        names: the sizes of columns by name, as far as they are more than 1.
+        total: the size of all columns together, which `*` stands for.
+        queries: the queries of WITH that nested queries may name.
+
+    Attributes:
+        tables: the number of tables in nested queries.
+    """
+
+    def __init__(self, names: Mapping[str, int], total: int, queries: _Queries) -> None:
+        self._names = names
+        self._total = total
+        self._queries = queries
+        self.tables = 0
+
+    def size(self, part: Any) -> int:
+        """Returns the size of an expression, or of several."""
+        if isinstance(part, list):
+            return sum(map(self.size, part))
+        if not isinstance(part, dict):
+            return 0
+        if str(part.get("type")).endswith("_NODE"):  # the query of DESCRIBE
+            columns = _columns(part, self._queries, self._names)
+            self.tables += columns.tables
+            return columns.total
+        match part.get("class"):
+            case "COLUMN_REF":
+                return self._names.get(_last_name(part).lower(), 1)
+            case "STAR":
+                return self._total + self._size_of_parts(part)
+            case "CONSTANT":
+                return 1 + len(str((part.get("literal") or {}).get("text"))) // _LETTERS
+            case "SUBQUERY":
+                return self._size_of_parts(part)
+            case "CAST":
+                name = str((part.get("type_expr") or {}).get("type_name")).lower()
+                factor = 1 if name in _FIXED_TYPES else _CAST_FACTOR
+                return factor * self._size_of_parts(part)
+            case "FUNCTION":
+                return self._checked(self._size_of_call(part))
+        is_expression = "class" in part
+        return is_expression + self._size_of_parts(part)
+
+    def _size_of_parts(self, node: Node) -> int:
+        return self._checked(sum(map(self.size, node.values())))
+
+    def _size_of_call(self, call: Node) -> int:
+        arguments = [item["expression"] for item in call["arguments"]]
+        values = [one for one in arguments if one.get("class") != "LAMBDA"]
+        size = self.size(values) or 1
+        for function in arguments:
+            if function.get("class") == "LAMBDA":  # a parameter stands for an element
+                inner = dict.fromkeys(_parameters(function["lhs"]), size)
+                walk = _Expressions({**self._names, **inner}, self._total, self._queries)
+                size = max(size, walk.size(function["expr"]))
+                self.tables += walk.tables
+        rest = [part for key, part in call.items() if key != "arguments"]
+        name = call["function_name"].lower()
+        is_json = "json" in name
+        factor = _JSON_FACTOR if is_json else _FACTORS.get(name, 1)
+        return factor * size + self.size(rest) + (not call.get("is_operator"))
+
+    @staticmethod
+    def _checked(size: int) -> int:
+        _checked(_Columns(total=size))
+        return size
+
+
+def _parameters(left: Node) -> list[str]:
+    """Returns the names of the parameters of a lambda."""
+    parts = left.get("arguments")
+    if parts:
+        return [_last_name(item["expression"]).lower() for item in parts]
+    return [_last_name(left).lower()]

@@ -1,0 +1,129 @@
+"""What is drawn of bodies, in the records of their worlds: visual shapes and the camera, as JSON.
+
+A record may come from a stranger: what it says is checked before it is used.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ssduck.errors import RecordError
+from ssduck.geometry.shapes import Geometry
+from ssduck.simulators.interface import VisualShape
+from ssduck.simulators.scenes import Camera
+
+# More than a scene needs: so many shapes of one entity are drawn.
+MAX_VISUALS = 100_000
+# The numbers of a visual shape: link, geometry, x y z, qw qx qy qz, red green blue alpha.
+_NUMBERS = 13
+_SHORTEST = 1e-6
+
+
+def visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometry], int]) -> str:
+    """Returns visual shapes as JSON: a list of their numbers.
+
+    These are link, geometry, x y z, qw qx qy qz in the frame of the link, and red, green, blue,
+    alpha from 0 to 1, which a shape without a colour lacks.
+
+    Args:
+        visuals: the shapes.
+        geometry_id: returns the number of a geometry.
+    """
+    rows = [
+        [
+            visual.link,
+            geometry_id(visual.geometry),
+            *np.asarray(visual.position, dtype=float).tolist(),
+            *np.asarray(visual.orientation, dtype=float).tolist(),
+            *np.clip(visual.colour or (), 0.0, 1.0).tolist(),
+        ]
+        for visual in visuals
+    ]
+    return json.dumps(rows, separators=(",", ":"))
+
+
+def visuals_of(
+    text: str | None, geometries: Mapping[int, Geometry]
+) -> tuple[VisualShape, ...] | None:
+    """Returns the visual shapes of a text that was checked; None for an older record."""
+    if text is None:
+        return None
+    return tuple(
+        VisualShape(
+            row[0],
+            geometries[row[1]],
+            np.array(row[2:5], dtype=float),
+            np.array(row[5:9], dtype=float),
+            tuple(row[9:]) or None,
+        )
+        for row in json.loads(text)
+    )
+
+
+def check_visuals(text: str, links: int, geometries: Collection[int]) -> None:
+    """Checks visual shapes of a record.
+
+    Args:
+        text: the text.
+        links: the number of links of the body.
+        geometries: the numbers of the recorded geometries.
+
+    Raises:
+        RecordError: they are no such list, or a number is out of bounds.
+    """
+    try:
+        rows = json.loads(text)
+    except (ValueError, RecursionError):
+        raise RecordError("what is drawn of an entity is no JSON") from None
+    if not isinstance(rows, list) or len(rows) > MAX_VISUALS or not all(map(_is_visual, rows)):
+        raise RecordError("what is drawn of an entity is no list of shapes")
+    for row in rows:
+        if not 0 <= row[0] < links:
+            raise RecordError("what is drawn of an entity is on an unknown link")
+        if row[1] not in geometries:
+            raise RecordError("what is drawn of an entity has an unknown geometry")
+
+
+def _is_visual(row: Any) -> bool:
+    return (
+        isinstance(row, list)
+        and len(row) in (_NUMBERS - 4, _NUMBERS)
+        and type(row[0]) is type(row[1]) is int
+        and all(map(_is_finite, row[2:]))
+        and all(0.0 <= share <= 1.0 for share in row[9:])
+        and math.hypot(*row[5:9]) > _SHORTEST
+    )
+
+
+def _is_finite(number: Any) -> bool:
+    return type(number) in (int, float) and abs(number) < 1e300
+
+
+def camera_text(camera: Camera) -> dict[str, Any]:
+    """Returns a camera for the description of a record."""
+    return {"eye": list(camera.eye), "target": list(camera.target), "fov": camera.fov}
+
+
+def is_camera(value: Any) -> bool:
+    """Checks a camera in the description of a record: it sees something."""
+    if not isinstance(value, dict):
+        return False
+    eye, target, fov = (value.get(name) for name in ("eye", "target", "fov"))
+    points = all(
+        isinstance(point, list) and len(point) == 3 and all(map(_is_finite, point))
+        for point in (eye, target)
+    )
+    return points and eye != target and isinstance(fov, int | float) and 0.0 < fov < 180.0
+
+
+def camera_of(description: Mapping[str, Any]) -> Camera:
+    """Returns the camera of a description that was checked; that of any scene if it has none."""
+    if "camera" not in description:
+        return Camera()
+    values = description["camera"]
+    return Camera(tuple(values["eye"]), tuple(values["target"]), values["fov"])

@@ -1,0 +1,275 @@
+"""Writes the model of a MuJoCo simulation as MJCF, with its files and its state.
+
+A compiled model does not tell its source. ssduck has that of the models that it loaded, and MuJoCo
+that of the last model that it read from XML. What was written is compiled again and compared with
+the model, so that a world is never saved as another one.
+
+MuJoCo writes six digits of a number. The poses and sizes of bodies, joints, geoms and sites, by
+which ssduck's relations go, get all digits here.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from ssduck.errors import UnsupportedError
+from ssduck.simulators.mjcf import KIND_PREFIX, STATE_KEY
+from ssduck.simulators.mujoco.bodies import body_names
+from ssduck.simulators.mujoco.library import mujoco
+
+# The folder of meshes, pictures and heights, beside the model.
+ASSETS = "assets"
+# The attributes of <compiler> that name the folders of the files of elements.
+_FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture": "texturedir"}
+# The attributes that are the name of a file.
+_FILES = ("file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")))
+# What is equal in both models, and what nearly.
+_COUNTS = ("nq", "nv", "na", "nu", "nbody", "njnt", "ngeom", "nsite", "neq", "nmocap", "nmesh")
+_EQUAL = (
+    *("body_parentid", "jnt_type", "jnt_bodyid", "geom_type", "geom_bodyid", "geom_contype"),
+    *("geom_conaffinity", "site_bodyid", "actuator_trntype", "actuator_trnid", "eq_type"),
+)
+_NEAR = ("body_pos", "body_mass", "jnt_pos", "jnt_axis", "geom_size", "site_pos", "site_size")
+_TOLERANCE = 1e-5
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+
+
+def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file: Path) -> None:
+    """Writes a model with its present state as a key.
+
+    Args:
+        model: the model.
+        data: its state.
+        spec: the `mujoco.MjSpec` that the model was compiled from; None for that of the model that
+            MuJoCo read last.
+        kinds: the kinds of entities whose joints do not tell them, by the names of their roots.
+        file: the file; the folder `ASSETS` beside it gets meshes and pictures.
+
+    Raises:
+        UnsupportedError: the source of the model is not known, or one of its files is not there.
+    """
+    root = ET.fromstring(_source(model, spec))  # noqa: S314  # MuJoCo has written it
+    _copy_files(root, Path(spec.modelfiledir) if spec is not None else None, file.parent / ASSETS)
+    _write_digits(root, model)
+    _replace(root, "keyframe", "key", STATE_KEY, [_state(model, data)])
+    texts = [ET.Element("text", name=KIND_PREFIX + name, data=kind) for name, kind in kinds.items()]
+    _replace(root, "custom", "text", KIND_PREFIX, texts)
+    ET.indent(root)
+    ET.ElementTree(root).write(file, encoding="utf-8")
+    _check(model, file)
+
+
+def _source(model: Any, spec: Any) -> str:
+    """Returns the MJCF of a model."""
+    if spec is not None:
+        try:
+            if hasattr(spec, "copy_back"):  # MuJoCo 4
+                spec.copy_back(model)
+            text: str = spec.to_xml()
+        except ValueError as error:
+            raise UnsupportedError(f"MuJoCo cannot write the model: {error}") from error
+        return text
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "last.xml"
+        try:
+            mujoco.mj_saveLastXML(str(path), model)
+        except (mujoco.FatalError, ValueError) as error:
+            raise UnsupportedError(f"{_UNKNOWN} ({error})") from error
+        return path.read_text(encoding="utf-8")
+
+
+_UNKNOWN = (
+    "the source of this MuJoCo model is not known: ssduck.load keeps that of its worlds, and "
+    "MuJoCo that of the last model that it read from XML; MjSpec.to_xml writes yours"
+)
+
+
+def _replace(
+    root: ET.Element, section: str, tag: str, prefix: str, elements: Iterable[ET.Element]
+) -> None:
+    """Replaces the elements of a section whose names begin with a prefix."""
+    parts = root.findall(section) or [ET.SubElement(root, section)]
+    for part in parts:
+        for element in part.findall(tag):
+            if element.get("name", "").startswith(prefix):
+                part.remove(element)
+    parts[-1].extend(elements)
+    for part in parts:
+        if not len(part):
+            root.remove(part)
+
+
+def _state(model: Any, data: Any) -> ET.Element:
+    """Returns the state as a key."""
+    values = {
+        "qpos": data.qpos,
+        "qvel": data.qvel,
+        "act": data.act,
+        "ctrl": data.ctrl,
+        "mpos": data.mocap_pos.ravel() if model.nmocap else (),
+        "mquat": data.mocap_quat.ravel() if model.nmocap else (),
+    }
+    texts = {name: _texts(numbers) for name, numbers in values.items() if len(numbers)}
+    return ET.Element("key", {"name": STATE_KEY, "time": _texts([data.time]), **texts})
+
+
+# -- files -----------------------------------------------------------------------------------
+
+
+def _copy_files(root: ET.Element, folder: Path | None, assets: Path) -> None:
+    """Copies the files that elements name, and names the copies instead.
+
+    Args:
+        root: the model.
+        folder: the folder that relative names begin in; None if it is not known.
+        assets: the folder of the copies.
+    """
+    compilers = root.findall("compiler")
+    settings = {key: value for part in compilers for key, value in part.items()}
+    names: dict[Path, str] = {}
+    for part in root.iterfind("asset/*"):
+        if part.tag == "model" or (part.tag == "texture" and part.get("file", "").startswith("@")):
+            raise UnsupportedError(f"a MuJoCo world with an element {part.tag!r} cannot be saved")
+        inner = settings.get(_FOLDERS.get(part.tag, ""), settings.get("assetdir", ""))
+        for attribute in _FILES:
+            name = part.get(attribute)
+            if not name:
+                continue
+            path = Path(inner) / name
+            path = path if folder is None else folder / path
+            if not path.is_absolute() or not path.is_file():
+                raise UnsupportedError(
+                    f"the file {name!r} of the MuJoCo model is not there any more, or in a folder "
+                    "that MuJoCo does not tell; a world of ssduck.load knows its folder"
+                )
+            if path not in names:
+                names[path] = _free_name(path, names.values())
+                assets.mkdir(exist_ok=True)
+                shutil.copyfile(path, assets / names[path])
+            if attribute == "file" and part.get("name") is None:
+                part.set("name", path.stem)  # as it is named by default
+            part.set(attribute, names[path])
+    for part in compilers:
+        for key in ("assetdir", "meshdir", "texturedir", "strippath"):
+            part.attrib.pop(key, None)
+    if names:
+        compiler = compilers[0] if compilers else ET.SubElement(root, "compiler")
+        compiler.set("assetdir", ASSETS)
+
+
+def _free_name(path: Path, taken: Iterable[str]) -> str:
+    used, number = set(taken), 1
+    name = path.name
+    while name in used:
+        number += 1
+        name = f"{path.stem}_{number}{path.suffix}"
+    return name
+
+
+# -- digits ----------------------------------------------------------------------------------
+
+
+def _write_digits(root: ET.Element, model: Any) -> None:
+    """Writes all digits of the time step, of gravity, and of poses and sizes."""
+    option = root.find("option")
+    option = ET.SubElement(root, "option") if option is None else option
+    option.set("timestep", _texts([model.opt.timestep]))
+    option.set("gravity", _texts(model.opt.gravity))
+    for number, element in enumerate(_bodies(root)):
+        if number:
+            element.set("pos", _texts(model.body_pos[number]))
+            _set_turn(element, model.body_quat[number])
+            _write_inertia(element, model, number)
+        for tag, first, of in (
+            ("geom", model.body_geomadr, _write_geom),
+            ("joint", model.body_jntadr, _write_joint),
+        ):
+            for place, part in enumerate(_parts(element, tag)):
+                of(part, model, int(first[number]) + place)
+        sites = np.flatnonzero(model.site_bodyid == number).tolist()
+        for site, part in zip(sites, _parts(element, "site"), strict=True):
+            part.set("pos", _texts(model.site_pos[site]))
+            part.set("size", _texts(model.site_size[site]))
+            part.attrib.pop("fromto", None)
+            _set_turn(part, model.site_quat[site])
+
+
+def _bodies(root: ET.Element) -> Iterator[ET.Element]:
+    """Yields the world body and all others, in the order of their numbers: depth first."""
+    for world in root.findall("worldbody"):
+        yield world
+        yield from world.iter("body")
+
+
+def _parts(body: ET.Element, tag: str) -> list[ET.Element]:
+    """Returns the geoms, joints or sites of a body."""
+    tags = ("joint", "freejoint") if tag == "joint" else (tag,)
+    return [part for part in body if part.tag in tags]
+
+
+def _write_inertia(element: ET.Element, model: Any, number: int) -> None:
+    inertial = element.find("inertial")
+    if inertial is not None:
+        inertial.attrib.pop("fullinertia", None)
+        inertial.set("pos", _texts(model.body_ipos[number]))
+        _set_turn(inertial, model.body_iquat[number])
+        inertial.set("mass", _texts([model.body_mass[number]]))
+        inertial.set("diaginertia", _texts(model.body_inertia[number]))
+
+
+def _write_geom(element: ET.Element, model: Any, number: int) -> None:
+    if int(model.geom_type[number]) == _MESH or element.get("mesh") or element.get("fitscale"):
+        return  # its pose is that of the mesh as it was, not as MuJoCo has turned it
+    element.set("pos", _texts(model.geom_pos[number]))
+    element.set("size", _texts(model.geom_size[number]))
+    element.attrib.pop("fromto", None)
+    _set_turn(element, model.geom_quat[number])
+
+
+def _write_joint(element: ET.Element, model: Any, number: int) -> None:
+    is_scalar = element.tag == "joint" and element.get("type", "hinge") in ("hinge", "slide")
+    if is_scalar:
+        element.set("pos", _texts(model.jnt_pos[number]))
+        element.set("axis", _texts(model.jnt_axis[number]))
+        if model.jnt_limited[number]:
+            element.set("range", _texts(model.jnt_range[number]))
+
+
+def _set_turn(element: ET.Element, quaternion: Any) -> None:
+    for other in ("axisangle", "xyaxes", "zaxis", "euler"):
+        element.attrib.pop(other, None)
+    element.set("quat", _texts(quaternion))
+
+
+def _texts(numbers: Iterable[Any]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+# -- check -----------------------------------------------------------------------------------
+
+
+def _check(model: Any, file: Path) -> None:
+    """Checks that a file describes a model.
+
+    Raises:
+        UnsupportedError: it describes another one.
+    """
+    try:
+        again = mujoco.MjSpec.from_file(str(file)).compile()
+    except ValueError as error:
+        raise UnsupportedError(f"{file} cannot be read again: {error}") from error
+    counts = [name for name in _COUNTS if getattr(model, name) != getattr(again, name)]
+    if counts or body_names(model) != body_names(again):
+        raise UnsupportedError(_UNKNOWN)
+    for names, tolerance in ((_EQUAL, 0.0), (_NEAR, _TOLERANCE)):
+        for name in names:
+            one, other = getattr(model, name), getattr(again, name)
+            if not np.allclose(one, other, rtol=tolerance, atol=tolerance, equal_nan=True):
+                raise UnsupportedError(f"{_UNKNOWN}; {name} differs")

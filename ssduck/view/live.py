@@ -1,0 +1,183 @@
+"""A world that is simulated, as the source of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from ssduck.errors import UnsupportedError
+from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.mirrors import Mirror, history_of, listen_to_triggers
+from ssduck.recording.replay.record import Record, index_at
+from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.simulators.backends import drawn_shapes
+from ssduck.view.frames import Frame
+from ssduck.view.messages import scene_message
+from ssduck.view.sources import Asked, Ticks, camera_of, page_limits
+from ssduck.view.tracks import Track, track_of
+from ssduck.world.world import World
+
+# The last firings of triggers that a page gets.
+MAX_FIRINGS = 5000
+
+
+class LiveSource:
+    """A world that is simulated.
+
+    Args:
+        ss: the interpreter that has the world.
+        world: the world.
+        name: the variable of the world in queries.
+
+    Attributes:
+        interpreter: the interpreter that has the world.
+        world: the world.
+        latest: the last frame; None if nobody looks.
+        firings: the triggers that fired while somebody looked, with the simulated times, s.
+    """
+
+    def __init__(self, ss: Interpreter, world: World, name: str) -> None:
+        self.interpreter = ss
+        self.world, self._name = world, name
+        self.latest: Frame | None = None
+        self.firings: list[tuple[str, float]] = []
+        self._changed: Callable[[], object] | None = None
+        self._stop_listening: Callable[[], None] | None = None
+        self._present: Mirror | None = None
+        self._past: dict[str, Mirror] = {}
+        self._scene: tuple[Frame, bytes] | None = None
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """The name of the world, and that it is live."""
+        return {"world": self._name, "kind": "live"}
+
+    # -- following ----------------------------------------------------------------------------
+
+    def watch(self, changed: Callable[[], object] | None) -> None:
+        """Follows the world while there is someone to tell: else a step costs nothing more."""
+        if self._stop_listening is not None:
+            self._stop_listening()
+            self._stop_listening = None
+        self._changed = changed
+        if changed is None:
+            self.world.unfollow(self)
+            self.latest = None
+        else:
+            self.world.follow(self)
+            self._stop_listening = listen_to_triggers(self.interpreter, self._fired)
+
+    def _fired(self, trigger: str) -> None:
+        self.firings.append((trigger, self.world.time))
+        del self.firings[:-MAX_FIRINGS]
+
+    def due(self, _world: Any, /) -> float:
+        """Requests no ticks: the page shows those that are taken."""
+        return float("inf")
+
+    def ticked(self, world: Any, /) -> None:
+        """Takes the frame of a tick, and tells of it."""
+        with world.lock:
+            self.latest = Frame.of(world.snapshot)
+        changed = self._changed
+        if changed is not None:
+            changed()
+
+    def replace_world(self, world: World) -> None:
+        """Shows another world, of the same name, from now on."""
+        changed = self._changed
+        self.watch(None)
+        self.world, self.latest = world, None
+        self.firings.clear()
+        self.watch(changed)
+        if changed is not None:
+            changed()
+
+    # -- poses --------------------------------------------------------------------------------
+
+    def frame(self, time: float | None) -> Frame:
+        """Returns the last frame, or the one at a recorded time."""
+        record = self._record
+        if time is not None and record is not None and len(record.ticks):
+            world = self.world
+            with world.lock:
+                numbers, times = record.ticks_until_now()
+                clipped = min(max(time, float(times[0])), float(times[-1]))
+                place = index_at(world.name, clipped, times, float(times[-1]))
+                return Frame.of(record.at(int(numbers[place])).snapshot)
+        latest = self.latest
+        if self._changed is None or latest is None:
+            with self.world.lock:
+                self.latest = latest = Frame.of(self.world.snapshot)
+        return latest
+
+    def scene(self, frame: Frame) -> bytes:
+        """Returns the scene of a frame; the same one until entities come or go."""
+        if self._scene is None or not self._scene[0].has_same_scene(frame):
+            simulator = self.world.simulator
+            with self.world.lock:
+                visuals = partial(drawn_shapes, simulator)
+                message = scene_message(frame, visuals, camera_of(self.world))
+            self._scene = frame, message
+        return self._scene[1]
+
+    @property
+    def _record(self) -> Record | None:
+        history = history_of(self.interpreter, self.world)
+        return None if history is None else history.record
+
+    def ticks(self) -> Ticks | None:
+        """Returns the recorded ticks; None if nothing is recorded."""
+        record = self._record
+        if record is None:
+            return None
+        with self.world.lock:
+            return Ticks(record.ticks.numbers.copy(), record.ticks.times.copy())
+
+    def track(self, frame: Frame, first: int, count: int) -> Track | None:
+        """Returns the poses at recorded ticks."""
+        record = self._record
+        return None if record is None else track_of(record, frame, first, count)
+
+    # -- queries ------------------------------------------------------------------------------
+
+    def mirror(self, time: float | None) -> Asked:
+        """Returns a copy of the last tick or of a recorded one."""
+        if time is not None:
+            return self._at("asked", time)
+        self._present = mirror = self._up_to_date(self._present, is_past=False)
+        return Asked(mirror.interpreter, mirror.world)
+
+    def recorded(self) -> Asked:
+        """Returns a copy that goes through the recorded ticks."""
+        return self._at("scanned", None)
+
+    def _at(self, use: str, time: float | None) -> Asked:
+        """Returns the copy for a use at a recorded time, s; None for any."""
+        self._past[use] = mirror = self._up_to_date(self._past.get(use), is_past=True)
+        world = mirror.world
+        assert isinstance(world, ReplayedWorld)
+        if time is not None:
+            times = world.source_record.ticks.times
+            world.seek(min(max(time, float(times[0])), float(times[-1])))
+        return Asked(mirror.interpreter, world)
+
+    def _up_to_date(self, mirror: Mirror | None, *, is_past: bool) -> Mirror:
+        world = self.world
+        if mirror is not None and mirror.original is world and mirror.is_up_to_date:
+            mirror.update()
+            return mirror
+        if mirror is not None:
+            mirror.close()
+        with world.lock:
+            if world not in self.interpreter.worlds:
+                raise UnsupportedError(f"{self._name!r} is no longer in its interpreter")
+            return Mirror(self.interpreter, world, self._name, page_limits(), is_past=is_past)
+
+    def close(self) -> None:
+        """Closes the interpreters of the page; the world goes on."""
+        self.watch(None)
+        for mirror in (self._present, *self._past.values()):
+            if mirror is not None:
+                mirror.close()

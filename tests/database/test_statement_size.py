@@ -1,0 +1,147 @@
+"""SQL of strangers whose plan, types or values would be far larger than its text."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+import ssduck
+from ssduck.database import statement_size
+from ssduck.database.statement_size import MAX_SIZE
+from ssduck.errors import LimitError, SqlError
+
+
+@pytest.fixture(scope="module")
+def strict():
+    limits = ssduck.Limits.strict(seconds=20, memory=100_000_000)
+    with ssduck.load("kitchen", limits=limits) as ss:
+        yield ss
+
+
+def nested(form, times, start):
+    """Returns a text within itself: § is the place of the inner one."""
+    for _ in range(times):
+        start = form.replace("§", start)
+    return start
+
+
+def chain(first, form, times, *, is_inlined=False):
+    """Returns a query of WITH in which each part, q1, q2, …, has a form of the one before, §."""
+    kind = "NOT MATERIALIZED " if is_inlined else ""
+    parts = [f"q0 AS {kind}({first})"]
+    parts += [f"q{n} AS {kind}({form.replace('§', f'q{n - 1}')})" for n in range(1, times + 1)]
+    return f"WITH {', '.join(parts)} SELECT count(*) FROM q{times}"
+
+
+def aliases(first, times):
+    return f"SELECT {first} AS a0, " + ", ".join(f"a{n}||a{n} AS a{n + 1}" for n in range(times))
+
+
+TOO_LARGE = [
+    f"SELECT length({nested('hex(§)', 40, 'name')}) FROM entities",
+    f"SELECT length({nested('bin(§)', 14, 'name')}) FROM entities",
+    f"SELECT length({nested('to_base64(§::BLOB)', 30, 'name')}) FROM entities",
+    f"SELECT length({nested('regexp_escape(§)', 40, 'name')}) FROM entities",
+    f"SELECT length({nested('to_json(§)::VARCHAR', 40, 'name')}) FROM entities",
+    f"SELECT length({nested('[§]::VARCHAR', 60, 'name')}) FROM entities",
+    f"SELECT {nested('list_transform(§, lambda x: x || x)', 30, '[name]')} FROM entities",
+    f"SELECT {nested('list_transform(§, lambda x, i: [x, x])', 30, '[name]')} FROM entities",
+    f"SELECT {nested('list_filter(list_transform(§, x -> {a: x, b: x}), y -> true)', 25, '[z]')}"
+    " FROM entities",
+    aliases("'a'", 30),
+    f"{aliases('name', 30)} FROM entities",
+    f"DESCRIBE {aliases('1', 30)}",
+    f"SELECT 1 WHERE EXISTS ({aliases('name', 30)} FROM entities)",
+    f"SELECT 1 ORDER BY ({aliases('name', 30)} FROM entities)",
+    f"SELECT 1 UNION ALL ({aliases('name', 30)} FROM entities)",
+    f"SELECT 1 FROM entities JOIN ({aliases('1', 30)}) ON true",
+    f"VALUES ((SELECT a9 FROM ({aliases('1', 30)})))",
+    f"FROM {nested('(SELECT s || s AS s FROM §)', 32, '(SELECT name AS s FROM entities)')}",
+    f"FROM {nested('(SELECT [s, s] AS s FROM §)', 32, '(SELECT 1 AS s)')}",
+    f"FROM {nested('(SELECT {a: s, b: s} AS s FROM §)', 32, '(SELECT 1 AS s)')}",
+    f"FROM {nested('(SELECT {a: t, b: t} AS s FROM § AS t)', 32, '(SELECT 1 AS s)')}",
+    f"FROM {nested('(SELECT (c || c) AS s FROM § AS t(c))', 32, '(SELECT name FROM entities)')}",
+    f"SELECT 1 FROM {nested('(SELECT *, * FROM §)', 32, '(SELECT 1 AS s)')}",
+    f"SELECT 1 FROM {nested('(SELECT *, COLUMNS(*) FROM §)', 20, 'entities')}",
+    chain("SELECT 1 AS s", "SELECT {a: s, b: s} AS s FROM §", 40),
+    chain("SELECT name AS s FROM entities", "SELECT concat(s, s, s) AS s FROM §", 30),
+    chain("SELECT 1 AS s", "SELECT *, * FROM §", 40),
+    chain("SELECT 1 AS s", "SELECT p.s FROM § p, § q", 40, is_inlined=True),
+    chain("SELECT 1 AS s", "SELECT p.s FROM § p WHERE s IN (FROM §)", 40, is_inlined=True),
+    "WITH RECURSIVE r AS (SELECT 1 AS s UNION ALL SELECT s FROM "
+    f"{nested('(SELECT [s, s] AS s FROM §)', 32, 'r')}) SELECT 1 FROM r",
+]
+
+
+@pytest.mark.parametrize("text", TOO_LARGE)
+def test_what_would_grow_beyond_bounds_is_refused_before_it_is_planned(strict, text):
+    started = time.process_time()
+    with pytest.raises(LimitError, match=r"would be too large|nested deeper than 100"):
+        strict.sql(text)
+    assert time.process_time() - started < 5
+
+
+HARMLESS = [
+    ("SELECT count(*) FROM (SELECT *, upper(name) AS u FROM entities) WHERE u LIKE 'C%'", None),
+    (f"SELECT length({nested('hex(§)', 6, chr(39) + 'ab' + chr(39))})", 128),
+    (chain("SELECT 1 AS s", "SELECT s + 1 AS s, s AS before FROM §", 60), 1),
+    (chain("SELECT 1 AS s", "SELECT p.s FROM § p, § q", 30), 1),
+    (chain("FROM entities", "FROM § WHERE z > (SELECT min(z) FROM §)", 5, is_inlined=True), None),
+    (f"SELECT max(a8) FROM ({aliases(chr(39) + 'a' + chr(39), 8)})", "a" * 256),
+    (f"SELECT {nested('(SELECT max(z) + § FROM entities)', 40, '1')} > 1", True),
+    ("SELECT sum(" + " + ".join(f"z * {n}" for n in range(300)) + ") > 0 FROM entities", True),
+    ("SELECT count(*) FROM (SELECT a.*, b.* FROM entities a, entities b)", 37 * 37),
+]
+
+
+@pytest.mark.parametrize(("text", "value"), HARMLESS)
+def test_ordinary_queries_are_not_refused(strict, text, value):
+    ((found,),) = strict.sql(text).fetchall()
+    assert value is None or found == value
+
+
+def test_the_bound_of_values(strict):
+    """Lists of two lists have twice the size, and a part more, at each level."""
+    form, start = "(SELECT [s, s] AS s FROM §)", "(SELECT 1 AS s)"
+    levels = (MAX_SIZE // 2).bit_length() - 1
+    ((length,),) = strict.sql(f"SELECT len(s) FROM {nested(form, levels - 1, start)}").fetchall()
+    assert length == 2
+    with pytest.raises(LimitError, match="too large"):
+        strict.sql(f"SELECT len(s) FROM {nested(form, levels + 1, start)}")
+
+
+def test_the_bound_of_tables(strict, monkeypatch):
+    monkeypatch.setattr(statement_size, "MAX_TABLES", 20)
+    query = "WITH q AS NOT MATERIALIZED (SELECT 1 AS s FROM entities LIMIT 1) SELECT count(*) FROM "
+    assert strict.sql(query + ", ".join(f"q q{n}" for n in range(20))).fetchall() == [(1,)]
+    with pytest.raises(LimitError, match="too large"):
+        strict.sql(query + ", ".join(f"q q{n}" for n in range(21)))
+
+
+def test_many_relations_are_not_rewritten():
+    """The time to rewrite them grew with the square of their number, and was not limited."""
+    count = 25
+    tables = ", ".join(f"entities e{i}" for i in range(count))
+    calls = " AND ".join(f"near(e{i}, e{j}, 1)" for i in range(count) for j in range(i))
+    with ssduck.load("kitchen", limits=ssduck.Limits.strict(seconds=0.5)) as ss:
+        started = time.process_time()
+        with pytest.raises(LimitError):
+            ss.sql(f"SELECT count(*) FROM {tables} WHERE {calls}")
+        assert time.process_time() - started < 8
+
+
+@pytest.mark.parametrize(
+    "function", ["reservoir_quantile(z, 0.5, 2000000000)", "approx_top_k(z, 9)"]
+)
+def test_functions_that_allocate_by_a_number_are_not_there(strict, function):
+    with pytest.raises(LimitError, match="no function that SQL may call"):
+        strict.sql(f"SELECT {function} FROM entities")
+
+
+@pytest.mark.parametrize("is_strict", [False, True])
+def test_a_type_that_arrow_cannot_nest_is_an_error(strict, is_strict):
+    text = f"SELECT '{'[' * 90}{']' * 90}'::INTEGER{'[]' * 90}"
+    with ssduck.Interpreter() as free, pytest.raises(SqlError, match="Recursion level"):
+        (strict if is_strict else free).sql(text)
+    assert strict.sql("SELECT 42").fetchall() == [(42,)]

@@ -1,0 +1,170 @@
+"""A condition that is evaluated again and again is planned once, and is right after any change."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.errors import SelectScriptError
+from ssduck.interpreter.kept_scalars import KeptScalars
+from ssduck.interpreter.planner import Planner
+
+PILE = """
+<mujoco>
+  <option timestep="0.004" {cone}/>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 .1"/>
+    <body name="gripper">
+      <body pos="-.1 0 .1"><joint name="l" type="slide" axis="1 0 0" damping="9"/>
+        <geom type="box" size=".02 .1 .1" mass="1"/></body>
+      <body pos=".1 0 .1"><joint name="r" type="slide" axis="-1 0 0" damping="9" range="0 .2"
+        limited="true"/><geom type="box" size=".02 .1 .1" mass="1"/></body>
+    </body>
+    <body name="cube" pos="0 0 .05"><freejoint/><geom type="box" size=".05 .05 .05" mass=".2"/></body>
+    <body name="ball" pos="0 .02 .16"><freejoint/><geom size=".04" mass=".1"/></body>
+    <body name="can" pos=".01 0 .3"><freejoint/><geom type="cylinder" size=".04 .05" mass=".1"/></body>
+  </worldbody>
+  <actuator><motor joint="l"/><motor joint="r"/></actuator>
+</mujoco>
+"""
+
+
+class Lab:
+    """A pile between the fingers of a gripper, in an interpreter."""
+
+    def __init__(self, cone=""):
+        self.model = mujoco.MjModel.from_xml_string(PILE.format(cone=cone))
+        self.data = mujoco.MjData(self.model)
+        self.ss = ssduck.Interpreter(strict=False)
+        self.world = self.ss.add_variable("lab", ssduck.World.attach(self.model, self.data))
+
+    def run(self, steps, force=5.0):
+        self.data.ctrl[:] = force
+        mujoco.mj_step(self.model, self.data, steps)
+        self.world.tick()
+
+
+@pytest.fixture
+def lab():
+    lab = Lab()
+    yield lab
+    lab.ss.close()
+
+
+def statements(ss):
+    """The list to which an interpreter adds the statements that it runs from now on."""
+    seen = []
+    ss._database.connection._tracer = seen.append
+    return seen
+
+
+@pytest.mark.parametrize("cone", ["", 'cone="elliptic"'])
+def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
+    lab = Lab(cone)
+    expected = set()
+    for _ in range(4):
+        lab.run(40)
+        rows = lab.ss.eval(
+            "SELECT id(a.this), id(b.this), inContact(a.this, b.this), contactForce(a.this, b.this), "
+            "grasped(a.this, b.this) FROM a=lab, b=lab AS list;"
+        )
+        for start in range(0, len(rows), 5):
+            a, b, *values = rows[start : start + 5]
+            pair = f"lab.{a}, lab.{b}"
+            text = f"inContact({pair}), contactForce({pair}), grasped({pair})"
+            assert lab.ss.eval(f"SELECT {text} FROM [0] AS list;") == values, pair
+            expected.add((values[0], values[1] > 0, values[2]))
+    assert expected == {(False, False, False), (True, True, False), (True, True, True)}
+    lab.ss.close()
+
+
+@pytest.mark.parametrize(
+    "term",
+    [
+        "inContact(lab.cube, lab.ball)",
+        "contactForce(lab.gripper, lab.cube) > 0.1",
+        "grasped(lab.gripper, lab.cube) OR z(lab.ball) > 0.1",
+        "joint(lab.gripper, 'r') < 0.05",
+        "isOpen(lab.gripper) OR isClosed(lab.gripper, 'r')",
+        "below(lab.cube, lab.ball)",
+        "distance(lab.ball, goal) < 0.3",
+        "-distance(lab.ball, goal) + joint(lab.gripper, 'l')",
+        "norm([x(lab.ball) - goal[0], y(lab.ball) - 0.5]) < limit",
+        "z(ball) < limit AND on(lab.cube, ball)",
+        "on(lab.cube, lab.ball) AND speed(lab.ball) < limit",
+    ],
+)
+def test_terms_need_no_statement_and_no_plan(lab, monkeypatch, term):
+    lab.ss["goal"], lab.ss["limit"] = [0.1, 0.2, 0.3], 0.4
+    lab.ss["ball"] = lab.world["ball"]
+    program = lab.ss.compile(f"SELECT ({term}) FROM [0] AS list;")
+    lab.run(30)
+    lab.ss.eval(program)
+    seen = statements(lab.ss)
+    with monkeypatch.context() as patch:
+        patch.setattr(Planner, "_plan_for", lambda *_, **__: pytest.fail("it was planned again"))
+        values = []
+        for number in range(5):
+            lab.run(10)
+            lab.ss["goal"] = [0.1 * number, 0.0, 0.3]
+            values.append(lab.ss.eval(program))
+    assert not seen
+    with monkeypatch.context() as patch:
+        patch.setattr(KeptScalars, "run", lambda *_: None)
+        assert lab.ss.eval(program) == values[-1]
+
+
+CHANGES = {
+    "an integer": lambda lab: lab.ss.add_variable("limit", 1),
+    "a text": lambda lab: lab.ss.add_variable("limit", "high"),
+    "nothing": lambda lab: lab.ss.add_variable("limit", None),
+    "not a number": lambda lab: lab.ss.add_variable("limit", float("nan")),
+    "a longer list": lambda lab: lab.ss.add_variable("goal", [0.1, 0.2, 0.3, 0.4]),
+    "a list of integers": lambda lab: lab.ss.add_variable("goal", [1, 2, 3]),
+    "an empty list": lambda lab: lab.ss.add_variable("goal", []),
+    "an entity": lambda lab: lab.ss.add_variable("goal", lab.world["cube"]),
+    "another entity": lambda lab: lab.ss.add_variable("ball", lab.world["cube"]),
+    "no variable": lambda lab: lab.ss.eval("clear('limit');"),
+    "a function": lambda lab: lab.ss.add_function("z", lambda _: -1.0),
+    "another world": lambda lab: lab.ss.add_variable("lab", Lab().world),
+    "no such entity": lambda lab: lab.ss.add_variable(
+        "lab", ssduck.World.attach(lab.model, lab.data, names={"ball": "sphere"})
+    ),
+    "a record": lambda lab: lab.ss.record("lab", ssduck.Recording()),
+    "an infinite velocity": lambda lab: lab.data.qvel.fill(np.inf),
+}
+
+
+@pytest.mark.filterwarnings("ignore:your function")
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_after_a_change_the_value_is_that_of_a_new_plan(lab, monkeypatch, change):
+    program = lab.ss.compile(
+        "SELECT z(lab.ball) > limit, distance(lab.cube, goal), x(ball) FROM [0] AS list;"
+    )
+    lab.ss["ball"] = lab.world["ball"]
+    lab.ss["goal"], lab.ss["limit"] = [0.1, 0.2, 0.3], 0.4
+    for _ in range(3):
+        lab.run(3)
+        before = lab.ss.eval(program)
+    assert [type(value) for value in before] == [bool, float, float]
+
+    def outcomes():
+        yield outcome(lab.ss, program)
+        lab.world.tick()
+        yield outcome(lab.ss, program)
+
+    change(lab)
+    kept = list(outcomes())
+    with monkeypatch.context() as patch:
+        patch.setattr(KeptScalars, "run", lambda *_: None)
+        planned = list(outcomes())
+    assert kept[1] == planned[0] == planned[1]
+
+
+def outcome(ss, program):
+    try:
+        return repr(ss.eval(program))
+    except SelectScriptError as error:
+        return str(error)
