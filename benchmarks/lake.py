@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -105,10 +106,10 @@ def _rows_of(lake: Lake, folder: Path) -> Iterator[tuple[str, ...]]:
     count, some = len(lake), min(LOOP, len(lake))
     lake.ask("1;", processes=1)  # imports what all need
     for name, program, budget in (("three parts", THREE, 15), ("formula", FORMULA, 3)):
-        loop = _timed(lambda program=program: _loop(folder, program, some))
+        loop = _timed(partial(_loop, folder, program, some))
         yield _row(name, "loop of open", loop, some)
         forget_readers()
-        one = _timed(lambda program=program: lake.ask(program, processes=1))
+        one = _timed(partial(lake.ask, program, processes=1))
         yield _row(name, "one process", one, count, f"{budget} ms")
     hand = _timed(lambda: by_hand(folder))
     answers = one[2].to_pylist()
@@ -131,11 +132,11 @@ def _engines(lake: Lake) -> Iterator[tuple[str, ...]]:
         if arguments.get("engine") == "spark":
             arguments["session"] = _spark()
         try:
-            start = _timed(lambda a=arguments: lake.ask(THREE, "episode < 4", batch=2, **a))
+            start = _timed(partial(lake.ask, THREE, "episode < 4", batch=2, **arguments))
         except UnsupportedError as error:
             yield "three parts", way, "", "", error.message
             continue
-        whole = _timed(lambda a=arguments: lake.ask(THREE, **a))
+        whole = _timed(partial(lake.ask, THREE, **arguments))
         walls[way] = whole[1]
         base = {"one process": "one process", "two processes": "one process"}
         ratio = whole[1] / walls[base.get(way, "two processes")]

@@ -34,6 +34,7 @@ from ssduck.language.tree import (
 )
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.pair_answers import PairQueries
 from ssduck.recording.replay.past import Past
@@ -111,7 +112,7 @@ class BatchInterpreter:
         for table, rows in models.items():
             connection.register(model_table(table), rows)
         self._archive = EpisodeBatch(
-            recording, tables, models, run, connection.reader(), connection.run
+            recording, tables, models, run, connection.reader(expand_path(source)), connection.run
         )
         members = members_of(models)
         rows = CheckedRows(self._archive, members, source)

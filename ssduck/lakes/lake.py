@@ -23,10 +23,17 @@ from ssduck.lakes.engines import EngineName, engine_of
 from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
 from ssduck.lakes.progress import shown_progress
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
-from ssduck.lakes.scan import entries_of_records, missing, records_of
+from ssduck.lakes.scan import (
+    DUCKDB_SUFFIX,
+    entries_of_records,
+    missing,
+    records_of,
+    size_and_time,
+)
 from ssduck.lakes.where import condition
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.tags import Tag, checked_tags
@@ -58,6 +65,7 @@ class Lake:
         if text.startswith(_FILE_SCHEME):
             text = text.removeprefix(_FILE_SCHEME)
         self.path = str(expand_path(text).absolute())
+        self._place = expand_path(self.path)
         self._entries: list[EpisodeEntry] = []
         self.refresh()
 
@@ -66,8 +74,8 @@ class Lake:
     @property
     def manifest(self) -> Path:
         """The file of the manifest; it is there if its folder can be written."""
-        place = Path(self.path)
-        if place.is_dir():
+        place = self._place
+        if isinstance(place, ObjectPath) or place.is_dir():
             return place / f"{MANIFEST}.parquet"
         if place.is_file():
             return place.with_name(f"{place.name}.{MANIFEST}.parquet")
@@ -396,9 +404,10 @@ class Lake:
     def _write_tags(self, tags: Mapping[tuple[str, str, int], Mapping[str, Tag]]) -> None:
         """Writes tags of episodes, by their keys, and reads their descriptions again."""
         for path, world, number in tags:
-            if Path(path).is_file():
+            place = expand_path(path)
+            if place.suffix == DUCKDB_SUFFIX and place.is_file():
                 raise RecordError(f"{path} is a DuckDB file: tags are given while it is recorded")
-            write_tags(FolderRun(Path(path), world, number), tags[path, world, number])
+            write_tags(FolderRun(place, world, number), tags[path, world, number])
         before = self._entries
         self._replace([_with_tags(entry, tags.get(entry.key)) for entry in before], before)
 
@@ -407,8 +416,9 @@ def open_lake(path: str | Path) -> Lake:
     """Returns the episodes of all records below a path, to ask them one question.
 
     Args:
-        path: a folder with records in it, at any depth; a record; or a pattern such as
-            `runs/*/night`, in which `**` stands for folders at any depth.
+        path: a folder with records in it, at any depth; a record; a pattern such as
+            `runs/*/night`, in which `**` stands for folders at any depth; or an address, `file://…`
+            or `s3://bucket/runs`.
 
     Raises:
         RecordError: there is no such path.
@@ -429,10 +439,10 @@ def _with_tags(entry: EpisodeEntry, tags: Mapping[str, Tag] | None) -> EpisodeEn
     if tags is None:
         return entry
     name = f"episodes/{entry.world}-{entry.episode}.json"
-    place = Path(entry.path, name)
-    status, checksum = place.stat(), zlib.crc32(place.read_bytes())
+    place = expand_path(entry.path) / name
+    (size, modified), checksum = size_and_time(place), zlib.crc32(place.read_bytes())
     files = tuple(
-        replace(file, size=status.st_size, modified=status.st_mtime_ns, checksum=checksum)
+        replace(file, size=size, modified=modified, checksum=checksum)
         if file.name == name
         else file
         for file in entry.files

@@ -16,7 +16,9 @@ from typing import Any
 
 import pyarrow as pa
 
+from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.tags import Tag
 
 VERSION = 1
@@ -179,11 +181,19 @@ def write_manifest(entries: Iterable[EpisodeEntry], file: Path) -> bool:
     Its paths begin in its folder, so that a lake can be moved.
     """
     base = file.parent
-    relative = [replace(e, path=Path(e.path).relative_to(base).as_posix()) for e in entries]
+    relative = [replace(e, path=_below(e.path, base)) for e in entries]
     with suppress(OSError):
         write_parquet(table_of(relative), file, compression="zstd")
         return True
     return False
+
+
+def _below(path: str, base: Path) -> str:
+    """Returns the path of a record from a folder on, which it is in."""
+    place = expand_path(path)
+    if isinstance(place, ObjectPath):
+        return str(place).removeprefix(str(base)).lstrip("/") or "."
+    return place.relative_to(base).as_posix()
 
 
 def read_manifest(file: Path) -> list[EpisodeEntry]:

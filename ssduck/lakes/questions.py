@@ -6,7 +6,6 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,6 +23,7 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Name, Node, Program, QualifiedName
 from ssduck.limits import Limits
+from ssduck.recording.paths import expand_path
 from ssduck.world.handles import Handle
 
 # Answers an entry with the interpreter that has its world at the last tick.
@@ -145,7 +145,7 @@ class ScoreQuestion(Question):
         """Returns a function that answers episodes, with one interpreter for all of them."""
 
         def answer(present: Interpreter, entry: EpisodeEntry) -> dict[str, Any]:
-            steps = EpisodeSteps.read(Path(entry.path), entry.world, entry.episode)
+            steps = EpisodeSteps.read(expand_path(entry.path), entry.world, entry.episode)
             score = score_with(present, entry.world, entry.episode, steps, self.terms)
             return {
                 "return": score.total,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
+import re
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -17,8 +18,10 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import parquet_problem
 from ssduck.recording.stores.episode_batch import has_current_columns
+from ssduck.recording.stores.object_store import ObjectPath, file_system, parquet_source
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     VERSION,
@@ -30,6 +33,11 @@ from ssduck.recording.stores.parquet_layout import (
 from ssduck.schema import MODELS
 
 DUCKDB_SUFFIX = ".duckdb"
+# The names of the objects of an episode.
+_OF_EPISODE = re.compile(
+    r"(?:.+/world=(?P<world>[^/]+)/episode=(?P<part_of>0|[1-9][0-9]{0,8})/[^/.][^/]*"
+    r"|(?:episodes|gym)/(?P<described>[^/]+)-(?P<number>0|[1-9][0-9]{0,8})\.json)"
+)
 MISSING = "is missing: its files were there when the manifest was made"
 # The size and the time of the last change of each file of an episode, by its name in the record.
 Listing = Mapping[str, tuple[int, int]]
@@ -74,6 +82,9 @@ def records_of(pattern: str) -> list[Path]:
     Raises:
         RecordError: there is no such path.
     """
+    place = expand_path(pattern)
+    if isinstance(place, ObjectPath):
+        return _records_in_store(place)
     is_pattern = glob.has_magic(pattern) and not os.path.exists(pattern)  # noqa: PTH110
     places = sorted(glob.glob(pattern, recursive=True)) if is_pattern else [pattern]  # noqa: PTH207
     if not places or not os.path.exists(places[0]):  # noqa: PTH110
@@ -82,8 +93,41 @@ def records_of(pattern: str) -> list[Path]:
     return sorted(found)
 
 
+def _records_in_store(place: ObjectPath) -> list[Path]:
+    """Returns the records below an address in an object store."""
+    names = objects_below(place)
+    if not names:
+        raise RecordError(f"there is no record {place}: there is no object below it")
+    folders = {name.rpartition("/")[0] for name in names if name.rpartition("/")[2] == ABOUT}
+    return sorted((place / folder if folder else place for folder in folders), key=str)
+
+
+def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
+    """Returns the sizes and times of all objects below an address, by their names there."""
+    from pyarrow.fs import FileSelector, FileType
+
+    selector = FileSelector(place.key, recursive=True, allow_not_found=True)
+    start = len(place.key.rstrip("/")) + 1
+    return {
+        info.path[start:]: (info.size, info.mtime_ns)
+        for info in file_system().get_file_info(selector)
+        if info.type == FileType.File
+    }
+
+
+def size_and_time(file: Path) -> tuple[int, int]:
+    """Returns the size of a file, bytes, and the time of its last change, ns since 1970."""
+    if isinstance(file, ObjectPath):
+        (info,) = file_system().get_file_info([file.key])
+        return info.size, info.mtime_ns
+    status = file.stat()
+    return status.st_size, status.st_mtime_ns
+
+
 def found_in(record: Path) -> list[FoundEpisode]:
     """Returns the episodes of a record, with their files; reads none of a folder."""
+    if isinstance(record, ObjectPath):
+        return _found_in_store(record)
     if record.is_file():
         return _found_in_file(record)
     try:
@@ -93,6 +137,22 @@ def found_in(record: Path) -> list[FoundEpisode]:
         entry = EpisodeEntry(str(record), "", 0, error=message)
         return [FoundEpisode(record, "", 0, {}, entry)]
     return [FoundEpisode(record, run.world, run.number, _listing(run)) for run in runs]
+
+
+def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
+    """Returns the episodes of a record in an object store, of one listing."""
+    objects = objects_below(record)
+    listings: dict[tuple[str, int], dict[str, tuple[int, int]]] = {}
+    for name, about in objects.items():
+        match = _OF_EPISODE.fullmatch(name)
+        if match is not None:
+            world, number = (match["world"] or match["described"]), match["part_of"]
+            key = world, int(number or match["number"])
+            listings.setdefault(key, {ABOUT: objects.get(ABOUT, (0, 0))})[name] = about
+    return [
+        FoundEpisode(record, world, number, listing)
+        for (world, number), listing in sorted(listings.items())
+    ]
 
 
 def _keys(record: Path) -> list[tuple[str, int]]:
@@ -266,7 +326,9 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table], every: int) -> str
         names = [name for name in rows.column_names if name != "run"]
         columns = {name: rows[name].to_pylist() for name in names}
         sink.update(repr((table, columns)).encode())
-    last = pq.ParquetFile(run.files("entities")[-1]).read(columns=["tick", "id"])
+    last = pq.read_table(
+        parquet_source(run.files("entities")[-1]), columns=["tick", "id"], partitioning=None
+    )
     ticks = last["tick"].to_numpy()
     present = np.sort(last["id"].to_numpy()[ticks == ticks.max()])
     sink.update(present.tobytes())

@@ -11,7 +11,6 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -25,6 +24,7 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.questions import Answering, Question, to_text
 from ssduck.limits import Limits
 from ssduck.recording.model_checks import check_models
+from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import run_of
 from ssduck.recording.stores.episode_batch import (
@@ -32,6 +32,7 @@ from ssduck.recording.stores.episode_batch import (
     BatchedFile,
     DamagedEpisodeError,
 )
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import MODELS, RECORDABLE
 
@@ -53,7 +54,7 @@ class _Reader:
     """
 
     def __init__(self, entry: EpisodeEntry, limits: Limits | None) -> None:
-        run = FolderRun(Path(entry.path), entry.world, entry.episode)
+        run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         models = {table: run.read(f"models/{table}") for table in MODELS}
         check_models(models, lambda table: str(run.place(f"models/{table}")))
         number = run_of(models)
@@ -141,7 +142,8 @@ class _Reader:
 @lru_cache(maxsize=1024)
 def _resolved(path: str) -> str:
     """Returns the path of a record without links."""
-    return Path(path).resolve().as_posix()
+    place = expand_path(path).resolve()
+    return str(place) if isinstance(place, ObjectPath) else place.as_posix()
 
 
 _readers: OrderedDict[tuple[str, Limits | None], _Reader] = OrderedDict()

@@ -25,6 +25,7 @@ from ssduck.geometry.arrays import Array
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
+from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_archive import (
     arrow_types,
     multi_link_bodies,
@@ -55,8 +56,11 @@ class BatchedFile:
             OSError: it cannot be read.
             RecordError: they are not those that the manifest knows.
         """
-        with open(self.path, "rb", buffering=0) as file:  # noqa: PTH123  # a Path takes longer
-            content = file.readall()
+        if is_address(self.path):
+            content = ObjectPath(self.path).read_bytes()
+        else:
+            with open(self.path, "rb", buffering=0) as file:  # noqa: PTH123  # faster than a Path
+                content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
         return content
@@ -195,7 +199,7 @@ class EpisodeBatch(TickArchive):
     def _set_variables(self, table: str) -> None:
         """Sets the files of a table that SQL reads, and the offsets of their ticks."""
         shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
-        paths = [(pattern_of(f.path), e.offset) for e in shown for f in e.files[table]]
+        paths = [(_pattern(f.path), e.offset) for e in shown for f in e.files[table]]
         files = ", ".join(_text(path) for path, _ in paths)
         offsets = ", ".join(str(int(offset)) for _, offset in paths)
         names = [quoted(name) for name in _variables(table)]
@@ -245,7 +249,7 @@ class EpisodeBatch(TickArchive):
         begin = max(int(np.searchsorted(self._starts, request.first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, request.last, side="right"))
         paths = [
-            (pattern_of(file.path), episode.offset)
+            (_pattern(file.path), episode.offset)
             for episode in self._episodes[begin:end]
             for file in episode.files["entities"]
         ]
@@ -271,6 +275,11 @@ def model_table(table: str) -> str:
 def _variables(table: str) -> tuple[str, str]:
     """Returns the names of DuckDB's variables of the files and the offsets of a table."""
     return f"files of {table}", f"offsets of {table}"
+
+
+def _pattern(path: str) -> str:
+    """Returns the path or address of a file as DuckDB reads it."""
+    return path if is_address(path) else pattern_of(path)
 
 
 def _text(text: str) -> str:
@@ -308,6 +317,6 @@ def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int)
 
 def has_current_columns(file: Path, table: str) -> bool:
     """Checks whether a part has all columns that a part of this version has."""
-    names = set(pq.read_schema(file).names)
+    names = set(pq.read_schema(parquet_source(file)).names)
     columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
     return names >= set(columns)

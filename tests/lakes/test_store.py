@@ -1,0 +1,85 @@
+"""A lake in an object store: a local S3 server, on the loopback."""
+
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.lakes.lake import MANIFEST
+from ssduck.recording.stores import object_store
+from ssduck.recording.stores.object_store import ObjectPath
+from tests.lakes.conftest import EPISODES
+from tests.support.lake_episodes import REWARD, SUCCESS
+from tests.support.lake_questions import PROGRAMS
+
+server_module = pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
+pytest.importorskip("fsspec", reason="the extra s3 is not installed")
+
+
+@pytest.fixture(scope="module")
+def address(recorded):
+    server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
+    server.start()
+    host, port = server.get_host_and_port()
+    settings = {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ACCESS_KEY_ID": "test",
+        "AWS_SECRET_ACCESS_KEY": "test",
+        "AWS_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        from pyarrow.fs import S3FileSystem
+
+        S3FileSystem(
+            endpoint_override=f"{host}:{port}", scheme="http", allow_bucket_creation=True
+        ).create_dir("runs")
+        place = ObjectPath("s3://runs/of today/record")
+        for file in recorded.rglob("*"):
+            if file.is_file() and not file.name.startswith(MANIFEST):
+                (place / file.relative_to(recorded).as_posix()).write_bytes(file.read_bytes())
+        yield "s3://runs/of today"
+    object_store._s3.cache_clear()
+    server.stop()
+
+
+def test_the_same_answers(address, recorded, monkeypatch):
+    local, remote = ssduck.lake(recorded), ssduck.lake(address)
+    assert remote.episodes["path"].to_pylist() == [f"{address}/record"] * EPISODES
+    for name in ("id", "ticks", "entities", "return", "size", "error"):
+        assert remote.episodes[name].equals(local.episodes[name])
+    with monkeypatch.context() as patch:
+        patch.setattr("ssduck.lakes.workers.answer_by_itself", None)  # all are asked together
+        for name in ("last tick", "least clearance"):
+            wanted = local.ask(PROGRAMS[name], processes=1)
+            assert remote.ask(PROGRAMS[name], processes=1)["answer"].equals(wanted["answer"])
+    score = remote.score(SUCCESS, reward=REWARD, processes=1)
+    assert score["return"].equals(local.score(SUCCESS, reward=REWARD, processes=1)["return"])
+
+
+def test_the_manifest_is_there_and_tags_are_written(address, monkeypatch):
+    lake = ssduck.lake(address)
+    assert lake.manifest == ObjectPath(f"{address}/{MANIFEST}.parquet")
+    assert lake.manifest.is_file()
+    assert lake.set_tags({"task": "pick"}, "episode = 1") == 1
+    monkeypatch.setattr("ssduck.lakes.scan._described", None)  # nothing is read anew
+    again = ssduck.lake(address)
+    assert again._entries == lake._entries
+    assert again.select("task = 'pick'")["episode"].to_pylist() == [1]
+
+
+def test_damage_is_one_row(address):
+    lake = ssduck.lake(address)
+    place = ObjectPath(f"{address}/record/entities/world=sim/episode=2/part-000000.parquet")
+    content = bytearray(place.read_bytes())
+    content[700] ^= 4
+    place.write_bytes(content)
+    for asked in (lake, ssduck.lake(address)):
+        rows = asked.ask(PROGRAMS["last tick"], processes=1).to_pylist()
+        assert [row["episode"] for row in rows if row["error"]] == [2]
+
+
+def test_nothing_there(address):
+    with pytest.raises(RecordError, match="there is no record"):
+        ssduck.lake("s3://runs/of tomorrow")
