@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
+from ssduck.errors import (
+    ArgumentError,
+    SceneError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+    warn,
+)
 from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
@@ -172,8 +179,14 @@ def scene_of(
         raise UnsupportedError(
             "a MuJoCo world is saved as MJCF, of which PyBullet reads little: name no simulator"
         )
-    model, data = simulator.model, simulator.data
+    model, data = simulator.switched_on(simulator.model), simulator.data
     names = body_names(model)
+    off = simulator.disabled | simulator.hidden
+    if off:
+        switched = joined_names(sorted(names[body.handle] for body in off))
+        warn(
+            f"{switched}: MJCF has no bodies that are disabled or hidden; in the file they are not"
+        )
     lost = set(roots_of(model)) - {0, *(one.body.handle for one in originals)}
     if lost:
         raise UnsupportedError(

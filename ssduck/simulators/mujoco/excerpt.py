@@ -7,7 +7,6 @@ the tick is the present one; else it is set from the poses and joints of the tic
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -40,7 +39,7 @@ def excerpt(
             f"{joined_names(earlier)}: MuJoCo's model is another one by now, and cannot be copied "
             "as it was"
         )
-    model = copy.copy(source.model)
+    model = source.switched_on(source.model)
     data = copied_data(source.model, source.data, mujoco.MjData(model))
     chosen = {one.body.handle for one in originals}
     # Where everything is copied, so is what the world body shows.
@@ -55,6 +54,10 @@ def excerpt(
         kinds={one.body.handle: one.body.kind for one in originals},
         only=chosen,
         spec=source.spec,
+        switched_off=(
+            [body.handle for body in tick.disabled],
+            [body.handle for body in tick.hidden],
+        ),
     )
 
 

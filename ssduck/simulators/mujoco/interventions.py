@@ -8,7 +8,8 @@ connect bodies, welds are needed that the model has already: inactive ones whose
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import copy
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -97,8 +98,19 @@ class Switches:
             array[numbers] = value
 
     def _restore(self, action: str, body: Body) -> None:
-        for name, (numbers, values) in self._saved.pop((action, body)).items():
-            getattr(self.model, name)[numbers] = values
+        _write(self.model, self._saved.pop((action, body)))
+
+    def switched_on(self, model: Any) -> Any:
+        """Returns a copy of a copy of the model, in which all bodies collide and are drawn."""
+        copied = copy.copy(model)
+        for saved in self._saved.values():
+            _write(copied, saved)
+        return copied
+
+
+def _write(model: Any, saved: Mapping[str, tuple[Indices, Array]]) -> None:
+    for name, (numbers, values) in saved.items():
+        getattr(model, name)[numbers] = values
 
 
 # -- removal ---------------------------------------------------------------------------------

@@ -60,6 +60,8 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
     welds = list(_welds(model, data))
     root = ET.fromstring(_source(_without_holds(model), spec))  # noqa: S314  # MuJoCo wrote it
     _copy_files(root, Path(spec.modelfiledir) if spec is not None else None, file.parent / ASSETS)
+    for part in root.iter("statistic"):
+        part.attrib.pop("meaninertia", None)  # MuJoCo 4 writes it, and warns when it reads it
     _write_digits(root, model)
     _replace(root, "keyframe", "key", STATE_KEY, [_state(model, data)])
     texts = [ET.Element("text", name=KIND_PREFIX + name, data=kind) for name, kind in kinds.items()]

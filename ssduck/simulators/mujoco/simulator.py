@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -49,6 +49,9 @@ from ssduck.simulators.mujoco.sources import Source
 from ssduck.simulators.partial import PartialSimulator
 from ssduck.simulators.scenes import Camera
 
+# The numbers of root bodies of which collisions are off, and of those that are hidden.
+SwitchedOff: TypeAlias = tuple[Collection[int], Collection[int]]
+
 # The number of lists of bodies whose rows stay prepared.
 _PREPARED = 4
 
@@ -84,6 +87,8 @@ class MuJoCoSimulator(PartialSimulator):
         forward: whether each tick has the poses, velocities and contacts that follow from the
             joint positions of its time. MuJoCo's own are those at the beginning of the last step.
         spec: the `mujoco.MjSpec` that the model was compiled from; None if it is not known.
+        switched_off: the numbers of the root bodies of which collisions are off at first, and of
+            those that are hidden.
 
     Attributes:
         spec: see above.
@@ -105,6 +110,7 @@ class MuJoCoSimulator(PartialSimulator):
         only: Collection[int] | None = None,
         forward: bool = False,
         spec: Any = None,
+        switched_off: SwitchedOff = ((), ()),
     ) -> None:
         self.is_external = not owned
         self._source = source
@@ -113,6 +119,8 @@ class MuJoCoSimulator(PartialSimulator):
         self.spec = spec
         self.model, self.data = source()
         self._switches = Switches(self.model)
+        # What is to be switched off when the bodies are described first.
+        self._switched_off: SwitchedOff = switched_off
         # A copy of the data in which the derived quantities are computed; None until needed.
         self._copy: Any = None
         self._state: Any = self.data
@@ -153,7 +161,21 @@ class MuJoCoSimulator(PartialSimulator):
         self._ray_caster = None
         self._rows, self._joint_rows, self._geoms = [], None, {}
         self._warn_of_boxes(added)
+        self._switch_off(added)
         return (added, gone) if added or gone else None
+
+    def _switch_off(self, bodies: Sequence[Body]) -> None:
+        """Switches off what is to be off at first."""
+        (disabled, hidden), self._switched_off = self._switched_off, ((), ())
+        for body in bodies:
+            if body.handle in disabled:
+                self.enable(body, False)
+            if body.handle in hidden:
+                self.show(body, False)
+
+    def switched_on(self, model: Any) -> Any:
+        """Returns a copy of a copy of the model, in which all bodies collide and are drawn."""
+        return self._switches.switched_on(model)
 
     def has(self, body: Body) -> bool:
         """Checks whether the present model has a body."""

@@ -215,3 +215,26 @@ def test_what_is_switched_off_is_on_in_a_new_model():
     assert world["crate"].enabled
     assert world["lid"].visible
     assert models[0].geom_contype.tolist() != models[1].geom_contype.tolist()
+
+
+def test_copies_keep_what_is_off_and_files_do_not(yard, tmp_path):
+    yard["crate"].enabled = False
+    yard["lid"].visible = False
+    copy = yard.excerpt(yard)
+    for world in (yard, copy):
+        assert not world["crate"].enabled
+        assert not world["lid"].visible
+        low, high = np.array(world["crate"].aabb)
+        assert high - low == pytest.approx([0.2, 0.2, 0.2], abs=0.01)
+    copy["crate"].enabled = copy["lid"].visible = True
+    copy.step(200)
+    assert copy["crate"].position[2] == pytest.approx(0.1, abs=0.01)
+    assert copy.simulator.model.geom_rgba[:, 3].min() == 1.0
+    with pytest.warns(
+        UserWarning, match="crate, lid: MJCF has no bodies that are disabled or hidden"
+    ):
+        file = yard.save(tmp_path / "saved")
+    with ssduck.load(file) as ss:
+        ss["yard"].step(200)
+        assert ss["yard"]["crate"].position[2] == pytest.approx(0.1, abs=0.01)
+    assert not yard["crate"].enabled
