@@ -175,7 +175,7 @@ def _add_shape(entity: Any, shape: PlacedGeometry) -> None:
         case "sphere":
             primitive, sizes = entity.spheres.add(), (2 * size[0],) * 3
         case "ellipsoid":
-            primitive, sizes = entity.spheres.add(), tuple(2 * axis for axis in size)
+            primitive, sizes = entity.spheres.add(), (2 * size[0], 2 * size[1], 2 * size[2])
         case "cylinder":
             primitive, sizes = entity.cylinders.add(), (2 * size[0], 2 * size[0], size[1])
             primitive.bottom_scale = primitive.top_scale = 1.0
