@@ -52,7 +52,6 @@ from ssduck.recording.stores.part_log import PartLog
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import MODELS, recorded_tables
-from ssduck.simulators.interface import Body
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
@@ -260,14 +259,11 @@ class _NoIds:
     """The numbers of a world that has no entities."""
 
     run: int = 0
+    drawn: None = None
 
     def geometry_id(self, geometry: Geometry) -> int:
         """Fails: there are no geometries."""
         raise AssertionError(geometry)
-
-    def visuals(self, body: Body) -> None:
-        """Fails: there are no bodies."""
-        raise AssertionError(body)
 
 
 class ParquetRecording:
