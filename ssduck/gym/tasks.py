@@ -29,6 +29,8 @@ from ssduck.world.world import World
 WORLD = "sim"
 # The largest number of steps of the simulator in a step of a task.
 MAX_STEPS = 100_000
+# The largest size of a task file, bytes.
+MAX_BYTES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -252,7 +254,11 @@ def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv:
     """
     file = expand_path(path).absolute()
     limits = limits or Limits.strict()
+    if not file.is_file():  # a pipe would be waited for, and a device read without end
+        raise SceneError(f"{file}: there is no such file")
     try:
+        if file.stat().st_size > MAX_BYTES:
+            raise SceneError(f"{file}: it has more than {MAX_BYTES:,} bytes")
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:  # a TOMLDecodeError is a ValueError
         reason = error.strerror if isinstance(error, OSError) else error

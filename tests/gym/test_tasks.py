@@ -1,10 +1,13 @@
 """`make_task`: an environment from a file, which may come from a stranger."""
 
+import os
+
 import numpy as np
 import pytest
 
-from ssduck.errors import SelectScriptError
+from ssduck.errors import SceneError, SelectScriptError
 from ssduck.gym import make_task
+from ssduck.gym.tasks import MAX_BYTES
 from tests.support.gym_environments import PUSH
 
 TASK = """
@@ -137,6 +140,22 @@ def test_a_hostile_scene_is_refused(folder, part, message):
     (folder / "push.xml").write_text(MODEL.replace("<worldbody>", f"{part}<worldbody>", 1))
     with pytest.raises(SelectScriptError, match=message):
         make_task(folder / "task.toml")
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder", "nothing", "a large file"])
+def test_a_task_is_a_file(folder, kind):
+    task = folder / "task.toml"
+    task.unlink()
+    if kind == "a pipe":
+        os.mkfifo(task)
+    elif kind == "a device":
+        task.symlink_to("/dev/zero")
+    elif kind == "a folder":
+        task.mkdir()
+    elif kind == "a large file":
+        task.write_text(TASK + "#" * MAX_BYTES)
+    with pytest.raises(SceneError, match=r"task.toml: (there is no such file|it has more than)"):
+        make_task(task)
 
 
 def test_terms_have_strict_limits(folder):
