@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
+from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
@@ -41,14 +43,17 @@ def load(scene: Scene) -> MuJoCoSimulator:
         UnsupportedError: the scene is more than a model file and sensors.
     """
     file = _model_file(scene)
+    check_declared_sizes(file)
     try:
         # The specification is the source of the model, which is kept to save it.
         spec = mujoco.MjSpec.from_file(str(file))
         add_spare_welds(spec)
         compiled = spec.compile()
-    except ValueError as error:
+        data = mujoco.MjData(compiled)
+    except (ValueError, MemoryError, mujoco.FatalError) as error:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
-    data = mujoco.MjData(compiled)
+    if not (compiled.opt.timestep > 0 and math.isfinite(compiled.opt.timestep)):
+        raise SceneError(f"{scene.path}: the timestep is not a number above 0")
     state = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_KEY, STATE_KEY)
     if state >= 0:
         mujoco.mj_resetDataKeyframe(compiled, data, state)
