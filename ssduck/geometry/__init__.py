@@ -33,7 +33,7 @@ __getattr__, __dir__ = exports(
     {
         "line_of_sight": ("are_blocked",),
         "queries": ("ShapeQueries",),
-        "rasterize": ("Rasterizer",),
+        "rasters.rasterize": ("Rasterizer",),
         "bounds": ("BoundingBoxes",),
         "shapes": ("Geometry", "PlacedGeometry"),
     },
