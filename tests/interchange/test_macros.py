@@ -224,6 +224,8 @@ def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> N
         damaged.rename(file)
         with pytest.raises(RecordError, match="damaged"):
             macro_script(run=folder_run(record, None, None))
+        (damage,) = ssduck.check(record)
+        assert (damage.file, damage.loss) == (file, "the table of pairs, for other tools")
     finally:
         file.with_name("kept").rename(file)
 
