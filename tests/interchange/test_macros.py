@@ -37,7 +37,10 @@ JOINTS = {"joint", "isOpen", "isClosed"}
 PAIRED = {"collides", "collision", "near"}
 CONTACTS = {"inContact", "contactForce", "grasped", "force", "torque"}
 SENSINGS = {"isSensing", "sensingAmount", "sensingEnvIDs"}
-FORMS = {"isBox", "isSphere", "isCylinder", "isCapsule", "isPlane", "isTriMesh"}
+FORMS = {
+    f"is{form}"
+    for form in ("Box", "Sphere", "Cylinder", "Capsule", "Ellipsoid", "Plane", "TriMesh")
+}
 
 
 @pytest.fixture(scope="module")
