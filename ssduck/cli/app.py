@@ -39,6 +39,8 @@ from ssduck.cli.lakes import (
     list_episodes,
     tag,
 )
+from ssduck.cli.listings import functions, scenes
+from ssduck.cli.program_text import program_text
 from ssduck.cli.records import (
     check,
     episodes,
@@ -392,7 +394,7 @@ def query(
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
     write = _writer_of_result(format, output, rows)
-    text = _program_text(program, file)
+    text = program_text(program, file)
 
     from ssduck.interpreter.shown_rows import rows_to_show
     from ssduck.limits import Limits
@@ -483,7 +485,7 @@ def ask(
     write = _writer_of_result(format, output, rows)
     ask_lake(
         path,
-        _program_text(program, file),
+        program_text(program, file),
         write,
         where=where,
         engine=engine,
@@ -568,72 +570,5 @@ def shell(
 
 app.command()(view)
 app.command()(render)
-
-
-@app.command()
-def scenes() -> None:
-    """List the scenes that come with ssduck."""
-    from ssduck.simulators.scenes import read_scene, shipped_scenes
-
-    shipped = [(name, read_scene(path).description) for name, path in shipped_scenes().items()]
-    print_table(DisplayTable(["scene", "description"], shipped))
-
-
-@app.command()
-def functions(
-    name: Annotated[
-        str | None,
-        typer.Argument(metavar="NAME", help="The function to describe; all are listed by default."),
-    ] = None,
-) -> None:
-    """List the functions of the language with their usage, or describe one."""
-    from ssduck.interpreter.completion import usage_and_summary
-    from ssduck.interpreter.interpreter import Interpreter
-
-    with Interpreter() as ss:
-        if name is not None:
-            print_line(ss.help(name))
-            return
-        listing = [usage_and_summary(ss.help(known)) for known in ss.help()]
-    print_table(DisplayTable(["function", "what it does"], listing))
-
-
-# -- the program --------------------------------------------------------------------------
-
-
-def _program_text(program: str | None, file: Path | None) -> str:
-    """Returns the text of the program: the argument, a file or standard input.
-
-    Raises:
-        BadParameter: there is no program, or there are two.
-        SelectScriptError: the file cannot be read.
-    """
-    if program is not None and file is not None:
-        raise typer.BadParameter("the program is given twice: as an argument, and by --file")
-    if file is not None and str(file) != "-":
-        text = _decoded(_content(file), str(file))
-    elif program is not None and program != "-":
-        text = _decoded(program.encode(errors="surrogateescape"), "the program")
-    elif sys.stdin is None or (program is None and file is None and sys.stdin.isatty()):
-        raise typer.BadParameter("there is no program: give one, or --file, or standard input")
-    else:
-        text = _decoded(sys.stdin.buffer.read(), "standard input")
-    if not text.strip():
-        raise typer.BadParameter("the program is empty")
-    return text
-
-
-def _content(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise SelectScriptError(f"{file} cannot be read: {error.strerror}") from error
-
-
-def _decoded(content: bytes, source: str) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SelectScriptError(
-            f"{source} is not UTF-8: byte {error.start} is 0x{content[error.start]:02x}"
-        ) from error
+app.command()(scenes)
+app.command()(functions)
