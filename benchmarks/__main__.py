@@ -1,8 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
-language and adapters. All of them take some minutes, and so do the tables raw, strict and
-checksums. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
+language and adapters. All of them take some minutes, and so do the tables raw, strict, checksums
+and interchange. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
 `python -m benchmarks lake [FOLDER]` needs gymnasium and MuJoCo, and Ray and Spark for their rows.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
@@ -17,6 +17,7 @@ from benchmarks import (
     adapters,
     checksums,
     gym_steps,
+    interchange,
     lake,
     language,
     mujoco_ticks,
@@ -40,7 +41,12 @@ TABLES = {
     "adapters": adapters,
 }
 # Tables that take minutes.
-LONG_TABLES = {"raw": raw, "strict": strict, "checksums": checksums}
+LONG_TABLES = {
+    "raw": raw,
+    "strict": strict,
+    "checksums": checksums,
+    "interchange": interchange,
+}
 # Tables that need an extra.
 EXTRA_TABLES = {"gym": gym_steps, "mujoco": mujoco_ticks, "view": view}
 LONG = {

@@ -18,7 +18,6 @@ import tempfile
 import tomllib
 from pathlib import Path
 
-import pybullet
 import pytest
 from hypothesis import settings
 
@@ -87,6 +86,7 @@ def temporary_files(tmp_path_factory):
 @pytest.fixture
 def client():
     """A PyBullet client of the test's own."""
+    pybullet = pytest.importorskip("pybullet")  # there are wheels for few versions of Python
     number = pybullet.connect(pybullet.DIRECT)
     yield number
     if pybullet.isConnected(number):

@@ -13,6 +13,8 @@ from functools import partial
 from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
+from ssduck.formatting import short_repr
+
 if TYPE_CHECKING:
     import pyarrow as pa
     from rich.console import Console
@@ -199,6 +201,10 @@ def _type_of(values: Iterable[Any]) -> str:
     return _TYPES.get(kind, "")
 
 
+# Python writes any integer of fewer bits.
+_SHORT_BITS = 2_000
+
+
 def as_json(value: Any) -> Any:
     """Converts a value for JSON: entities and worlds to names, NaN and infinity to null.
 
@@ -206,8 +212,10 @@ def as_json(value: Any) -> Any:
     {'time': 0.5, 'distance': None}
     """
     match value:
-        case None | bool() | int() | str():
+        case None | bool() | str():
             return value
+        case int():
+            return value if value.bit_length() < _SHORT_BITS else _long_integer(value)
         case float():
             return value if math.isfinite(value) else None
         case list() | tuple():
@@ -217,6 +225,15 @@ def as_json(value: Any) -> Any:
         case bytes():
             return value.hex()
     return _other_as_json(value)
+
+
+def _long_integer(value: int) -> int | str:
+    """Returns an integer; its description if it has more digits than Python writes."""
+    try:
+        str(value)
+    except ValueError:
+        return short_repr(value)
+    return value
 
 
 def _other_as_json(value: Any) -> Any:

@@ -39,7 +39,15 @@ from ssduck.cli.lakes import (
     list_episodes,
     tag,
 )
-from ssduck.cli.records import check, episodes, export, open_or_load, record, whole_steps
+from ssduck.cli.records import (
+    check,
+    episodes,
+    export,
+    open_or_load,
+    record,
+    upgrade,
+    whole_steps,
+)
 from ssduck.cli.rendering import render
 from ssduck.cli.viewing import view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
@@ -437,7 +445,7 @@ def _writer_of_result(
     return partial(print_value, format=format, max_rows=rows)
 
 
-for command in (record, export, episodes, check, tag, macros):
+for command in (record, export, episodes, check, tag, upgrade, macros):
     app.command()(command)
 app.command("import")(import_)
 

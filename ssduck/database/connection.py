@@ -239,6 +239,9 @@ class Connection:
             file = exp.Literal.string(absolute_path(str(path))).sql("duckdb")
         except SqlError as error:
             raise RecordError(error.message) from error
+        log = Path(f"{path}.wal")
+        if os.path.lexists(log) and not log.is_file():  # DuckDB would wait for a pipe
+            raise RecordError(f"{log} is no file, but DuckDB keeps the log of {path} there")
         try:
             # DuckDB would download an extension to read a file of another type.
             self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY, TYPE duckdb)")

@@ -8,7 +8,7 @@ they read. Each world is a schema of views on its buffers. Nothing outside this 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 
@@ -361,6 +361,7 @@ class Database:
         names: tuple[str, ...] | None,
         time_range: tuple[float | None, float | None],
         tags: Tags | None = None,
+        about: Mapping[str, str] | None = None,
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
@@ -374,7 +375,7 @@ class Database:
             assert history is not None
             recording = history.store.recording
             name = self.schema_of(world)
-            return export(record, recording, name, path, names, time_range, tags)
+            return export(record, recording, name, path, names, time_range, tags, about)
 
     def flush(self) -> dict[str, int]:
         """Stores waiting ticks; returns the last tick of each world, by its schema."""

@@ -29,7 +29,7 @@ cardinality cbrt ceil ceiling century char_length character_length chr concat co
 corr cos cosh cot count count_if count_star countif covar_pop covar_samp cume_dist current_date
 current_localtime current_localtimestamp date_add date_diff date_part date_sub
 date_trunc datediff datepart datesub datetrunc day dayname dayofmonth dayofweek dayofyear
-days_in_month decade decimal_average decimal_division decode degrees dense_rank divide editdist3
+days_in_month decade decimal_average decimal_division decode degrees dense_rank divide
 element_at encode ends_with entropy epoch epoch_ms epoch_ns epoch_us era even exp factorial favg
 fdiv fill filter first first_value flatten floor fmod formatReadableDecimalSize formatReadableSize
 format_bytes from_base64 from_binary from_hex fsum gamma gcd gen_random_uuid geomean geometric_mean
@@ -81,5 +81,23 @@ FUNCTIONS = frozenset(_FUNCTIONS.split())
 AGGREGATING = frozenset(
     ("aggregate", "array_aggr", "array_aggregate", "list_aggr", "list_aggregate")
 )
+# Functions whose second argument is a regular expression: their time grows with its length times
+# that of the text.
+REGULAR = frozenset(
+    [
+        "regexp_extract",
+        "regexp_extract_all",
+        "regexp_full_match",
+        "regexp_matches",
+        "regexp_split_to_array",
+        "str_split_regex",
+        "string_split_regex",
+        "~",
+        "!~",
+        "~*",
+        "!~*",
+    ]
+)
+MAX_EXPRESSION = 200
 # Functions in FROM.
 TABLE_FUNCTIONS = frozenset(("generate_series", "json_each", "json_tree", "range", "unnest"))

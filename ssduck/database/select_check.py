@@ -18,7 +18,9 @@ from ssduck.database.macros import TABLE_MACROS
 from ssduck.database.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
+    MAX_EXPRESSION,
     OPERATORS,
+    REGULAR,
     TABLE_FUNCTIONS,
 )
 from ssduck.database.statement_size import check_statement_size
@@ -226,6 +228,8 @@ class _Walk:
         name = node["function_name"].lower()
         if name not in OPERATORS and name not in _SCALARS:
             self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
+        if name in REGULAR:
+            self._check_expression(node, name)
         if name in AGGREGATING:
             for argument in node["arguments"][1:2]:
                 literal = argument["expression"].get("literal") or {}
@@ -233,6 +237,18 @@ class _Walk:
                 if aggregate not in FUNCTIONS:
                     message = f"{name} takes the name of an aggregate that SQL may call"
                     self._refuse(node, message, aggregate, FUNCTIONS)
+
+    def _check_expression(self, node: Node, name: str) -> None:
+        """Checks that a regular expression is short, and known before the statement runs."""
+        for argument in node["arguments"][1:2]:
+            literal = argument["expression"].get("literal")
+            text = literal.get("text") if isinstance(literal, dict) else None
+            if not isinstance(text, str) or len(text) > MAX_EXPRESSION:
+                self._refuse(
+                    node,
+                    f"the regular expression of {name} is a text of at most {MAX_EXPRESSION} "
+                    "letters here",
+                )
 
     def _refuse(
         self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()

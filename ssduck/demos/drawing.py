@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from ssduck.adapters.charts import chart
 from ssduck.errors import SelectScriptError
 from ssduck.simulators.scenes import Camera
 
@@ -73,6 +74,17 @@ class TopView:
         self.image = Image.fromarray(world.render(width, height, camera, shadow=False))
         self._draw = ImageDraw.Draw(self.image)
         self._font = ImageFont.load_default(13)
+
+    def with_axes(self, legend: Sequence[tuple[Colour, str]]) -> Image.Image:
+        """Returns the picture with axes in metres, and with a legend at its right.
+
+        Args:
+            legend: the colours and what they mean.
+        """
+        width, height = self.image.size
+        left, high = self._corner
+        bounds = (left, high - height / self._scale), (left + width / self._scale, high)
+        return chart(self.image, bounds, ("x [m]", "y [m]"), entries=legend)
 
     def pixel(self, point: Sequence[float]) -> Point:
         """Returns the position of a point in the picture, x to the right and y down."""

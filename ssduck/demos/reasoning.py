@@ -20,7 +20,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ssduck.demos.drawing import TopView
+from ssduck.demos.drawing import Colour, TopView
 from ssduck.demos.grid import Cell, SearchGrid, free_cells, shortest_path
 from ssduck.demos.placing import Placing
 from ssduck.demos.results import keep_picture
@@ -37,6 +37,9 @@ CLEARANCE = math.hypot(RADIUS, GRID.side / 2) - RADIUS
 GROUND = ("floor", "goal")
 # The distance that the robot drives from tick to tick, m.
 STRIDE = 0.05
+# The colours of the picture.
+FREE: Colour = (70, 150, 90)
+WAY: Colour = (200, 30, 30)
 
 PROGRAM = """\
 moves = [[1, 0], [0, 1], [-1, 0], [0, -1]];
@@ -76,7 +79,8 @@ def run(folder: Path, say: Callable[[str], None], *, seed: int) -> bool:  # noqa
         rover_hits = "no collision" if not hits else f"collisions: {hits[:5]}"
         say(f"Driven in {ticks} recorded ticks: {rover_hits}")
     draw(view, free, [start, *path])
-    target = keep_picture(view.image, folder / "reasoning.png")
+    legend = [(FREE, "a free cell"), (WAY, "the shortest way")]
+    target = keep_picture(view.with_axes(legend), folder / "reasoning.png")
     say(f"Cells that are free, and the way: {target}")
     return bool(path) and len(path) == least and set(path) <= free and hits == []
 
@@ -134,11 +138,11 @@ def drive(ss: Interpreter, path: Sequence[Cell]) -> tuple[int, list[dict[str, ob
 def draw(view: TopView, free: set[Cell], path: Sequence[Cell]) -> None:
     """Draws the free cells and the path."""
     for cell in free:
-        view.square(GRID.place(cell), 0.1, (70, 150, 90))
+        view.square(GRID.place(cell), 0.1, FREE)
     points = list(map(GRID.place, path))
-    view.path(points, (200, 30, 30), 4)
+    view.path(points, WAY, 4)
     for point, name in ((points[0], "start"), (points[-1], "goal")):
-        view.dot(point, (200, 30, 30))
+        view.dot(point, WAY)
         view.text(point, name)
     words = f"{len(path) - 1} steps, {(len(path) - 1) * GRID.side:g} m"
     view.text(points[len(points) // 2], words)

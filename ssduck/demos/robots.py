@@ -245,4 +245,5 @@ def draw(kitchen: World, drives: dict[str, list[list[Place]]], target: Path) -> 
         if paths:
             view.dot(paths[-1][-1], colour, 7)
             view.text(paths[-1][-1], name, colour)
-    return keep_picture(view.image, target)
+    legend = [(colour, f"path of {name}") for name, colour in ROBOTS.items() if name in drives]
+    return keep_picture(view.with_axes(legend), target)

@@ -12,247 +12,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Literal, TypeAlias
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.poses import rotate
-from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
-from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses, pair_keys
+from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, pair_keys
 from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
-from ssduck.geometry.shapes import Geometry
-from ssduck.geometry.solids import Solid, solid_of
+from ssduck.geometry.tick_shapes import (
+    MAX_ENTITIES,
+    KeptPairs,
+    PairPredicate,
+    ShapeTable,
+    TickShapes,
+)
 
-# Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
-_BOUND_MARGIN = 1e-8
-_MAX_ENTITIES = 1 << 32
 # Among pairs of other shapes, fewer pairs of boxes are decided together with these.
 _MIN_BOXES = 8
 # The number of pairs of boxes that the narrow phase compares faster than rules for many pairs.
 _FEW_BOXES = 2
-# The number of predicates of which something is kept from tick to tick.
-_MAX_PREDICATES = 16
-# The number of regrouped tables that are kept from tick to tick.
-_MAX_REGROUPED = 16
-
-
-PredicateKind: TypeAlias = Literal["colliding", "within", "touching"]
-
-
-@dataclass(frozen=True)
-class PairPredicate:
-    """A condition on two entities; it holds if it holds for two of their shapes.
-
-    Attributes:
-        kind: "colliding": they are deeper in each other than `distance`. "within": the distance of
-            their nearest points is at most `distance`. "touching": that distance is at most
-            `distance` plus the collision margins of both shapes.
-        distance: metres.
-    """
-
-    kind: PredicateKind
-    distance: float
-
-    def bound(self, margins: float) -> float:
-        """Returns the bound of the signed distance of two shapes.
-
-        Args:
-            margins: the sum of their collision margins, metres.
-        """
-        if self.kind == "colliding":
-            return -self.distance
-        return self.distance + margins if self.kind == "touching" else self.distance
-
-    def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
-        """Returns the bounds for pairs of shapes, (n,)."""
-        bounds = np.full(len(first), self.bound(0.0))
-        if self.kind == "touching":
-            bounds += table.margins[first] + table.margins[second]
-        return bounds
-
-    def candidates(self, tick: TickShapes) -> Pairs:
-        """Returns the pairs of shapes whose boxes are near enough."""
-        if self.kind == "colliding":
-            return _candidates(tick, tick.boxes, 0.0)
-        if self.kind == "within":
-            return _candidates(tick, tick.boxes, self.distance + _BOUND_MARGIN)
-        margins = tick.table.margins
-        grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
-        return _candidates(tick, grown, max(self.distance, 0.0) + _BOUND_MARGIN)
-
-
-class KeptPairs:
-    """What decided the pairs of a condition at the tick before, and the verdicts."""
-
-    def __init__(self) -> None:
-        self.witnesses, self.verdicts = KeptWitnesses(), KeptVerdicts()
-
-
-class ShapeTable:
-    """The properties of shapes that do not depend on their poses.
-
-    Args:
-        solids: the distinct solids.
-        solid_indices: (n,), the index of each shape's solid.
-        entities: (n,), the index of each shape's entity.
-        margins: (n,), the collision margins, metres; None for none.
-    """
-
-    def __init__(
-        self,
-        solids: Sequence[Solid],
-        solid_indices: Indices,
-        entities: Indices,
-        margins: Array | None = None,
-    ) -> None:
-        self.solids, self.solid_indices = solids, solid_indices
-        self.entities = entities
-        self.margins = np.zeros(len(solid_indices)) if margins is None else margins
-        self.count = int(entities.max(initial=-1)) + 1
-        self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
-        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[solid_indices]
-        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[
-            solid_indices
-        ]
-        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
-            solid_indices
-        ]
-        self.has_planes = bool(self.is_plane.any())
-        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
-        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
-        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
-        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[solid_indices]
-        self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(
-            -1, 3
-        )[solid_indices]
-        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[
-            solid_indices
-        ]
-        up = np.array([0.0, 0.0, 1.0])
-        normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
-        self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
-        self.cores = ConvexCores(solids, solid_indices)
-        self._kept: dict[PairPredicate, KeptPairs] = {}
-        self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
-        self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
-
-    def kept(self, predicate: PairPredicate) -> KeptPairs:
-        """Returns what is kept of a predicate from the tick before."""
-        if predicate not in self._kept:
-            if len(self._kept) >= _MAX_PREDICATES:
-                self._kept.clear()
-            self._kept[predicate] = KeptPairs()
-        return self._kept[predicate]
-
-    def extended(self, geometries: Sequence[Geometry], entities: Indices) -> ShapeTable:
-        """Returns the table with further shapes, without margins; it keeps the last one.
-
-        Args:
-            geometries: their geometries.
-            entities: (n,), the index of each one's entity.
-        """
-        key = tuple(geometry.key for geometry in geometries), entities.tobytes()
-        if self._extended is not None and self._extended[0] == key:
-            return self._extended[1]
-        known = len(self.solids)
-        distinct = {geometry.key: geometry for geometry in geometries}
-        places = {key: known + place for place, key in enumerate(distinct)}
-        indices = [places[geometry.key] for geometry in geometries]
-        table = ShapeTable(
-            [*self.solids, *map(solid_of, distinct.values())],
-            np.concatenate((self.solid_indices, np.array(indices, np.intp))),
-            np.concatenate((self.entities, entities)),
-            np.concatenate((self.margins, np.zeros(len(indices)))),
-        )
-        self._extended = key, table
-        return table
-
-    def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
-        """Returns the table of some of the shapes, which belong to other entities.
-
-        The table is the same at each tick, so that it keeps its witnesses.
-
-        Args:
-            shapes: (m,), the numbers of the shapes.
-            entities: (m,), the index of each shape's entity.
-        """
-        key = shapes.tobytes(), entities.tobytes()
-        table = self._regrouped.get(key)
-        if table is None:
-            if len(self._regrouped) >= _MAX_REGROUPED:
-                self._regrouped.clear()
-            indices, margins = self.solid_indices[shapes], self.margins[shapes]
-            table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
-        return table
-
-
-@dataclass(frozen=True, eq=False)
-class TickShapes:
-    """The shapes of a tick, in arrays.
-
-    Attributes:
-        table: the properties that do not depend on the tick.
-        is_known: (n,), whether all poses and shapes of the entity are known.
-        boxes: (6, n), lower corners, upper corners.
-        positions: (n, 3).
-        matrices: (n, 3, 3).
-    """
-
-    table: ShapeTable
-    is_known: Flags
-    boxes: Array
-    positions: Array
-    matrices: Array
-
-    def to_world(self, points: Array) -> Array:
-        """Returns a point (n, 3) of each shape, transformed to the world."""
-        if not points.any():
-            return self.positions
-        with np.errstate(invalid="ignore"):
-            moved: Array = self.positions + rotate(self.matrices, points)
-        return moved
-
-    @cached_property
-    def centres(self) -> Array:
-        """The centres of the spheres around the shapes, (n, 3)."""
-        return self.to_world(self.table.centre)
-
-    @cached_property
-    def inscribed_centres(self) -> Array:
-        """The centres of the spheres in the shapes, (n, 3)."""
-        return self.to_world(self.table.inscribed_centre)
-
-    @cached_property
-    def poses(self) -> ShapePoses:
-        """The poses, from which the motion between two ticks is bounded."""
-        return ShapePoses(self.centres, self.matrices, self.table.bounding_radius)
-
-    @cached_property
-    def placed_cores(self) -> PlacedCores:
-        """The cores of the shapes."""
-        rotations = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
-        centres, inscribed = map(np.ascontiguousarray, (self.centres.T, self.inscribed_centres.T))
-        return PlacedCores(self.table.cores, rotations, centres, inscribed)
-
-    def owners(self, first: Indices, second: Indices) -> Indices:
-        """Returns the pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
-        i, j = self.table.entities[first], self.table.entities[second]
-        return np.minimum(i, j) * _MAX_ENTITIES + np.maximum(i, j)
-
-
-def pair_number(i: int, j: int) -> int:
-    """Returns the number of a pair of entities, in either order.
-
-    >>> pair_number(3, 7) == pair_number(7, 3)
-    True
-    """
-    return min(i, j) * _MAX_ENTITIES + max(i, j)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,20 +54,13 @@ class PairResult:
     @property
     def sides(self) -> Pairs:
         """The lower entity of each pair, and the other."""
-        return self.numbers // _MAX_ENTITIES, self.numbers % _MAX_ENTITIES
+        return self.numbers // MAX_ENTITIES, self.numbers % MAX_ENTITIES
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """The pairs in order; the lower entity of each is first."""
         first, second = self.sides
         return list(zip(first.tolist(), second.tolist(), strict=True))
-
-
-def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
-    """Checks whether all shapes of each shape's entity are known, (n,)."""
-    lost = np.bincount(table.entities[~is_known], minlength=table.count)
-    all_known: Flags = lost[table.entities] == 0
-    return all_known
 
 
 def matching_pairs(
@@ -327,7 +104,6 @@ def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
 Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Decisions]
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
     """Classifies the signed distances of pairs of shapes, as far as rules prove it.
 
@@ -337,12 +113,67 @@ def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: A
         second: (n,), the same.
         bounds: (n,), one for each pair, metres; not negative.
     """
-    verdicts = np.zeros(len(first), np.int8)
+    return _proven(tick, first, second, bounds).verdicts
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def _proven(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
+    decisions = Decisions.none(len(first))
     pairs = np.arange(len(first))
     for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
-        verdicts[pairs] = rule(tick, first[pairs], second[pairs], bounds[pairs]).verdicts
-        pairs = pairs[verdicts[pairs] == UNDECIDED]
-    return verdicts
+        found = rule(tick, first[pairs], second[pairs], bounds[pairs])
+        decisions.decide(pairs, found.verdicts, found.room)
+        pairs = pairs[found.verdicts == UNDECIDED]
+    return decisions
+
+
+def touching_verdicts(tick: TickShapes, pairs: Pairs, predicate: PairPredicate) -> Verdicts:
+    """Returns the same for a distance of touching shapes; it keeps the verdicts for the next tick.
+
+    Args:
+        tick: the shapes.
+        pairs: pairs of known shapes that have points.
+        predicate: the distance.
+    """
+
+    def decide(first: Indices, second: Indices) -> Decisions:
+        return _proven(tick, first, second, predicate.bounds(tick.table, first, second))
+
+    return kept_verdicts(tick, tick.table.kept_touching, pairs, decide)
+
+
+def kept_verdicts(
+    tick: TickShapes,
+    kept: KeptVerdicts,
+    pairs: Pairs,
+    decide: Callable[[Indices, Indices], Decisions],
+) -> Verdicts:
+    """Returns the verdicts of the tick before that still hold, and decides the other pairs.
+
+    Args:
+        tick: the shapes.
+        kept: the verdicts of the tick before, which are replaced by those of this one.
+        pairs: pairs of shapes.
+        decide: decides some of them.
+    """
+    first, second = pairs
+    with np.errstate(invalid="ignore"):
+        decisions = kept.find(tick.poses, first, second)
+    places = np.flatnonzero(decisions.verdicts == UNDECIDED)
+    if len(places):
+        found = decide(first[places], second[places])
+        decisions.decide(places, found.verdicts, found.room)
+        _limit_room(decisions, tick, pairs)
+        kept.keep(tick.poses, first, second, decisions)
+    return decisions.verdicts
+
+
+def _limit_room(decisions: Decisions, tick: TickShapes, pairs: Pairs) -> None:
+    """The depth of a shape that is not convex may change by more than its points move."""
+    first, second = pairs
+    is_convex = tick.table.is_convex
+    is_concave = ~(is_convex[first] & is_convex[second])
+    decisions.room[is_concave & (decisions.verdicts == BELOW)] = 0.0
 
 
 # Shapes whose squared lengths overflow stay undecided.
@@ -385,63 +216,37 @@ def _matching_entities(
         found = rule(tick, first[open_pairs], second[open_pairs], bounds[open_pairs])
         decisions.decide(open_pairs, found.verdicts, found.room)
         open_pairs = open_pairs[found.verdicts == UNDECIDED]
+    _compare_one_by_one(decisions, open_pairs, owners, candidates, is_below)
     if kept is not None and not is_kept:
         _keep(kept, tick, candidates, decisions)
     matching = owners[verdicts == BELOW]
-    others = _compared_one_by_one(owners, candidates, open_pairs, matching, is_below)
-    matching = np.concatenate((matching, others))
     return PairResult(np.sort(matching) if has_single_shapes else np.unique(matching), compared)
 
 
-def _compared_one_by_one(
+def _compare_one_by_one(
+    decisions: Decisions,
+    open_pairs: Indices,
     owners: Indices,
     candidates: Pairs,
-    open_pairs: Indices,
-    matching: Indices,
     is_below: Callable[[int, int], bool],
-) -> Indices:
-    """Returns the owners of pairs that no rule decided, and that are below their bound."""
-    known = set(matching.tolist()) if len(open_pairs) else set()
-    others: set[int] = set()
+) -> None:
+    """Decides the pairs that no rule decides, until one of each pair of entities is below."""
+    if not len(open_pairs):
+        return
+    matching = set(owners[decisions.verdicts == BELOW].tolist())
     sides = (side[open_pairs].tolist() for side in (owners, *candidates))
-    for owner, s, t in zip(*sides, strict=True):
-        if owner not in known and owner not in others and is_below(s, t):
-            others.add(owner)
-    return np.array(sorted(others), np.intp)
+    for pair, owner, s, t in zip(open_pairs.tolist(), *sides, strict=True):
+        if owner not in matching:
+            decisions.verdicts[pair] = BELOW if is_below(s, t) else ABOVE
+            if decisions.verdicts[pair] == BELOW:
+                matching.add(owner)
 
 
 def _keep(kept: KeptPairs, tick: TickShapes, pairs: Pairs, decisions: Decisions) -> None:
-    """Keeps the verdicts of a tick for the next one.
-
-    The depth of a shape that is not convex may change by more than its points move.
-    """
-    first, second = pairs
-    is_convex = tick.table.is_convex
-    is_concave = ~(is_convex[first] & is_convex[second])
-    decisions.room[is_concave & (decisions.verdicts == BELOW)] = 0.0
-    kept.verdicts.keep(tick.poses, first, second, decisions)
-    kept.witnesses.keep_only(pair_keys(first, second))
-
-
-def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
-    """Returns the pairs of known shapes of two entities whose boxes (6, n) are near each other.
-
-    There are none if the greatest distance is negative or NaN.
-    """
-    if not max_distance >= 0.0:
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    table = tick.table
-    known = np.flatnonzero(tick.is_known & table.has_points)
-    if max_distance == np.inf:
-        first, second = np.triu_indices(len(known), 1)
-    else:
-        first, second = overlapping_pairs(boxes[:, known], max_distance)
-    # In the same order at each tick, for the witnesses.
-    first, second = known[np.minimum(first, second)], known[np.maximum(first, second)]
-    if table.has_single_shapes:
-        return first, second
-    different = table.entities[first] != table.entities[second]
-    return first[different], second[different]
+    """Keeps the verdicts of a tick for the next one."""
+    _limit_room(decisions, tick, pairs)
+    kept.verdicts.keep(tick.poses, *pairs, decisions)
+    kept.witnesses.keep_only(pair_keys(*pairs))
 
 
 # -- rules -------------------------------------------------------------------------------------

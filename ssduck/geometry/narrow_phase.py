@@ -16,14 +16,7 @@ from threading import RLock
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.batch import (
-    PairPredicate,
-    PairResult,
-    ShapeTable,
-    TickShapes,
-    matching_pairs,
-    of_known_entities,
-)
+from ssduck.geometry.batch import PairResult, matching_pairs
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.containment import (
     Box,
@@ -39,6 +32,7 @@ from ssduck.geometry.distance import CallCounter, SignedDistance
 from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
+from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
 from ssduck.geometry.tick_solids import TickSolids
 
 # Shapes that are deeper collide, m.

@@ -15,7 +15,6 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.batch import pair_number
 from ssduck.geometry.contact_support import is_carried_by
 from ssduck.geometry.distance import SignedDistance
 from ssduck.geometry.narrow_phase import NarrowPhase
@@ -28,6 +27,7 @@ from ssduck.geometry.ray_casting import (
     is_triangle_surface,
     ray_chords,
 )
+from ssduck.geometry.tick_shapes import pair_number
 
 # The numbers w, x, y, z of a unit quaternion.
 Orientation: TypeAlias = tuple[float, float, float, float]

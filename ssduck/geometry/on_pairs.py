@@ -10,17 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from ssduck.geometry.arrays import Flags, Indices
-from ssduck.geometry.batch import (
-    PairPredicate,
-    TickShapes,
-    are_few_boxes,
-    pairs_of_boxes,
-    proven_verdicts,
-)
+from ssduck.geometry.batch import are_few_boxes, kept_verdicts, pairs_of_boxes, touching_verdicts
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
@@ -29,8 +24,9 @@ from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward
 from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
 from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
 from ssduck.geometry.proofs.separating_axes import box_axes
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Verdicts
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
+from ssduck.geometry.tick_shapes import PairPredicate, TickShapes
 
 # Overlaps that differ by less, metres, may have either normal.
 _TIE = 1e-8
@@ -74,7 +70,8 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
     if not len(rows):
         return result
     shapes = _touching_shapes(tick, narrow.starts, rows, a, b)
-    upward = contact_verdicts(tick, shapes.first, shapes.second, MIN_UP)
+    ordered = shapes.first, shapes.second
+    upward = kept_verdicts(tick, tick.table.kept_upward, ordered, partial(_upward, tick))
     is_carried = np.zeros(len(a), dtype=bool)
     is_carried[shapes.rows[(upward == UPWARD) & shapes.touch]] = True
     result[is_carried & (over == OVER)] = True
@@ -86,6 +83,12 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
         if over[row] == OVER or narrow.is_over(int(a[row]), int(b[row])):
             result[row] = is_carried[row] or any(_is_upward(narrow, s, t) for s, t in pairs)
     return result
+
+
+def _upward(tick: TickShapes, first: Indices, second: Indices) -> Decisions:
+    """Decides whether contact normals are upward; a small motion may turn them."""
+    verdicts = contact_verdicts(tick, first, second, MIN_UP)
+    return Decisions(verdicts, np.zeros(len(first)))
 
 
 def _is_upward(narrow: NarrowPhase, s: int, t: int) -> bool:
@@ -102,7 +105,7 @@ def _touching_shapes(
         return _ShapePairs(rows, firsts[a[rows]], firsts[b[rows]], np.ones(len(rows), dtype=bool))
     touching = PairPredicate("touching", TOUCHING_DISTANCE)
     first, second = _of_rows(tick, touching.candidates(tick), a[rows], b[rows])
-    verdicts = proven_verdicts(tick, first, second, touching.bounds(tick.table, first, second))
+    verdicts = touching_verdicts(tick, (first, second), touching)
     near = verdicts != ABOVE
     first, second, touch = first[near], second[near], (verdicts == BELOW)[near]
     first, second = np.concatenate((first, second)), np.concatenate((second, first))

@@ -16,14 +16,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.batch import (
-    PairPredicate,
-    PredicateKind,
-    TickShapes,
-    comparable_pairs,
-    matching_pairs,
-    proven_verdicts,
-)
+from ssduck.geometry.batch import comparable_pairs, matching_pairs, proven_verdicts
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
@@ -32,6 +25,7 @@ from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
+from ssduck.geometry.tick_shapes import PairPredicate, PredicateKind, TickShapes
 
 # Questions that the narrow phase decides pose by pose.
 PlacedKind: TypeAlias = Literal["inside", "contains", "enclosed"]

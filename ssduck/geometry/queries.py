@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.batch import PairPredicate, ShapeTable, pair_number
 from ssduck.geometry.broad_phase import overlapping_pairs
 from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
@@ -23,6 +22,7 @@ from ssduck.geometry.on_pairs import are_on
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids
+from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, pair_number
 from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-from ssduck.geometry.batch import PairPredicate
 from ssduck.geometry.distance import CallCounter, SignedDistance
 from ssduck.geometry.distance import signed_distance as convex_distance
 from ssduck.geometry.mesh_distance import is_surely_deeper, mesh_distance, mesh_penetration
+from ssduck.geometry.tick_shapes import PairPredicate
 from ssduck.geometry.tick_solids import TickSolids
 
 # Shapes that are nearer touch, for `on`, m.

@@ -27,6 +27,10 @@ from ssduck.simulators.toml_reader import TomlTable, Vector
 from ssduck.world.world import World
 
 WORLD = "sim"
+# The largest number of steps of the simulator in a step of a task.
+MAX_STEPS = 100_000
+# The largest size of a task file, bytes.
+MAX_BYTES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._load()
+            self._check_steps()
             for name, value in task.variables.items():
                 self._interpreter.add_variable(name, value)
             self._judge = Judge(task.terms, self._interpreter, WORLD, ())
@@ -182,6 +187,19 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         if before is not None:
             before.close()
 
+    def _check_steps(self) -> None:
+        """Checks that a step of the task is not a run without end.
+
+        Raises:
+            SceneError: the simulator makes too many steps in it.
+        """
+        count = self.task.step_time / self._world.timestep
+        if count > MAX_STEPS:
+            raise SceneError(
+                f"{self.task.path}: step_time: {self.task.step_time:g} s are {count:.3g} steps of "
+                f"the simulator, more than {MAX_STEPS:,}"
+            )
+
     def _record_past(self) -> None:
         """Records the ticks in memory if a term reads them."""
         if self._judge.is_temporal or self._observer.is_temporal:
@@ -236,7 +254,11 @@ def make_task(path: str | Path, *, limits: Limits | None = None) -> TaskEnv:
     """
     file = expand_path(path).absolute()
     limits = limits or Limits.strict()
+    if not file.is_file():  # a pipe would be waited for, and a device read without end
+        raise SceneError(f"{file}: there is no such file")
     try:
+        if file.stat().st_size > MAX_BYTES:
+            raise SceneError(f"{file}: it has more than {MAX_BYTES:,} bytes")
         values = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:  # a TOMLDecodeError is a ValueError
         reason = error.strerror if isinstance(error, OSError) else error
@@ -260,6 +282,8 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
         }
     except ArgumentError as error:
         raise SceneError(f"{file}: {error.message}") from error
+    if WORLD in variables:
+        raise SceneError(f"{file}: variables.{WORLD} is the world; give it another name")
     seeds = table.values.get("seeds", [0])
     table.read_keys.add("seeds")
     if not isinstance(seeds, list) or not all(type(one) is int and one >= 0 for one in seeds):
@@ -282,7 +306,10 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
 
 def _scene(table: TomlTable, file: Path, limits: Limits) -> Scene:
     """Returns the scene, whose files are in the folder of the task."""
-    place = (file.parent / table.text("scene")).resolve()
+    name = table.text("scene")
+    if "\0" in name:
+        table.fail("scene", f"{name!r} is no path")
+    place = (file.parent / name).resolve()
     if not limits.files and not place.is_relative_to(file.parent.resolve()):
         table.fail("scene", f"{place} is not in the folder of the task")
     scene = find_scene(place)

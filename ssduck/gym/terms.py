@@ -197,6 +197,8 @@ class Judge:
         self._interpreter, self._world = interpreter, world
         self._elements: dict[str, set[int]] = {name: set() for name in variables}
         self._whole: set[str] = set()
+        for name in variables:  # so that errors suggest them
+            interpreter.add_variable(name, None)
         self._texts = [self._expanded(term) for term in terms]
         columns = ", ".join(f"({text})" for text in self._texts)
         # Each was compiled by itself, so that none is more than an expression.

@@ -24,7 +24,8 @@ from ssduck.world.layout import EntityInfo
 Entities: TypeAlias = Mapping[str, Mapping[str, Any]] | Sequence[str]
 
 KINDS = ("robot", "kinbody")
-_FORMS = (*PRIMITIVES, "mesh", "hull")
+_PRIMITIVES = {**PRIMITIVES, "ellipsoid": (3, "half its lengths along x, y and z")}
+_FORMS = (*_PRIMITIVES, "mesh", "hull")
 _SHAPE_KEYS = (*_FORMS, "scale", "position", "orientation")
 _LINK_KEYS = (*_SHAPE_KEYS, "shapes", "mass")
 _ENTITY_KEYS = (*_LINK_KEYS, "kind", "movable", "links")
@@ -162,7 +163,7 @@ def _shape(values: Mapping[str, Any], link: int, where: str) -> Iterator[PlacedG
 
 def _geometries(form: str, values: Mapping[str, Any], where: str) -> Sequence[Geometry]:
     value, place = values[form], f"{where}: {form}"
-    if form in PRIMITIVES:
+    if form in _PRIMITIVES:
         return [_primitive(form, value, place)]
     if not isinstance(value, str | PathLike):
         if form == "mesh":
@@ -179,7 +180,7 @@ def _geometries(form: str, values: Mapping[str, Any], where: str) -> Sequence[Ge
 
 
 def _primitive(form: str, value: Any, place: str) -> Geometry:
-    count, meaning = PRIMITIVES[form]
+    count, meaning = _PRIMITIVES[form]
     numbers = [value] if count == 1 and validation.is_number(value) else value
     size = validation.finite_array(numbers, count, f"{place} ({meaning})")
     if form == "plane":

@@ -174,6 +174,8 @@ def _add_shape(entity: Any, shape: PlacedGeometry) -> None:
             primitive, sizes = entity.cubes.add(), size
         case "sphere":
             primitive, sizes = entity.spheres.add(), (2 * size[0],) * 3
+        case "ellipsoid":
+            primitive, sizes = entity.spheres.add(), (2 * size[0], 2 * size[1], 2 * size[2])
         case "cylinder":
             primitive, sizes = entity.cylinders.add(), (2 * size[0], 2 * size[0], size[1])
             primitive.bottom_scale = primitive.top_scale = 1.0

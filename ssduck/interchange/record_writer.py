@@ -55,12 +55,12 @@ def write_record(
         folder: the folder; it is made if it does not exist, and may hold other episodes.
         entities: the names of the entities; or a dict of their descriptions by name. A description
             may have: one shape, `box` (lengths along x, y, z), `sphere` (radius), `cylinder` or
-            `capsule` (radius, length along z), `plane` (normal), `mesh` (a file: all triangles) or
-            `hull` (a file, or points (n, 3)), with `position` and `orientation` in the frame of
-            the entity, and `scale` for a file; or any number of them, `shapes`; `kind` (`robot`, or
-            `kinbody` by default); `mass`; `movable` (`True` by default); `links`, a dict of further
-            links by name, each with shapes, mass and `parent` (a link before it; by default the
-            entity itself).
+            `capsule` (radius, length along z), `ellipsoid` (half its lengths along x, y, z),
+            `plane` (normal), `mesh` (a file: all triangles) or `hull` (a file, or points (n, 3)),
+            with `position` and `orientation` in the frame of the entity, and `scale` for a file; or
+            any number of them, `shapes`; `kind` (`robot`, or `kinbody` by default); `mass`;
+            `movable` (`True` by default); `links`, a dict of further links by name, each with
+            shapes, mass and `parent` (a link before it; by default the entity itself).
         poses: an array of the poses of all frames, (ticks, frames, 7): x, y, z, qw, qx, qy, qz, or
             (ticks, frames, 3) of positions; or such an array for each frame by its name, (ticks,
             7) or (ticks, 3), or (7,) or (3,) of what stands still; or a table (Arrow, pandas,

@@ -81,6 +81,8 @@ def _shape(rerun: Any, shape: PlacedGeometry) -> list[Any]:
             return [pose, rerun.Boxes3D(sizes=[size])]
         case "sphere":
             return [pose, rerun.Ellipsoids3D(radii=[size[0]])]
+        case "ellipsoid":
+            return [pose, rerun.Ellipsoids3D(half_sizes=[size])]
         case "cylinder":
             return [pose, rerun.Cylinders3D(radii=[size[0]], lengths=[size[1]])]
         case _:

@@ -255,6 +255,9 @@ class Execution(Namespace):
 
     def over_time(self, node: Call, frame: Frame) -> Any:
         """Returns the value of a call whose argument is evaluated at each recorded tick."""
+        expansion = self.temporal.expansion(node)
+        if expansion is not None:
+            return frame.value(expansion)
         age = frame.value(node.arguments[1]) if len(node.arguments) > 1 else None
 
         def rows(query: Query, placeholders: dict[str, Any]) -> Sequence[Sequence[Any]]:

@@ -23,6 +23,7 @@ from ssduck.language.evaluator import Frame
 from ssduck.language.intervals import changes_of, intervals_of
 from ssduck.language.operators import truth
 from ssduck.language.tree import (
+    Binary,
     Call,
     Index,
     Name,
@@ -60,18 +61,22 @@ class TemporalFunction:
         make: the function that computes its value from a series of ticks and an age.
         about: its description for help.
         usage: its signature for help.
+        expansion: the function that returns the expression for which a call stands, of a function
+            that is no series of its own.
     """
 
     name: str
     make: Callable[[TickSeries, Any], Any]
     about: str
     usage: str
+    expansion: Callable[[Call], Node] | None = None
 
     @property
     def function(self) -> Function:
         """The entry for help; it is never called."""
         help_text = f"{self.about}\nUsage: {self.usage}"
-        return Function(self.name, lambda *_: None, help_text, 1, 2, builtin=True)
+        least = 1 if self.expansion is None else 2
+        return Function(self.name, lambda *_: None, help_text, least, 2, builtin=True)
 
 
 class TickSeries:
@@ -167,6 +172,15 @@ def _initially(series: TickSeries, age: Any) -> Any:
     return values[0]
 
 
+def _lifted(call: Call) -> Node:
+    """Returns z(entity) - initially(z(entity)) >= height for lifted(entity, height)."""
+    span = call.span
+    entity, height = call.arguments
+    z = Call(entity.span, "z", (entity,), entity.span)
+    rise = Binary(span, "-", z, Call(span, "initially", (z,), span))
+    return Binary(span, ">=", rise, height)
+
+
 def _least(series: TickSeries, age: Any) -> list[Any] | None:
     if series.least_clearance is not None:
         past = past_of(series.record, age)
@@ -240,6 +254,14 @@ TEMPORAL_FUNCTIONS: dict[str, TemporalFunction] = {
             "initially(expression) -> value",
         ),
         TemporalFunction(
+            "lifted",
+            _initially,
+            "Checks if an entity is higher by so many metres than at the first recorded tick: "
+            "z(entity) - initially(z(entity)) >= height.",
+            "lifted(entity, height) -> bool",
+            _lifted,
+        ),
+        TemporalFunction(
             "least",
             _least,
             "Returns [time, value] of the least value of an expression over the recorded ticks, "
@@ -291,6 +313,14 @@ class TemporalEvaluator:
     def __init__(self) -> None:
         self.reader: SeriesReader | None = None
         self._queries: WeakKeyDictionary[Node, dict[tuple[bool, ...], Query]] = WeakKeyDictionary()
+        self._expansions: WeakKeyDictionary[Node, Node] = WeakKeyDictionary()
+
+    def expansion(self, call: Call) -> Node | None:
+        """Returns the expression for which a call stands; None for a series of its own."""
+        expand = TEMPORAL_FUNCTIONS[call.name].expansion
+        if expand is not None and call not in self._expansions:
+            self._expansions[call] = expand(call)
+        return self._expansions.get(call)
 
     def series(
         self,

@@ -29,7 +29,9 @@ T = TypeVar("T")
 # Calls with side effects or hidden inputs; they are evaluated row by row, in order.
 IMPURE = frozenset(("print", "eval", "clear"))
 # Calls whose argument is evaluated at each recorded tick (ssduck.interpreter.temporal_functions).
-OVER_TIME = frozenset(("since", "heldFor", "holds", "changes", "initially", "least", "greatest"))
+OVER_TIME = frozenset(
+    ("since", "heldFor", "holds", "changes", "initially", "lifted", "least", "greatest")
+)
 
 
 def cached_by_node(function: Callable[[Node], T]) -> Callable[[Node], T]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ def export(
     names: tuple[str, ...] | None,
     between: tuple[float | None, float | None],
     tags: Tags | None = None,
+    about: Mapping[str, str] | None = None,
 ) -> Path:
     """Writes recorded ticks of a world as a new episode, and returns the folder of its ticks.
 
@@ -37,6 +39,7 @@ def export(
         names: the names of the exported entities; None for all.
         between: the first and the last simulated time, s; None for no limit.
         tags: what the user says of the run, added to the tags of the record.
+        about: the id of the episode and the time of its start; None for new ones.
 
     Raises:
         RecordError: the folder has something else in it, or cannot be written.
@@ -61,6 +64,7 @@ def export(
         is_export=True,
         tags={**record.tags, **(tags or {})},
         camera=record.world.camera,
+        about=about,
     )
     try:
         store.add_members(selected, record.world.snapshot)

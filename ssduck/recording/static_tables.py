@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -35,8 +35,9 @@ class IdProvider(Protocol):
     def geometry_id(self, geometry: Geometry) -> int:
         """Returns the number of a geometry."""
 
-    def visuals(self, body: Body) -> Sequence[VisualShape] | None:
-        """Returns what is drawn of a body; None if that is not known."""
+    @property
+    def drawn(self) -> Callable[[Body], Sequence[VisualShape]] | None:
+        """Returns what a simulator draws of a body; None without a simulator."""
 
 
 def model_rows(
@@ -57,7 +58,7 @@ def model_rows(
     rows: dict[str, list[tuple[Any, ...]]] = {table: [] for table in MODELS}
     geometries: dict[int, Geometry] = {}
     for member in members:
-        visuals = id_provider.visuals(member.body) if with_visuals and member.body else None
+        visuals = _visuals(member.body, id_provider) if with_visuals else None
         for visual in visuals or ():
             geometries[id_provider.geometry_id(visual.geometry)] = visual.geometry
         text = None if visuals is None else visuals_text(visuals, id_provider.geometry_id)
@@ -87,6 +88,13 @@ def model_rows(
         if id not in stored
     ]
     return {table: _table(table, tuples) for table, tuples in rows.items()}
+
+
+def _visuals(body: Body | None, id_provider: IdProvider) -> Sequence[VisualShape] | None:
+    """Returns what is drawn of an entity; None if that is not known."""
+    if body is None or id_provider.drawn is None:
+        return None if body is None else body.visuals
+    return id_provider.drawn(body)
 
 
 def _member_row(member: EntityInfo) -> tuple[Any, ...]:

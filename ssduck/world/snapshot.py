@@ -16,20 +16,19 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, chain
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.batch import ShapeTable
 from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
+from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
 from ssduck.world.contact_rows import contact_rows
@@ -101,8 +100,7 @@ class Snapshot:
         self.recorded: frozenset[str] = frozenset()
         self._read: frozenset[str] = frozenset()
         self.geometries: dict[str, int] = {} if geometries is None else geometries
-        # Returns what is drawn of a body; None if that is not known.
-        self.visuals: Callable[[Body], Sequence[VisualShape] | None] = attrgetter("visuals")
+        self.drawn: Callable[[Body], Sequence[VisualShape]] | None = None
         self.sensing = SensorReader()
         self.calls = CallCounter()
         self._shapes: ShapeQueries | None = None
@@ -170,9 +168,8 @@ class Snapshot:
         """
         clone = copy.copy(self)
         # The two snapshots must not write to each other's buffers.
-        shared = ("geometries", *unavailable)
         clone.tables = {
-            name: copy.copy(table) if name in shared else table.clone()
+            name: copy.copy(table) if name in ("geometries", *unavailable) else table.clone()
             for name, table in self.tables.items()
         }
         for name in unavailable:
@@ -200,9 +197,8 @@ class Snapshot:
 
     def past(self, number: int, unavailable: Mapping[str, str]) -> Snapshot:
         """Returns a clone to be taken of the past tick of a number; see `clone`."""
-        clone = self.clone(unavailable)
+        clone = self.clone(unavailable, self.run)
         clone._is_past = True  # noqa: SLF001  # one class
-        clone._set_run(self.run)  # noqa: SLF001
         clone.go_to(number)
         return clone
 

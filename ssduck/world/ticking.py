@@ -106,7 +106,7 @@ class SteppedSimulation(Observable):
         self.snapshot = snapshot
         self._simulator = simulator
         if not isinstance(simulator, StaticSimulator):
-            snapshot.visuals = partial(drawn_shapes, simulator)
+            snapshot.drawn = partial(drawn_shapes, simulator)
         self._registry = EntityRegistry(snapshot.load_order)
 
     @property

@@ -41,6 +41,8 @@ PERMITTED = [
     "VALUES (1), (2)",
     "SELECT sum(range) FROM range(10)",
     "FROM (PIVOT (SELECT kind, z > 1 AS high FROM entities) ON kind IN ('robot') USING count(*))",
+    "SELECT regexp_matches(name, '^c.*[0-9]$'), name SIMILAR TO 'c(a|u).*' FROM entities",
+    f"SELECT regexp_extract(name, '{'a|' * 99}ab') FROM entities",
     "SELECT unnest([1, 2]), extract(year FROM DATE '2026-01-01')",
 ]
 
@@ -128,6 +130,11 @@ REFUSED = [
     ("SELECT setseed(0.5)", "setseed"),
     ("SELECT list_reduce(['a', 'b'], lambda a, b: a || a)", "list_reduce"),
     ("SELECT levenshtein(name, kind) FROM entities", "levenshtein"),
+    ("SELECT regexp_matches(name, kind) FROM entities", "a text of at most 200 letters"),
+    (f"SELECT regexp_extract(name, '{'(a|b)*' * 50}') FROM entities", "at most 200 letters"),
+    (f"SELECT name SIMILAR TO '{'(a|b)*' * 50}' FROM entities", "at most 200 letters"),
+    ("SELECT string_split_regex(name, name || 'a') FROM entities", "at most 200 letters"),
+    ("SELECT editdist3(name, kind) FROM entities", "editdist3"),
     ("SELECT damerau_levenshtein(name, kind) FROM entities", "damerau_levenshtein"),
     ("SELECT list_aggregate(['a'], 'string_agg', ',')", "the name of an aggregate"),
     ("SELECT ['a'].list_aggr('string_agg')", "the name of an aggregate"),
@@ -268,6 +275,15 @@ def test_records_open_under_limits(tmp_path):
                     ss.sql(f"FROM read_csv('{tmp_path / 'secret.csv'}')")
                 with pytest.raises(LimitError):
                     ss.sql(f"COPY (SELECT 1) TO '{tmp_path / 'run' / 'new.csv'}'")
+
+
+def test_no_permitted_function_is_another_name_of_one_that_is_not():
+    with ssduck.Interpreter() as ss:
+        rows = ss.sql("SELECT DISTINCT function_name, alias_of FROM duckdb_functions()").fetchall()
+    names = FUNCTIONS | OPERATORS
+    others = [(name, of) for name, of in rows if of is not None and name in FUNCTIONS]
+    assert ("editdist3", "levenshtein") in {(name, of) for name, of in rows}
+    assert [(name, of) for name, of in others if of not in names] == []
 
 
 def test_permitted_functions_are_those_of_this_duckdb():

@@ -204,7 +204,8 @@ def test_reasoning(tmp_path):
     assert found[1] == least[1]
     assert any("no collision" in text for text in said)
     with Image.open(tmp_path / "reasoning.png") as picture:
-        assert picture.size == (900, 610)
+        assert picture.width > 900  # with axes and a legend
+        assert picture.height > 610
 
 
 def test_no_way_to_a_cell_beyond_the_grid(monkeypatch):

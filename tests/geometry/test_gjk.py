@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssduck.geometry.batch import PairPredicate
 from ssduck.geometry.narrow_phase import MIN_DEPTH
 from ssduck.geometry.proofs import cores, gjk
 from ssduck.geometry.proofs.gjk import classify_gaps
@@ -19,6 +18,7 @@ from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.queries import MIN_PAIRS_AT_ONCE, ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
+from ssduck.geometry.tick_shapes import PairPredicate
 from ssduck.schema import ID_FACTOR
 from tests.support import pairs
 from tests.support.cases import generated, sampled

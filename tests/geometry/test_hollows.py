@@ -8,8 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from ssduck.geometry.batch import PairPredicate, matching_pairs, pair_number
+from ssduck.geometry.batch import matching_pairs
 from ssduck.geometry.narrow_phase import MIN_DEPTH
+from ssduck.geometry.tick_shapes import PairPredicate, pair_number
 from tests.support import hollows, pairs
 from tests.support.cases import generated, sampled
 from tests.support.solids import narrow, sorts_of

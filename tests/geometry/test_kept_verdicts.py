@@ -111,11 +111,25 @@ def test_a_verdict_holds_up_to_its_room(verdict, step, holds):
         assert found.room[0] == pytest.approx(0.25 - step)
 
 
-def test_verdicts_without_room_and_of_other_pairs_are_not_kept():
-    here = poses((0, 0, 0), (1, 0, 0))
+@pytest.mark.parametrize("moved", [0, 1])
+def test_a_verdict_without_room_holds_for_poses_that_are_the_same_to_the_last_bit(moved):
+    here, there = poses((0, 0, 0), (1, 0, 0)), poses((0, 0, 0), (1, 0, 0))
+    assert kept(ABOVE, 0.0).find(here, *BOTH).verdicts.tolist() == [ABOVE]
+    there.centres[moved, 2] = 5e-324
+    assert kept(ABOVE, 0.0).find(there, *BOTH).verdicts.tolist() == [UNDECIDED]
+    here.matrices[moved, 0, 0] = np.nextafter(1.0, 0.0)
     assert kept(ABOVE, 0.0).find(here, *BOTH).verdicts.tolist() == [UNDECIDED]
+
+
+def test_verdicts_of_other_pairs_are_not_kept():
+    here = poses((0, 0, 0), (1, 0, 0))
     swapped = kept(ABOVE, 1.0).find(here, *reversed(BOTH))
     assert swapped.verdicts.tolist() == [UNDECIDED]
+
+
+def test_undecided_pairs_are_not_kept():
+    here = poses((0, 0, 0), (1, 0, 0))
+    assert kept(UNDECIDED, 1.0).find(here, *BOTH).verdicts.tolist() == [UNDECIDED]
 
 
 def test_poses_that_are_not_known_decide_nothing():
@@ -127,11 +141,14 @@ def test_poses_that_are_not_known_decide_nothing():
 
 MIXED = ["box"] * 10 + ["sphere"] * 4 + ["capsule"] * 4 + ["cylinder"] * 4 + ["hull"] * 6
 CONDITIONS = ("collides(a.this, b.this)", "near(a.this, b.this, 0.05)", "touching(a.this, b.this)")
+CONDITIONS += ("on(a.this, b.this)",)
 
 
 def drift(client, random, far):
-    """Moves all bodies by about a distance."""
+    """Moves two of three bodies by about a distance."""
     for body in range(pybullet.getNumBodies(client)):
+        if body % 3 == 0:
+            continue
         place, turn = pybullet.getBasePositionAndOrientation(body, client)
         place, turn = (np.array(v) + random.normal(size=len(v)) * far for v in (place, turn))
         pybullet.resetBasePositionAndOrientation(
@@ -154,6 +171,32 @@ def test_a_world_that_drifts_answers_as_one_that_was_never_asked(client, conditi
             with ssduck.Interpreter() as other:
                 other.add_variable("w", ssduck.World.attach(client))
                 assert other.eval(query) == found
+
+
+def test_a_pair_at_its_bound_is_compared_once_while_it_stands_still(client):
+    """The narrow phase decides it, which counts its calls of FCL."""
+    names = {}
+    for name, x in (("one", 0.0), ("other", 1.2)):
+        shape = pybullet.createCollisionShape(
+            pybullet.GEOM_CYLINDER, radius=0.5, height=1.0, physicsClientId=client
+        )
+        names[
+            pybullet.createMultiBody(0, shape, basePosition=(x, 0, 0), physicsClientId=client)
+        ] = name
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client, names=names))
+        gap = ss.eval("clearance(w.one, w.other);")
+        query = f"SELECT id(a.this) FROM a=w, b=w WHERE near(a.this, b.this, {gap!r}) AS list;"
+        world.tick()
+        counts = []
+        for _ in range(3):
+            before = ss.statistics()["w"].calls
+            found = ss.eval(query)
+            counts.append(ss.statistics()["w"].calls - before)
+            assert len(found) == 2
+            world.tick()
+        assert counts[0] > 0
+        assert counts[1:] == [0, 0]
 
 
 def test_bodies_at_rest_are_not_compared_again(client, monkeypatch):

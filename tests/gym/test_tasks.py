@@ -1,10 +1,13 @@
 """`make_task`: an environment from a file, which may come from a stranger."""
 
+import os
+
 import numpy as np
 import pytest
 
-from ssduck.errors import SelectScriptError
+from ssduck.errors import SceneError, SelectScriptError
 from ssduck.gym import make_task
+from ssduck.gym.tasks import MAX_BYTES
 from tests.support.gym_environments import PUSH
 
 TASK = """
@@ -89,6 +92,20 @@ def test_a_task_runs(folder):
         ('"-distance(sim.pusher, sim.ball)"', "3", r"task.toml: reward\['near'\]"),
         ("[observation]\npusher", "[observations]\npusher", "task.toml: observation"),
         ('control = "velocity"', 'control = "torque"', r"actions\[0\].control"),
+        ("goal = 0.05", "goal = 0.05\nsim = 1", r"task.toml: variables.sim is the world"),
+        ('"push.xml"', '"push.xml\\u0000"', "task.toml: scene: .* is no path"),
+        ('"x(sim.ball) > goal"', "\"clear('sim')\"", "sim is a world"),
+        ('"x(sim.ball) > goal"', '"sim = 1"', "sim is a world|== 1"),
+        ('"x(sim.ball) > goal"', '"x(sim.ball) > 10 ^ (10 ^ 10)"', "too large"),
+        ('"x(sim.ball) > goal"', "\"count('a' * 10 ^ 11) > x(sim.ball)\"", "too large"),
+        (
+            '"x(sim.ball) > goal"',
+            "\"count(SELECT obj FROM sim AS glb('stolen.glb')) > x(sim.ball)\"",
+            "files are switched off",
+        ),
+        ('"push.xml"', '"kitchen"', "kitchen"),
+        ("high = 1\n", "high = inf\n", r"actions\[0\].high"),
+        ("low = [0, -0.1, 0.45]", "low = [nan, -0.1, 0.45]", r"starts\[0\].low"),
     ],
 )
 def test_errors_name_file_and_key(folder, before, after, message):
@@ -103,6 +120,42 @@ def test_files_of_the_scene_stay_in_the_folder(folder):
     (folder / "push.xml").write_text(MODEL.replace("<worldbody>", asset, 1))
     with pytest.raises(SelectScriptError, match="hostname"):
         make_task(folder / "task.toml")
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ('<option timestep="1e-9"/>', "task.toml: step_time: .* steps of the simulator"),
+        ('<option timestep="0"/>', "the timestep is not a number above 0"),
+        ('<worldbody><replicate count="1e8"><geom size="1"/></replicate></worldbody>', "elements"),
+        ('<include file="/etc/passwd"/>', "passwd"),
+        ('<include file="../other.xml"/>', "other.xml"),
+        ('<asset><model name="m" file="/etc/passwd"/></asset>', "passwd"),
+        ('<asset><skin name="s" file="/etc/passwd.skn"/></asset>', "passwd"),
+        ('<asset><texture name="t" type="cube" fileright="/etc/x.png"/></asset>', "x.png"),
+        ('<asset><hfield name="h" file="/etc/x.png" size="1 1 1 1"/></asset>', "x.png"),
+    ],
+)
+def test_a_hostile_scene_is_refused(folder, part, message):
+    (folder / "push.xml").write_text(MODEL.replace("<worldbody>", f"{part}<worldbody>", 1))
+    with pytest.raises(SelectScriptError, match=message):
+        make_task(folder / "task.toml")
+
+
+@pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder", "nothing", "a large file"])
+def test_a_task_is_a_file(folder, kind):
+    task = folder / "task.toml"
+    task.unlink()
+    if kind == "a pipe":
+        os.mkfifo(task)
+    elif kind == "a device":
+        task.symlink_to("/dev/zero")
+    elif kind == "a folder":
+        task.mkdir()
+    elif kind == "a large file":
+        task.write_text(TASK + "#" * MAX_BYTES)
+    with pytest.raises(SceneError, match=r"task.toml: (there is no such file|it has more than)"):
+        make_task(task)
 
 
 def test_terms_have_strict_limits(folder):

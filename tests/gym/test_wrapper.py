@@ -169,6 +169,9 @@ def test_pybullet(wrap, reconnects):
         ({"success": "z(sim.ball) >"}, SelectScriptError, "success: "),
         ({"success": "z(sim.ball) > 1; 2"}, ArgumentError, "one expression"),
         ({"success": ""}, ArgumentError, "success: a term is a text"),
+        ({"success": "x(sim.table.botom) > 1"}, SelectScriptError, "success: .*botom"),
+        ({"success": "joint(sim.pusher, 'psuh') > 1"}, SelectScriptError, "'psuh'; .*'push'"),
+        ({"success": "x(sim.ball) > goal", "variables": {"gaol": len}}, UnknownNameError, "'gaol'"),
         ({}, ArgumentError, "give a term"),
         ({"success": "z(sim.ball) > hight"}, UnknownNameError, "hight"),
         ({"stop_when": "success"}, ArgumentError, "no such term"),
@@ -232,6 +235,30 @@ def test_vector_environments(kind):
             assert list(infos["ssduck"]["success"]) == [False, False]
     finally:
         envs.close()
+
+
+def make_held():
+    held = "heldFor(on(sim.table, sim.ball))"
+    return QueryWrapper(Push(most=4), success=f"{held} >= 0.015", reward=held)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["SyncVectorEnv", "AsyncVectorEnv"])
+def test_history_begins_at_the_resets_of_vector_environments(kind):
+    envs = getattr(gymnasium.vector, kind)([make_held, make_held])
+    try:
+        _, infos = envs.reset(seed=3)
+        successes, rewards = [list(infos["ssduck"]["success"])], []
+        for _ in range(9):  # a step takes 0.01 s; the fifth one resets the environments
+            _, reward, _, _, infos = envs.step(np.ones((2, 1), np.float32))
+            successes.append(list(infos["ssduck"]["success"]))
+            rewards.append(reward)
+    finally:
+        envs.close()
+    one = [False, False, True, True, True]
+    assert successes == [[is_held] * 2 for is_held in one * 2]
+    expected = [0.01, 0.02, 0.03, 0.04, 0.0, 0.01, 0.02, 0.03, 0.04]
+    assert np.array(rewards) == pytest.approx(np.array([expected] * 2).T)
 
 
 def test_the_checker_of_gymnasium(wrap):

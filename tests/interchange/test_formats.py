@@ -237,6 +237,52 @@ def test_the_scene_of_an_mcap_file_has_the_shapes(mcap_file: Path) -> None:
     assert all(entity.frame_locked and entity.frame_id == id for id, entity in entities.items())
 
 
+FORMS = {
+    "box": {"box": [1, 2, 4]},
+    "sphere": {"sphere": 0.5},
+    "ellipsoid": {"ellipsoid": [0.5, 1, 2]},
+    "cylinder": {"cylinder": [0.5, 2], "position": [0, 0, 1], "orientation": [0, 1, 0, 0]},
+    "capsule": {"capsule": [0.5, 2]},
+    "hull": {"hull": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]},
+    "plane": {"plane": [0, 0, 1]},
+    "none": {},
+}
+
+
+@pytest.fixture(scope="module")
+def forms(tmp_path_factory: pytest.TempPathFactory) -> FolderRun:
+    place = tmp_path_factory.mktemp("forms") / "r"
+    ssduck.write_record(place, FORMS, {name: [0.0, 0, 1] for name in FORMS}, [0.0, 1.0])
+    return folder_run(place, None, None)
+
+
+def test_each_form_of_shapes_is_in_the_scene(forms: FolderRun, tmp_path: Path) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    write_runs([forms], tmp_path / "forms.mcap", "mcap")
+    ((_, update),) = messages(tmp_path / "forms.mcap", "/scene")
+    entities = {entity.id: entity for entity in update.entities}
+
+    def size(primitive: Any) -> list[float]:
+        return [primitive.size.x, primitive.size.y, primitive.size.z]
+
+    assert size(entities["box"].cubes[0]) == [1, 2, 4]
+    assert size(entities["sphere"].spheres[0]) == [1, 1, 1]
+    assert size(entities["ellipsoid"].spheres[0]) == [1, 2, 4]
+    (cylinder,) = entities["cylinder"].cylinders
+    assert (size(cylinder), cylinder.bottom_scale, cylinder.top_scale) == ([1, 1, 2], 1, 1)
+    place, turn = cylinder.pose.position, cylinder.pose.orientation
+    assert [place.z, turn.w, turn.x, turn.y, turn.z] == [1, 0, 1, 0, 0]
+    boxes = {"capsule": [1, 1, 3], "hull": [1, 1, 1], "plane": [20, 20, 0]}
+    for name, expected in boxes.items():
+        (triangles,) = entities[name].triangles
+        points = np.array([[p.x, p.y, p.z] for p in triangles.points])
+        assert np.ptp(points, axis=0) == pytest.approx(expected, abs=1e-9)
+        assert max(triangles.indices) == len(points) - 1
+        assert len(triangles.indices) % 3 == 0
+    drawn = entities["none"]
+    assert not [*drawn.cubes, *drawn.spheres, *drawn.cylinders, *drawn.triangles]
+
+
 def test_entities_that_go_are_deleted_from_the_scene(tmp_path: Path) -> None:
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     client = pybullet.connect(pybullet.DIRECT)
@@ -323,6 +369,26 @@ def test_a_recording_of_rerun(record: Path, tmp_path: Path) -> None:
         if str(part.entity_path) == "/world/ball" and name in rows.schema.names:
             found += [point[0] for point in rows[name].to_pylist()]
     assert np.array(found) == pytest.approx(motion.poses[:, 1, :3], rel=1e-6)  # of 32 bits
+
+
+def test_each_form_of_shapes_is_in_a_recording_of_rerun(forms: FolderRun, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="the extra rerun is not installed")
+    chunk = pytest.importorskip("rerun.chunk", reason="this rerun-sdk reads no files")
+    (file,) = write_runs([forms], tmp_path / "forms.rrd", "rrd")
+    parts = list(chunk.RrdReader(str(file)).stream().to_chunks())
+    drawn = {str(part.entity_path): " ".join(part.to_record_batch().schema.names) for part in parts}
+    kinds = {
+        "box": "Boxes3D",
+        "sphere": "Ellipsoids3D",
+        "ellipsoid": "Ellipsoids3D",
+        "cylinder": "Cylinders3D",
+        "capsule": "Mesh3D",
+        "hull": "Mesh3D",
+        "plane": "Mesh3D",
+    }
+    for name, kind in kinds.items():
+        assert kind in drawn[f"/world/{name}/shape_0"]
+    assert "/world/none/shape_0" not in drawn
 
 
 # -- the commands -------------------------------------------------------------------------------

@@ -167,6 +167,7 @@ def test_shapes_of_every_form(tmp_path: Path) -> None:
         "sphere": ({"sphere": 0.5}, [-0.5, -0.5, -0.5, 0.5, 0.5, 0.5]),
         "cylinder": ({"cylinder": [0.5, 2]}, [-0.5, -0.5, -1, 0.5, 0.5, 1]),
         "capsule": ({"capsule": [0.5, 2]}, [-0.5, -0.5, -1.5, 0.5, 0.5, 1.5]),
+        "ellipsoid": ({"ellipsoid": [0.5, 1, 2]}, [-0.5, -1, -2, 0.5, 1, 2]),
         "mesh": ({"mesh": mesh}, [0, 0, 0, 1, 1, 1]),
         "scaled": ({"mesh": str(mesh), "scale": 2}, [0, 0, 0, 2, 2, 2]),
         "stretched": ({"hull": mesh, "scale": [1, 2, 3]}, [0, 0, 0, 1, 2, 3]),

@@ -66,6 +66,15 @@ def test_answers_are_those_of_the_interpreter(kitchen):
     assert json.loads(value) == kitchen.call_variable("kitchen")["fridge"].position[2]
 
 
+@pytest.mark.parametrize(
+    "program", ["10 ^ 5000;", "SELECT 10 ^ 5000 FROM kitchen LIMIT 1;", "[10 ^ 5000];"]
+)
+def test_an_integer_that_python_does_not_write_is_described(kitchen, program):
+    assert "a number of some 5000 digits" in text_of(
+        create_server(kitchen), "query", program=program
+    )
+
+
 def test_the_schema_tells_all_names(kitchen):
     text = text_of(create_server(kitchen), "schema")
     for name in (*TABLES, *kitchen.help(), *(entity.name for entity in kitchen.worlds[0])):

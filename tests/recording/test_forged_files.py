@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -266,6 +267,39 @@ def test_a_view_of_the_file_is_not_read(file: Path) -> None:
         ):
             with pytest.raises(ssduck.SelectScriptError):
                 ss.sql(statement)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no pipes")
+@pytest.mark.parametrize("kind", ["a pipe", "a device", "a folder"])
+def test_a_log_that_is_no_file_is_not_waited_for(file: Path, kind: str) -> None:
+    log = file.with_name(f"{file.name}.wal")
+    if kind == "a pipe":
+        os.mkfifo(log)
+    elif kind == "a device":
+        log.symlink_to("/dev/zero")
+    else:
+        log.mkdir()
+    with pytest.raises(RecordError, match=r"\.wal is no file"):
+        ssduck.open(file)
+
+
+def test_macros_and_tables_of_other_schemas_do_not_change_answers(file: Path) -> None:
+    """Those with names of functions and tables that ssduck's own SQL uses."""
+    with ssduck.open(file) as ss:
+        text = "SELECT name, z, abs(z) FROM entities ORDER BY name"
+        expected = ss.sql(text).fetchall(), ss.eval("SELECT id, z FROM lab;")
+    run(
+        file,
+        "CREATE MACRO abs(x) AS 42",
+        "CREATE MACRO greatest(a, b) AS 7",
+        "CREATE MACRO list_value(a) AS [9]",
+        "CREATE MACRO near(a, b, d) AS true",
+        "CREATE MACRO range(a) AS TABLE SELECT 1",
+        "CREATE TABLE main.entities AS SELECT 'forged' AS name, 1.0 AS z",
+        "CREATE VIEW main.links AS SELECT * FROM read_text('/etc/passwd')",
+    )
+    with ssduck.open(file) as ss:
+        assert (ss.sql(text).fetchall(), ss.eval("SELECT id, z FROM lab;")) == expected
 
 
 def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:

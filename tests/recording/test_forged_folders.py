@@ -115,6 +115,7 @@ ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
     ("another episode", about(episode=1), "describes episode 1 of 'lab'"),
     ("another world", about(world="../lab"), r"describes episode 0 of '\.\./lab'"),
     ("a pipe", pipe("ssduck.json"), "is no record of ssduck: it has no ssduck.json"),
+    ("a pipe as an episode", pipe(ABOUT), "cannot be read: there is no such file"),
     ("a pipe as a part", pipe(ENTITIES), "part-000000.parquet is missing"),
     ("a pipe as ticks", pipe(TICKS), "part-000000.parquet is missing"),
     ("a folder as a part", lambda r: (part(r, "links").unlink(), part(r, "links").mkdir()), "is missing"),

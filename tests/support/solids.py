@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssduck.geometry.batch import ShapeTable
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
+from ssduck.geometry.tick_shapes import ShapeTable
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 

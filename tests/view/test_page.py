@@ -51,6 +51,15 @@ def test_a_query_fills_the_table_and_lights_up(page):
     assert red > blue + 60  # orange
 
 
+def test_everything_comes_from_the_server_itself(page):
+    """The browser of the tests has no network, either."""
+    loaded = page.value(
+        "performance.getEntriesByType('resource').map(each => new URL(each.name).origin)"
+    )
+    assert loaded
+    assert set(loaded) == {page.value("location.origin")}
+
+
 def test_a_click_on_a_head_sorts_the_table(page):
     page.ask("SELECT id, z FROM kitchen WHERE z > 0.5;")
     heights = []

@@ -14,9 +14,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.batch import TickShapes
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Verdicts
+from ssduck.geometry.tick_shapes import TickShapes
 
 OVER, OUTSIDE = 1, -1
 # The polyhedron in the place of a round shape is off by less, relatively to its radius.

@@ -6,7 +6,9 @@ whose signed distance has some room to the bound therefore holds until the shape
 room: nothing is computed anew for them but their motion.
 
 Unlike a witness, a kept verdict is not proved again. It is only kept with room beyond the tolerance
-within which a pair stays undecided, so that a new comparison would give the same verdict.
+within which a pair stays undecided, so that a new comparison would give the same verdict. Any
+verdict holds for two shapes whose poses are the same to the last bit: a comparison depends on
+nothing else.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.verdicts import Decisions
 
 Keys: TypeAlias = npt.NDArray[np.int64]
@@ -47,6 +49,12 @@ class ShapePoses:
     centres: Array
     matrices: Array
     radii: Array
+
+    def are_still(self, before: ShapePoses) -> Flags:
+        """Checks which shapes have the same pose as before, (n,)."""
+        are_still: Flags = (self.centres == before.centres).all(axis=1)
+        are_still &= (self.matrices == before.matrices).reshape(-1, 9).all(axis=1)
+        return are_still
 
     def motion_since(self, before: ShapePoses, first: Indices, second: Indices) -> Array:
         """Returns how far the points of two shapes moved at most, relative to each other, (n,).
@@ -98,16 +106,18 @@ class KeptVerdicts:
         places = np.minimum(np.searchsorted(kept.keys, keys), len(kept.keys) - 1)
         room = kept.decisions.room.take(places)
         room -= poses.motion_since(kept.poses, first, second)
-        holds = (room > 0.0) & (kept.keys.take(places) == keys)
+        are_still = poses.are_still(kept.poses)
+        holds = (room > 0.0) | (are_still.take(first) & are_still.take(second))
+        holds &= kept.keys.take(places) == keys
         np.copyto(found.verdicts, kept.decisions.verdicts.take(places), where=holds)
-        np.copyto(found.room, room, where=holds)
+        np.copyto(found.room, np.maximum(room, 0.0), where=holds)
         return found
 
     def keep(
         self, poses: ShapePoses, first: Indices, second: Indices, decisions: Decisions
     ) -> None:
-        """Replaces all verdicts by those of a tick; the others of the pairs have no room."""
-        places = np.flatnonzero(decisions.room > 0.0)
+        """Replaces all verdicts by those of a tick."""
+        places = np.flatnonzero(decisions.verdicts)
         keys = pair_keys(first, second).take(places)
         order = np.argsort(keys)
         places = places.take(order)

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.batch import ShapeTable, TickShapes, of_known_entities
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.distance import CallCounter
@@ -30,6 +29,7 @@ from ssduck.geometry.poses import (
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
+from ssduck.geometry.tick_shapes import ShapeTable, TickShapes, of_known_entities
 from ssduck.simulators.interface import Link
 from ssduck.world.layout import EntityInfo
 

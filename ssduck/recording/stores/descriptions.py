@@ -115,14 +115,15 @@ def read_description(file: Path) -> dict[str, Any]:
     Raises:
         RecordError: the file cannot be read, or has no JSON object.
     """
+    if not file.is_file():  # a pipe would be waited for
+        raise RecordError(f"{file} cannot be read: there is no such file")
     try:
-        if not file.is_file():  # a pipe would be waited for
-            raise RecordError(f"{file} cannot be read: there is no such file")
-        if file.stat().st_size > MAX_DESCRIPTION:
-            raise RecordError(f"{file} is damaged: it has more than {MAX_DESCRIPTION:,} bytes")
-        content = file.read_bytes()
+        is_too_long = file.stat().st_size > MAX_DESCRIPTION
+        content = b"" if is_too_long else file.read_bytes()
     except OSError as error:
         raise RecordError(f"{file} cannot be read: {error.strerror}") from error
+    if is_too_long:  # not within `try`: a RecordError is an OSError
+        raise RecordError(f"{file} is damaged: it has more than {MAX_DESCRIPTION:,} bytes")
     description = parse_description(content, str(file))
     if not pop_checksum(description):
         raise RecordError(

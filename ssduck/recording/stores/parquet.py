@@ -52,7 +52,6 @@ from ssduck.recording.stores.part_log import PartLog
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import MODELS, recorded_tables
-from ssduck.simulators.interface import Body
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
@@ -77,6 +76,7 @@ class ParquetStore(TickStore):
         is_export: whether the episode exists only when it is finished.
         tags: what the user says of the run.
         camera: the camera of the world; None if it is not stored.
+        about: the id of the episode and the time of its start; None for new ones.
 
     Raises:
         RecordError: the path is that of a file, or of a folder with something else in it, or it
@@ -92,14 +92,15 @@ class ParquetStore(TickStore):
         is_export: bool = False,
         tags: Tags | None = None,
         camera: Camera | None = None,
+        about: Mapping[str, str] | None = None,
     ) -> None:
         self.path = expand_path(path)
         self.recording = recording
         self.tables = recorded_tables(recording.tables)
-        about = _description(world, self.tables, recording, tags or {}, is_export=is_export)
+        described = _description(world, self.tables, recording, tags or {}, is_export=is_export)
         if camera is not None:
-            about["camera"] = camera_text(camera)
-        self.run = _begin_episode(self.path, world, about)
+            described["camera"] = camera_text(camera)
+        self.run = _begin_episode(self.path, world, described | dict(about or {}))
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
@@ -258,14 +259,11 @@ class _NoIds:
     """The numbers of a world that has no entities."""
 
     run: int = 0
+    drawn: None = None
 
     def geometry_id(self, geometry: Geometry) -> int:
         """Fails: there are no geometries."""
         raise AssertionError(geometry)
-
-    def visuals(self, body: Body) -> None:
-        """Fails: there are no bodies."""
-        raise AssertionError(body)
 
 
 class ParquetRecording:

@@ -26,7 +26,7 @@ from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
-from ssduck.schema import MODELS, RECORDED, TABLES, Column
+from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
@@ -69,6 +69,11 @@ class ParquetArchive(TickArchive):
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         check_models(self._models, lambda table: str(run.place(f"models/{table}")))
         self._linked = multi_link_bodies(self._models["entities"])
+        if len(self._linked) and not {"links", FRAMES} & set(run.tables):
+            raise RecordError(
+                f"{run.about_file} is damaged: bodies have several links, and their poses are in "
+                "neither links nor frames"
+            )
         self._log = _logged_rows(run, self._models)
         self.visible_rows = (self._log,) if self._log else ()
 
@@ -142,6 +147,8 @@ class ParquetArchive(TickArchive):
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
         self._opened.check_process()
+        if table == FRAMES and table not in self._files:  # no body has several links
+            return arrow_types(table).empty_table()
         found = self._parts_with(table, first, last)
         self._check(table, found)
         types, files = arrow_types(table), self._files[table][found.start : found.stop]

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import count, islice
@@ -115,7 +115,8 @@ class FolderRun:
         return self.path / table / f"world={self.world}" / f"episode={self.number}"
 
     @cached_property
-    def _about(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
+        """The description of the episode, which was checked."""
         check_inside(self.path, self.about_file)
         about = read_description(self.about_file)
         source = str(self.about_file)
@@ -140,33 +141,28 @@ class FolderRun:
         Raises:
             RecordError: the file that describes the episode is damaged.
         """
-        return tuple(self._about["tables"])
-
-    @property
-    def description(self) -> Mapping[str, Any]:
-        """The description of the episode, which was checked."""
-        return self._about
+        return tuple(self.description["tables"])
 
     @property
     def recording(self) -> dict[str, Any]:
         """What was recorded: n of `every` n-th tick, and the names of the `entities`."""
-        recording: dict[str, Any] = self._about["recording"]
+        recording: dict[str, Any] = self.description["recording"]
         return recording
 
     @property
     def has_checksums(self) -> bool:
         """Whether the files have checksums, which those of older records lack."""
-        return "checksums" in self._about
+        return "checksums" in self.description
 
     @property
     def is_complete(self) -> bool | None:
         """Whether the recording was closed; None for an older record, which does not say so."""
-        return None if self.key is None else "parts" in self._about
+        return None if self.key is None else "parts" in self.description
 
     @property
     def removed_parts(self) -> frozenset[int]:
         """The numbers of parts that were removed as they were damaged, or are left out."""
-        return self.left_out | set(self._about.get("removed", ()))
+        return self.left_out | set(self.description.get("removed", ()))
 
     @property
     def parts(self) -> list[int]:
@@ -200,19 +196,19 @@ class FolderRun:
     @property
     def id(self) -> str | None:
         """The UUID of the run; None for an older record."""
-        id: str | None = self._about.get("id")
+        id: str | None = self.description.get("id")
         return id
 
     @property
     def tags(self) -> Tags:
         """What the user says of the run, by name."""
-        tags: Tags = self._about.get("tags", {})
+        tags: Tags = self.description.get("tags", {})
         return tags
 
     @property
     def key(self) -> str | None:
         """The random text that identifies the episode in its files; None for an older record."""
-        key: str | None = self._about.get("key")
+        key: str | None = self.description.get("key")
         return key
 
     def _parts_of(self, table: str) -> list[int]:
@@ -246,7 +242,7 @@ class FolderRun:
 
     def _expected(self, *, is_model: bool) -> int:
         """Returns the number of parts that there were when the recording was closed, or 0."""
-        expected: int = self._about.get("parts", {}).get("models" if is_model else "ticks", 0)
+        expected: int = self.description.get("parts", {}).get("models" if is_model else "ticks", 0)
         return expected
 
     def numbers_to_check(self, *, is_model: bool) -> list[int]:
@@ -267,7 +263,7 @@ class FolderRun:
     @property
     def is_unfinished_export(self) -> bool:
         """Whether an export wrote it that did not end."""
-        return "exporting" in self._about
+        return "exporting" in self.description
 
     @property
     def has_ticks(self) -> bool:
@@ -309,7 +305,7 @@ class FolderRun:
 
     def label(self, table: str, number: int) -> bytes | None:
         """Returns the label in the footer of a part's file; None for an older record."""
-        key = self._about.get("key")
+        key = self.description.get("key")
         return None if key is None else label_of(key, table, number)
 
     def check(self, table: str, numbers: Iterable[int]) -> list[pq.FileMetaData]:
@@ -443,7 +439,7 @@ class FolderRun:
             self.path,
             self.world,
             self.number,
-            started=self._about["started"],
+            started=self.description["started"],
             tables=[table for table in self.tables if table in RECORDABLE],
             every=self.recording.get("every", 1),
             entities=None if entities is None else tuple(entities),

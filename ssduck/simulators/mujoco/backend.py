@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SceneError, UnknownNameError, UnsupportedError, nearest
-from ssduck.formatting import short_repr
+from ssduck.errors import (
+    ArgumentError,
+    SceneError,
+    UnknownNameError,
+    UnsupportedError,
+    nearest,
+    warn,
+)
+from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
+from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes
+from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.mujoco.sources import source_of
@@ -33,13 +43,17 @@ def load(scene: Scene) -> MuJoCoSimulator:
         UnsupportedError: the scene is more than a model file and sensors.
     """
     file = _model_file(scene)
+    check_declared_sizes(file)
     try:
         # The specification is the source of the model, which is kept to save it.
         spec = mujoco.MjSpec.from_file(str(file))
+        add_spare_welds(spec)
         compiled = spec.compile()
-    except ValueError as error:
+        data = mujoco.MjData(compiled)
+    except (ValueError, MemoryError, mujoco.FatalError) as error:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
-    data = mujoco.MjData(compiled)
+    if not (compiled.opt.timestep > 0 and math.isfinite(compiled.opt.timestep)):
+        raise SceneError(f"{scene.path}: the timestep is not a number above 0")
     state = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_KEY, STATE_KEY)
     if state >= 0:
         mujoco.mj_resetDataKeyframe(compiled, data, state)
@@ -170,8 +184,20 @@ def scene_of(
         raise UnsupportedError(
             "a MuJoCo world is saved as MJCF, of which PyBullet reads little: name no simulator"
         )
-    model, data = simulator.model, simulator.data
+    model, data = simulator.switched_on(simulator.model), simulator.data
     names = body_names(model)
+    off = simulator.disabled | simulator.hidden
+    if off:
+        switched = joined_names(sorted(names[body.handle] for body in off))
+        warn(
+            f"{switched}: MJCF has no bodies that are disabled or hidden; in the file they are not"
+        )
+    lost = set(roots_of(model)) - {0, *(one.body.handle for one in originals)}
+    if lost:
+        raise UnsupportedError(
+            f"{joined_names([names[n] for n in sorted(lost)])}: a MuJoCo model still has bodies "
+            "that were removed or left out, so that MJCF would have them"
+        )
     told = {
         names[one.body.handle]: one.body.kind
         for one in originals

@@ -86,6 +86,7 @@ class ModelReader:
         names: names of entities by the number or the name of the root, instead of MuJoCo's.
         kinds: kinds of entities, likewise.
         only: the numbers of the roots of the trees to describe; None for all.
+        disabled: geoms that count as colliding, though they do not at present; None for none.
     """
 
     def __init__(
@@ -94,13 +95,14 @@ class ModelReader:
         names: Mapping[int | str, str] | None,
         kinds: Mapping[int | str, Kind] | None,
         only: Collection[int] | None = None,
+        disabled: Indices | None = None,
     ) -> None:
         self._only = only
         self._model = model
         self._names = names or {}
         self._kinds = kinds or {}
         self._link_names = body_names(model)
-        self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model), model.nbody)
+        self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model, disabled), model.nbody)
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
         self._geometries: dict[int, Geometry] = {}
 
@@ -223,19 +225,21 @@ def numbers_of(body: Body) -> range:
     return range(body.handle, body.handle + body.rigid_count)
 
 
-def geoms_of(model: Any, body: Body) -> Indices:
-    """Returns the geoms that are the shapes of a body, in their order."""
+def geoms_of(model: Any, body: Body, disabled: Indices | None = None) -> Indices:
+    """Returns the geoms that are the shapes of a body, in their order; see `colliding_geoms`."""
     links = np.array(numbers_of(body))
-    numbers = colliding_geoms(model)
+    numbers = colliding_geoms(model, disabled)
     owners = model.geom_bodyid[numbers]
     chosen = numbers[np.isin(owners, links)]
     order: Indices = chosen[np.argsort(model.geom_bodyid[chosen], kind="stable")]
     return order
 
 
-def colliding_geoms(model: Any) -> Indices:
-    """Returns the numbers of the geoms that can collide."""
+def colliding_geoms(model: Any, disabled: Indices | None = None) -> Indices:
+    """Returns the numbers of the geoms that can collide, and of those that are only disabled."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
+    if disabled is not None:
+        collides[disabled] = True
     for pairs in (model.pair_geom1, model.pair_geom2):
         collides[pairs] = True
     numbers: Indices = np.flatnonzero(collides)

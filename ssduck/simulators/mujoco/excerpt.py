@@ -7,8 +7,7 @@ the tick is the present one; else it is set from the poses and joints of the tic
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -18,11 +17,9 @@ from ssduck.formatting import joined_names
 from ssduck.geometry.poses import compose, invert
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
 from ssduck.simulators.interface import SCALAR_JOINTS, Simulator
+from ssduck.simulators.mujoco.interventions import take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
-
-# A margin at which no two shapes meet.
-_NEVER = -1e9
 
 
 def excerpt(
@@ -42,11 +39,12 @@ def excerpt(
             f"{joined_names(earlier)}: MuJoCo's model is another one by now, and cannot be copied "
             "as it was"
         )
-    model = copy.copy(source.model)
+    model = source.switched_on(source.model)
     data = copied_data(source.model, source.data, mujoco.MjData(model))
     chosen = {one.body.handle for one in originals}
     # Where everything is copied, so is what the world body shows.
-    _remove(model, data, {0, *chosen} if source.has_only(chosen) else chosen)
+    kept = {0, *chosen} if source.has_only(chosen) else chosen
+    take_out(model, data, ~np.isin(model.body_rootid, list(kept)))
     if not _is_present(source, originals, tick):
         _restore(model, data, originals, tick)
     return MuJoCoSimulator(
@@ -56,6 +54,10 @@ def excerpt(
         kinds={one.body.handle: one.body.kind for one in originals},
         only=chosen,
         spec=source.spec,
+        switched_off=(
+            [body.handle for body in tick.disabled],
+            [body.handle for body in tick.hidden],
+        ),
     )
 
 
@@ -66,38 +68,6 @@ def _is_present(source: MuJoCoSimulator, originals: Sequence[BodyToCopy], tick: 
     parts = [one.link_poses.states for one in originals]
     states = np.concatenate([np.zeros((0, 13)), *parts])
     return tick.time == source.time and np.array_equal(now.states, states)
-
-
-def _remove(model: Any, data: Any, chosen: Collection[int]) -> None:
-    """Takes the bodies of the trees that were not chosen out of all interactions."""
-    is_gone = ~np.isin(model.body_rootid, list(chosen))
-    of_geoms = is_gone[model.geom_bodyid]
-    model.geom_contype[of_geoms] = model.geom_conaffinity[of_geoms] = 0
-    model.geom_rgba[of_geoms, 3] = 0.0
-    model.geom_matid[of_geoms] = -1
-    model.pair_margin[of_geoms[model.pair_geom1] | of_geoms[model.pair_geom2]] = _NEVER
-    model.site_rgba[is_gone[model.site_bodyid], 3] = 0.0
-    model.site_matid[is_gone[model.site_bodyid]] = -1
-    of_dofs = is_gone[model.dof_bodyid]
-    data.qvel[of_dofs] = 0.0
-    model.body_gravcomp[is_gone] = 1.0
-    for number in range(model.neq):
-        if any(is_gone[body] for body in _bodies_of_constraint(model, number)):
-            data.eq_active[number] = 0
-
-
-def _bodies_of_constraint(model: Any, number: int) -> list[int]:
-    """Returns the bodies that an equality constraint connects, as far as it names any."""
-    object_type = int(model.eq_objtype[number])
-    owners = {
-        int(mujoco.mjtObj.mjOBJ_BODY): np.arange(model.nbody),
-        int(mujoco.mjtObj.mjOBJ_JOINT): model.jnt_bodyid,
-        int(mujoco.mjtObj.mjOBJ_SITE): model.site_bodyid,
-    }.get(object_type)
-    if owners is None:
-        return []
-    ends = (int(model.eq_obj1id[number]), int(model.eq_obj2id[number]))
-    return [int(owners[end]) for end in ends if end >= 0]
 
 
 def _restore(model: Any, data: Any, originals: Sequence[BodyToCopy], tick: TickToCopy) -> None:

@@ -10,6 +10,7 @@ which ssduck's relations go, get all digits here.
 
 from __future__ import annotations
 
+import copy
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -22,6 +23,7 @@ import numpy as np
 from ssduck.errors import UnsupportedError
 from ssduck.simulators.mjcf import KIND_PREFIX, STATE_KEY
 from ssduck.simulators.mujoco.bodies import body_names
+from ssduck.simulators.mujoco.interventions import HOLD, IDLE, holds, spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 
 # The folder of meshes, pictures and heights, beside the model.
@@ -31,10 +33,10 @@ _FOLDERS = {"mesh": "meshdir", "skin": "meshdir", "hfield": "meshdir", "texture"
 # The attributes that are the name of a file.
 _FILES = ("file", *(f"file{side}" for side in ("right", "left", "up", "down", "front", "back")))
 # What is equal in both models, and what nearly.
-_COUNTS = ("nq", "nv", "na", "nu", "nbody", "njnt", "ngeom", "nsite", "neq", "nmocap", "nmesh")
+_COUNTS = ("nq", "nv", "na", "nu", "nbody", "njnt", "ngeom", "nsite", "nmocap", "nmesh")
 _EQUAL = (
     *("body_parentid", "jnt_type", "jnt_bodyid", "geom_type", "geom_bodyid", "geom_contype"),
-    *("geom_conaffinity", "site_bodyid", "actuator_trntype", "actuator_trnid", "eq_type"),
+    *("geom_conaffinity", "site_bodyid", "actuator_trntype", "actuator_trnid"),
 )
 _NEAR = ("body_pos", "body_mass", "jnt_pos", "jnt_axis", "geom_size", "site_pos", "site_size")
 _TOLERANCE = 1e-5
@@ -55,11 +57,15 @@ def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file
     Raises:
         UnsupportedError: the source of the model is not known, or one of its files is not there.
     """
-    root = ET.fromstring(_source(model, spec))  # noqa: S314  # MuJoCo has written it
+    welds = list(_welds(model, data))
+    root = ET.fromstring(_source(_without_holds(model), spec))  # noqa: S314  # MuJoCo wrote it
     _copy_files(root, Path(spec.modelfiledir) if spec is not None else None, file.parent / ASSETS)
+    for part in root.iter("statistic"):
+        part.attrib.pop("meaninertia", None)  # MuJoCo 4 writes it, and warns when it reads it
     _write_digits(root, model)
     _replace(root, "keyframe", "key", STATE_KEY, [_state(model, data)])
     texts = [ET.Element("text", name=KIND_PREFIX + name, data=kind) for name, kind in kinds.items()]
+    _replace(root, "equality", "weld", HOLD, welds)
     _replace(root, "custom", "text", KIND_PREFIX, texts)
     ET.indent(root)
     ET.ElementTree(root).write(file, encoding="utf-8")
@@ -89,6 +95,23 @@ _UNKNOWN = (
     "the source of this MuJoCo model is not known: ssduck.load keeps that of its worlds, and "
     "MuJoCo that of the last model that it read from XML; MjSpec.to_xml writes yours"
 )
+
+
+def _welds(model: Any, data: Any) -> Iterator[ET.Element]:
+    """Yields welds for what bodies hold, which are constraints like others in the file."""
+    names = body_names(model)
+    for number, one, other in holds(model, data):
+        ends = {"body1": names[one], "body2": names[other]}
+        yield ET.Element("weld", ends, relpose=_texts(model.eq_data[number, 3:10]))
+
+
+def _without_holds(model: Any) -> Any:
+    """Returns a copy of a model whose welds for holding are as they were when it was compiled."""
+    plain, welds = copy.copy(model), spare_welds(model)
+    plain.eq_obj1id[welds], plain.eq_obj2id[welds] = 1, 0
+    for number in welds:
+        plain.eq_data[number, : len(IDLE)] = IDLE
+    return plain
 
 
 def _replace(

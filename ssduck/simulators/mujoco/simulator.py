@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -41,12 +41,16 @@ from ssduck.simulators.mujoco.bodies import (
     sites_on,
 )
 from ssduck.simulators.mujoco.contacts import read_contacts
+from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
-from ssduck.simulators.partial import PartialSimulator, unsupported
+from ssduck.simulators.partial import PartialSimulator
 from ssduck.simulators.scenes import Camera
+
+# The numbers of root bodies of which collisions are off, and of those that are hidden.
+SwitchedOff: TypeAlias = tuple[Collection[int], Collection[int]]
 
 # The number of lists of bodies whose rows stay prepared.
 _PREPARED = 4
@@ -83,6 +87,8 @@ class MuJoCoSimulator(PartialSimulator):
         forward: whether each tick has the poses, velocities and contacts that follow from the
             joint positions of its time. MuJoCo's own are those at the beginning of the last step.
         spec: the `mujoco.MjSpec` that the model was compiled from; None if it is not known.
+        switched_off: the numbers of the root bodies of which collisions are off at first, and of
+            those that are hidden.
 
     Attributes:
         spec: see above.
@@ -93,8 +99,6 @@ class MuJoCoSimulator(PartialSimulator):
 
     backend = "mujoco"
     keeps_time = True
-    disabled: frozenset[Body] = frozenset()
-    hidden: frozenset[Body] = frozenset()
 
     def __init__(
         self,
@@ -106,6 +110,7 @@ class MuJoCoSimulator(PartialSimulator):
         only: Collection[int] | None = None,
         forward: bool = False,
         spec: Any = None,
+        switched_off: SwitchedOff = ((), ()),
     ) -> None:
         self.is_external = not owned
         self._source = source
@@ -113,6 +118,9 @@ class MuJoCoSimulator(PartialSimulator):
         self._forward = forward
         self.spec = spec
         self.model, self.data = source()
+        self._switches = Switches(self.model)
+        # What is to be switched off when the bodies are described first.
+        self._switched_off: SwitchedOff = switched_off
         # A copy of the data in which the derived quantities are computed; None until needed.
         self._copy: Any = None
         self._state: Any = self.data
@@ -139,7 +147,8 @@ class MuJoCoSimulator(PartialSimulator):
         model, known = self.model, self._described
         if known is not None and known[0] is model and known[1].is_that_of(model):
             return None
-        reader = ModelReader(model, self._names, self._kinds, self._only)
+        disabled = self._switches.disabled_geoms
+        reader = ModelReader(model, self._names, self._kinds, self._only, disabled)
         before = {body.handle: body for body in self._bodies}
         bodies = []
         for body in reader.bodies():
@@ -152,7 +161,21 @@ class MuJoCoSimulator(PartialSimulator):
         self._ray_caster = None
         self._rows, self._joint_rows, self._geoms = [], None, {}
         self._warn_of_boxes(added)
+        self._switch_off(added)
         return (added, gone) if added or gone else None
+
+    def _switch_off(self, bodies: Sequence[Body]) -> None:
+        """Switches off what is to be off at first."""
+        (disabled, hidden), self._switched_off = self._switched_off, ((), ())
+        for body in bodies:
+            if body.handle in disabled:
+                self.enable(body, False)
+            if body.handle in hidden:
+                self.show(body, False)
+
+    def switched_on(self, model: Any) -> Any:
+        """Returns a copy of a copy of the model, in which all bodies collide and are drawn."""
+        return self._switches.switched_on(model)
 
     def has(self, body: Body) -> bool:
         """Checks whether the present model has a body."""
@@ -170,6 +193,8 @@ class MuJoCoSimulator(PartialSimulator):
         time = self.time
         if self.model is not before or time < self._last_time:
             self.episode += 1
+            if self.model is not before:
+                self._switches = Switches(self.model)
         self._last_time = time
         # The first number is 0 in data whose poses MuJoCo never computed, or reset since.
         if not self._forward and self.data.xquat[0, 0]:
@@ -304,7 +329,7 @@ class MuJoCoSimulator(PartialSimulator):
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
         present = set(self._bodies)
         for body in present.difference(self._geoms):
-            self._geoms[body] = geoms_of(self.model, body)
+            self._geoms[body] = geoms_of(self.model, body, self._switches.disabled_geoms)
         margins = self.model.geom_margin
         return [
             margins[self._geoms[body]].tolist() if body in present else body.margins
@@ -330,20 +355,6 @@ class MuJoCoSimulator(PartialSimulator):
         if self._ray_caster is None:
             self._ray_caster = RayCaster(self.model, self._only)
         return self._ray_caster.cast(self._state, starts, ends, through)
-
-    # -- what MuJoCo's models cannot be asked for ------------------------------------------
-
-    has_constraint = add_constraint = remove_constraint = unsupported(
-        "connect bodies",
-        "declare a weld with active='false' in the model, and set data.eq_active where it holds",
-    )
-    enable = unsupported(
-        "switch collisions on or off", "set model.geom_contype and geom_conaffinity to 0"
-    )
-    show = unsupported("show or hide bodies", "set the alpha of model.geom_rgba")
-    remove = unsupported(
-        "remove bodies", "World.excerpt(names) copies the world with the entities that you name"
-    )
 
     # -- pictures -------------------------------------------------------------------------
 
@@ -411,6 +422,53 @@ class MuJoCoSimulator(PartialSimulator):
             int(numbers[index]): (body.joints[index], motor) for index, motor in motors.items()
         }
         drive(self.model, self.data, body.name, targets)
+
+    def has_constraint(self, body: Body, other: Body) -> bool:
+        """Checks whether a weld of `add_constraint` connects a body to the base of another."""
+        ends = ((one, held) for _, one, held in holds(self.model, self.data))
+        return any(one in numbers_of(body) and held == other.handle for one, held in ends)
+
+    def add_constraint(self, body: Body, link: int, other: Body) -> None:
+        """Welds the base of a body to a link of another, as they are.
+
+        Raises:
+            UnsupportedError: the model has no weld that is free.
+        """
+        rigid = link if body.links[link].region is None else body.links[link].parent
+        hold(self.model, self.data, self._state, body.handle + rigid, other.handle)
+
+    def remove_constraint(self, body: Body, other: Body) -> None:
+        """Releases the base of a body from the links of another."""
+        for number, one, held in holds(self.model, self.data):
+            if one in numbers_of(body) and held == other.handle:
+                self.data.eq_active[number] = 0
+
+    @property
+    def disabled(self) -> frozenset[Body]:
+        """The bodies that take no part in collisions."""
+        return self._switches.disabled
+
+    @property
+    def hidden(self) -> frozenset[Body]:
+        """The bodies that are not drawn."""
+        return self._switches.hidden
+
+    def enable(self, body: Body, on: bool) -> None:
+        """Switches the collisions of a body on or off."""
+        self._switches.enable(body, on)
+        # It has the same shapes as before.
+        self._described = (self.model, ModelContent(self.model))
+        self._ray_caster = None
+
+    def show(self, body: Body, on: bool) -> None:
+        """Shows or hides a body in images."""
+        self._switches.show(body, on)
+
+    def remove(self, body: Body) -> None:
+        """Takes a body out of all interactions and descriptions; the model still has it."""
+        take_out(self.model, self.data, self.model.body_rootid == body.handle)
+        self._only = {one.handle for one in self._bodies if one is not body}
+        self._described = self._ray_caster = None
 
     def close(self) -> None:
         """Ends reading; the model and the data of the user remain."""

@@ -96,6 +96,8 @@ ELSEWHERE = {
     "sensingEnvIDs": "test_same_answers.test_sensors_agree",
     "isOpen": "test_saving.test_drawers_agree",
     "isClosed": "test_saving.test_drawers_agree",
+    "id": "in each of these queries",
+    "obj": "handles belong to a world",
     "environmentID": "numbers of a world",
     "tick": "the ticks of a world",
 }

@@ -341,23 +341,6 @@ def test_ticks_take_no_time_from_the_user(model, data):
     assert world.step(3).time == pytest.approx(0.02)
 
 
-UNSUPPORTED = {
-    "save": (lambda world: world.save("nowhere/at/all"), "mj_saveModel"),
-    "hold": (lambda world: world["arm"].hold(world["ball"]), "weld"),
-    "disable": (lambda world: setattr(world["ball"], "enabled", False), "geom_contype"),
-    "hide": (lambda world: setattr(world["ball"], "visible", False), "geom_rgba"),
-    "remove": (lambda world: world.remove("ball"), "excerpt"),
-}
-
-
-@pytest.mark.parametrize("action", UNSUPPORTED)
-def test_what_is_not_supported_says_so(model, data, action):
-    world = ssduck.World.attach(model, data)
-    call, instead = UNSUPPORTED[action]
-    with pytest.raises(UnsupportedError, match=instead):
-        call(world)
-
-
 def test_sensors_perceive_what_collides(model, data):
     """A range finder on the hand looks through it and what is only drawn, down to the table."""
     with ssduck.Interpreter() as ss:

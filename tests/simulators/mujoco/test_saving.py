@@ -113,7 +113,7 @@ def test_a_saved_world_is_the_same(cell, tmp_path):
         model = found.simulator.model
         assert model.opt.timestep == 0.00123456789
         assert model.mat_texid.max() == 0
-        assert model.eq_active0.tolist() == [0]
+        assert not model.eq_active0[model.equality("grip").id]
         found.step(20)  # it goes on
         assert np.isfinite(found.simulator.data.qpos).all()
 
@@ -347,7 +347,7 @@ def test_drawers_agree(tmp_path, slide, turn):
             boxes = [np.array(ss[world][entity].aabb) for world in ("room", "m")]
             assert boxes[0] == pytest.approx(boxes[1], abs=1e-6)
         model = ss["m"].simulator.model
-        assert model.neq == 1
+        assert model.eq_active0.sum() == 1
         assert model.jnt_range.tolist() == [[0, 0.4], [-1.5, 0]] * 2
         assert model.body("other_door").inertia.tolist() == [1, 1, 0.5]
 

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 import ssduck
+from ssduck.schema import ID_FACTOR
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -181,6 +182,67 @@ def test_the_clearance_of_ellipsoids_is_the_distance_that_mujoco_computes(eggs):
             assert 0.0 < row["p"] <= -expected + 1e-4, row
     assert apart > 20
     assert len(rows) - apart > 3
+
+
+@pytest.mark.parametrize("margin", [0.0, 1e-3, 0.05])
+def test_all_pairs_of_ellipsoids_at_once_are_those_one_by_one(eggs, margin):
+    """As they lie, and lifted until some only just touch."""
+    _, model, data = eggs
+    at_once, one_by_one = (ssduck.World.attach(model, data, names={0: "floor"}) for _ in range(2))
+    for world in (at_once, one_by_one):
+        world.request_tables(["shapes"])
+        world.tick()
+    many, single = at_once.snapshot.shapes(), one_by_one.snapshot.shapes()
+    numbers = [entity.id for entity in one_by_one]
+    pairs = [(a, b) for a in numbers for b in numbers if a != b]
+
+    def found(keys):
+        return sorted(divmod(number, ID_FACTOR) for number in keys)
+
+    assert found(many.all_touching(margin)) == [
+        (a, b) for a, b in pairs if single.touching(a, b, margin)
+    ]
+    assert found(many.all_within(margin)) == [(a, b) for a, b in pairs if single.near(a, b, margin)]
+    assert found(many.all_colliding(margin)) == [
+        (a, b) for a, b in pairs if single.collides(a, b, margin)
+    ]
+    assert found(many.all_on()) == [(a, b) for a, b in pairs if single.on(a, b)]
+
+
+@pytest.mark.parametrize(
+    ("lift", "aside", "expected"),
+    [
+        (0.0, 0.0, True),
+        (9e-4, 0.0, True),
+        (1.1e-3, 0.0, False),
+        (0.0, 0.35, True),
+        (0.0, 0.51, False),
+    ],
+)
+def test_an_egg_lies_on_a_table(lift, aside, expected):
+    """Turned in any way, it reaches down by the root of n C n, with C of its half lengths."""
+    rng, size = np.random.default_rng(8), np.array([0.05, 0.08, 0.12])
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body name="table"><geom type="box" size=".5 .5 .1"/></body>'
+        '<body name="egg"><freejoint/><geom type="ellipsoid" size=".05 .08 .12"/></body>'
+        "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("w", ssduck.World.attach(model, data, forward=True))
+        for _ in range(10):
+            turn = rng.normal(size=4)
+            data.qpos[3:] = turn / np.linalg.norm(turn)
+            mujoco.mj_forward(model, data)
+            axes = data.body("egg").xmat.reshape(3, 3) * size
+            data.qpos[:3] = aside, 0.0, 0.1 + np.linalg.norm(axes[2]) + lift
+            world.tick()
+            assert ss.eval("on(w.table, w.egg);") is expected
+            assert ss.eval("SELECT id FROM w WHERE on(w.table, this) AS list;") == (
+                ["egg"] if expected else []
+            )
+            if not aside:
+                assert ss.eval("clearance(w.table, w.egg);") == pytest.approx(lift, abs=1e-7)
 
 
 def test_an_ellipsoid_is_a_region(eggs):

@@ -1,0 +1,269 @@
+"""The shapes of a tick in arrays, and what is kept of their pairs from tick to tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
+from ssduck.geometry.poses import rotate
+from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
+from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
+from ssduck.geometry.proofs.witnesses import KeptWitnesses
+from ssduck.geometry.shapes import Geometry
+from ssduck.geometry.solids import Solid, solid_of
+
+# Added to distances of boxes, m, so that pairs exactly at the bound are candidates.
+_BOUND_MARGIN = 1e-8
+MAX_ENTITIES = 1 << 32
+# The number of predicates of which something is kept from tick to tick.
+_MAX_PREDICATES = 16
+# The number of regrouped tables that are kept from tick to tick.
+_MAX_REGROUPED = 16
+
+
+PredicateKind: TypeAlias = Literal["colliding", "within", "touching"]
+
+
+@dataclass(frozen=True)
+class PairPredicate:
+    """A condition on two entities; it holds if it holds for two of their shapes.
+
+    Attributes:
+        kind: "colliding": they are deeper in each other than `distance`. "within": the distance of
+            their nearest points is at most `distance`. "touching": that distance is at most
+            `distance` plus the collision margins of both shapes.
+        distance: metres.
+    """
+
+    kind: PredicateKind
+    distance: float
+
+    def bound(self, margins: float) -> float:
+        """Returns the bound of the signed distance of two shapes.
+
+        Args:
+            margins: the sum of their collision margins, metres.
+        """
+        if self.kind == "colliding":
+            return -self.distance
+        return self.distance + margins if self.kind == "touching" else self.distance
+
+    def bounds(self, table: ShapeTable, first: Indices, second: Indices) -> Array:
+        """Returns the bounds for pairs of shapes, (n,)."""
+        bounds = np.full(len(first), self.bound(0.0))
+        if self.kind == "touching":
+            bounds += table.margins[first] + table.margins[second]
+        return bounds
+
+    def candidates(self, tick: TickShapes) -> Pairs:
+        """Returns the pairs of shapes whose boxes are near enough."""
+        if self.kind == "colliding":
+            return _candidates(tick, tick.boxes, 0.0)
+        if self.kind == "within":
+            return _candidates(tick, tick.boxes, self.distance + _BOUND_MARGIN)
+        margins = tick.table.margins
+        grown = np.concatenate((tick.boxes[:3] - margins, tick.boxes[3:] + margins))
+        return _candidates(tick, grown, max(self.distance, 0.0) + _BOUND_MARGIN)
+
+
+class KeptPairs:
+    """What decided the pairs of a condition at the tick before, and the verdicts."""
+
+    def __init__(self) -> None:
+        self.witnesses, self.verdicts = KeptWitnesses(), KeptVerdicts()
+
+
+class ShapeTable:
+    """The properties of shapes that do not depend on their poses, and what is kept between ticks.
+
+    Args:
+        solids: the distinct solids.
+        solid_indices: (n,), the index of each shape's solid.
+        entities: (n,), the index of each shape's entity.
+        margins: (n,), the collision margins, metres; None for none.
+    """
+
+    def __init__(
+        self,
+        solids: Sequence[Solid],
+        solid_indices: Indices,
+        entities: Indices,
+        margins: Array | None = None,
+    ) -> None:
+        self.solids, self.solid_indices = solids, solid_indices
+        self.entities = entities
+        self.margins = np.zeros(len(solid_indices)) if margins is None else margins
+        self.count = int(entities.max(initial=-1)) + 1
+        self.has_single_shapes = bool(np.bincount(entities).max(initial=0) <= 1)
+        self.is_known = np.array([solid.is_known for solid in solids], dtype=bool)[solid_indices]
+        self.has_points = np.array([not solid.is_empty for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        self.is_plane = np.array([solid.type == "plane" for solid in solids], dtype=bool)[
+            solid_indices
+        ]
+        self.has_planes = bool(self.is_plane.any())
+        self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
+        self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
+        self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
+        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[solid_indices]
+        self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(
+            -1, 3
+        )[solid_indices]
+        self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[
+            solid_indices
+        ]
+        up = np.array([0.0, 0.0, 1.0])
+        normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
+        self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
+        self.cores = ConvexCores(solids, solid_indices)
+        self._kept: dict[PairPredicate, KeptPairs] = {}
+        self.kept_touching, self.kept_upward = KeptVerdicts(), KeptVerdicts()
+        self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
+        self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
+
+    def kept(self, predicate: PairPredicate) -> KeptPairs:
+        """Returns what is kept of a predicate from the tick before."""
+        if predicate not in self._kept:
+            if len(self._kept) >= _MAX_PREDICATES:
+                self._kept.clear()
+            self._kept[predicate] = KeptPairs()
+        return self._kept[predicate]
+
+    def extended(self, geometries: Sequence[Geometry], entities: Indices) -> ShapeTable:
+        """Returns the table with further shapes, without margins; it keeps the last one.
+
+        Args:
+            geometries: their geometries.
+            entities: (n,), the index of each one's entity.
+        """
+        key = tuple(geometry.key for geometry in geometries), entities.tobytes()
+        if self._extended is not None and self._extended[0] == key:
+            return self._extended[1]
+        known = len(self.solids)
+        distinct = {geometry.key: geometry for geometry in geometries}
+        places = {key: known + place for place, key in enumerate(distinct)}
+        indices = [places[geometry.key] for geometry in geometries]
+        table = ShapeTable(
+            [*self.solids, *map(solid_of, distinct.values())],
+            np.concatenate((self.solid_indices, np.array(indices, np.intp))),
+            np.concatenate((self.entities, entities)),
+            np.concatenate((self.margins, np.zeros(len(indices)))),
+        )
+        self._extended = key, table
+        return table
+
+    def regrouped(self, shapes: Indices, entities: Indices) -> ShapeTable:
+        """Returns the table of some of the shapes, which belong to other entities.
+
+        The table is the same at each tick, so that it keeps its witnesses.
+
+        Args:
+            shapes: (m,), the numbers of the shapes.
+            entities: (m,), the index of each shape's entity.
+        """
+        key = shapes.tobytes(), entities.tobytes()
+        table = self._regrouped.get(key)
+        if table is None:
+            if len(self._regrouped) >= _MAX_REGROUPED:
+                self._regrouped.clear()
+            indices, margins = self.solid_indices[shapes], self.margins[shapes]
+            table = self._regrouped[key] = ShapeTable(self.solids, indices, entities, margins)
+        return table
+
+
+@dataclass(frozen=True, eq=False)
+class TickShapes:
+    """The shapes of a tick, in arrays.
+
+    Attributes:
+        table: the properties that do not depend on the tick.
+        is_known: (n,), whether all poses and shapes of the entity are known.
+        boxes: (6, n), lower corners, upper corners.
+        positions: (n, 3).
+        matrices: (n, 3, 3).
+    """
+
+    table: ShapeTable
+    is_known: Flags
+    boxes: Array
+    positions: Array
+    matrices: Array
+
+    def to_world(self, points: Array) -> Array:
+        """Returns a point (n, 3) of each shape, transformed to the world."""
+        if not points.any():
+            return self.positions
+        with np.errstate(invalid="ignore"):
+            moved: Array = self.positions + rotate(self.matrices, points)
+        return moved
+
+    @cached_property
+    def centres(self) -> Array:
+        """The centres of the spheres around the shapes, (n, 3)."""
+        return self.to_world(self.table.centre)
+
+    @cached_property
+    def inscribed_centres(self) -> Array:
+        """The centres of the spheres in the shapes, (n, 3)."""
+        return self.to_world(self.table.inscribed_centre)
+
+    @cached_property
+    def poses(self) -> ShapePoses:
+        """The poses, from which the motion between two ticks is bounded."""
+        return ShapePoses(self.centres, self.matrices, self.table.bounding_radius)
+
+    @cached_property
+    def placed_cores(self) -> PlacedCores:
+        """The cores of the shapes."""
+        rotations = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
+        centres, inscribed = map(np.ascontiguousarray, (self.centres.T, self.inscribed_centres.T))
+        return PlacedCores(self.table.cores, rotations, centres, inscribed)
+
+    def owners(self, first: Indices, second: Indices) -> Indices:
+        """Returns the pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""
+        i, j = self.table.entities[first], self.table.entities[second]
+        return np.minimum(i, j) * MAX_ENTITIES + np.maximum(i, j)
+
+
+def pair_number(i: int, j: int) -> int:
+    """Returns the number of a pair of entities, in either order.
+
+    >>> pair_number(3, 7) == pair_number(7, 3)
+    True
+    """
+    return min(i, j) * MAX_ENTITIES + max(i, j)
+
+
+def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
+    """Checks whether all shapes of each shape's entity are known, (n,)."""
+    lost = np.bincount(table.entities[~is_known], minlength=table.count)
+    all_known: Flags = lost[table.entities] == 0
+    return all_known
+
+
+def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
+    """Returns the pairs of known shapes of two entities whose boxes (6, n) are near each other.
+
+    There are none if the greatest distance is negative or NaN.
+    """
+    if not max_distance >= 0.0:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    table = tick.table
+    known = np.flatnonzero(tick.is_known & table.has_points)
+    if max_distance == np.inf:
+        first, second = np.triu_indices(len(known), 1)
+    else:
+        first, second = overlapping_pairs(boxes[:, known], max_distance)
+    # In the same order at each tick, for the witnesses.
+    first, second = known[np.minimum(first, second)], known[np.maximum(first, second)]
+    if table.has_single_shapes:
+        return first, second
+    different = table.entities[first] != table.entities[second]
+    return first[different], second[different]

@@ -1,0 +1,75 @@
+"""Upgrades records of older releases: `upgrade` writes them in the present format."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from ssduck.errors import RecordError
+from ssduck.interpreter.archives import episodes
+from ssduck.interpreter.opening import open_record
+from ssduck.recording.episode import Episode
+from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
+
+# The folders of files that belong to episodes, beside the tables.
+_FILES_OF_EPISODES = ("gym",)
+
+
+def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
+    """Writes all episodes of a record to a new folder, in the present format.
+
+    All rows, the times of the starts, ids and tags stay as they are. The files get the labels and
+    checksums, episodes the ids, and tables the columns that older releases did not write; what was
+    not recorded is NULL. The record itself stays. Episodes without ticks are left out.
+
+    Args:
+        path: the folder or the DuckDB file of the record.
+        output: the new folder.
+
+    Returns:
+        The episodes of the new folder.
+
+    Raises:
+        RecordError: the record is damaged or of a later version than this ssduck, or has no ticks;
+            or the folder is not new, or cannot be written.
+
+    >>> import ssduck, tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = ssduck.write_record(f"{folder}/old", ["cup"], {"cup": [0, 0, 1]}, [0.0])
+    ...     [episode.world for episode in ssduck.upgrade(f"{folder}/old", f"{folder}/new")]
+    ['world']
+    """
+    source, folder = expand_path(path).absolute(), expand_path(output).absolute()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RecordError(f"{folder} is there already: give a new folder")
+    listed = [episode for episode in episodes(source) if episode.ticks]
+    if not listed:
+        raise RecordError(f"{source} has no episode with ticks")
+    for episode in listed:
+        about = {"started": episode.started}
+        if episode.id is not None:
+            about["id"] = episode.id
+        with open_record(source, episode.world, episode.number) as ss:
+            database = ss._database  # noqa: SLF001  # it reads the record
+            (world,) = database.worlds.values()
+            ticks = database.export(world, folder, None, (None, None), about=about)
+        run = FolderRun(folder, episode.world, episode_number(ticks))
+        _copy_files(source, episode, run)
+    return episodes(folder)
+
+
+def _copy_files(source: Path, episode: Episode, run: FolderRun) -> None:
+    """Copies the files that belong to an episode, beside its tables."""
+    for name in _FILES_OF_EPISODES:
+        file = source / name / f"{episode.world}-{episode.number}.json"
+        if source.is_dir() and file.is_file():
+            content = file.read_bytes()
+            place = run.path / name / f"{run.world}-{run.number}.json"
+            place.parent.mkdir(exist_ok=True)
+            write_atomically(place, partial(_write, content))
+
+
+def _write(content: bytes, file: Path) -> None:
+    file.write_bytes(content)

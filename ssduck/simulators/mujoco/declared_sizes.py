@@ -1,0 +1,98 @@
+"""Checks the sizes that an MJCF file declares, before MuJoCo makes what they describe.
+
+A few lines may describe millions of bodies, a texture of gigabytes, or as much memory. MuJoCo then
+works until the memory ends, and cannot be interrupted.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from ssduck.errors import SceneError
+
+# The largest number of elements of a model, with copies; of pixels, heights and user's numbers.
+MAX_ELEMENTS, MAX_NUMBERS = 1_000_000, 100_000_000
+# The attributes whose product is a number of bodies or of numbers.
+_COUNTS = {
+    "replicate": ("count",),
+    "composite": ("count",),
+    "flexcomp": ("count",),
+}
+_NUMBERS = {
+    "texture": ("width", "height"),
+    "hfield": ("nrow", "ncol"),
+}
+# The attributes of <size> that are numbers of numbers.
+_SIZES = ("nuserdata", "nkey", "njmax", "nconmax", "nstack")
+_SIZES_EACH = "nuser_"
+
+
+def check_declared_sizes(file: Path) -> None:
+    """Checks that an MJCF file and those that it includes describe a model of a usual size.
+
+    Raises:
+        SceneError: they describe more.
+    """
+    count = _count(file, file, {file.resolve()})
+    if count > MAX_ELEMENTS:
+        raise SceneError(
+            f"{file}: the model has more than {MAX_ELEMENTS:,} elements, counting those that "
+            "replicate, composite and flexcomp make"
+        )
+
+
+def _count(file: Path, main: Path, files: set[Path]) -> int:
+    """Returns the number of elements of a file; MuJoCo reports one that cannot be read."""
+    try:
+        root = ET.parse(file).getroot()  # noqa: S314  # expat bounds the growth of entities
+    except (ET.ParseError, OSError, ValueError):
+        return 0
+    total = 0
+    waiting = [(root, 1)]
+    while waiting:
+        element, copies = waiting.pop()
+        total += copies
+        if total > MAX_ELEMENTS:
+            return total
+        _check_numbers(element, main)
+        copies *= _product(element, _COUNTS.get(element.tag, ()))
+        if element.tag in ("composite", "flexcomp"):
+            total += copies
+            copies = 1
+        elif element.tag == "include":
+            inner = main.parent / element.get("file", "")
+            if inner.resolve() not in files:
+                files.add(inner.resolve())
+                total += copies * _count(inner, main, files)
+        waiting += [(child, copies) for child in element]
+    return total
+
+
+def _check_numbers(element: ET.Element, main: Path) -> None:
+    names = [(name,) for name in element.attrib if _is_size(element, name)]
+    for together in (*names, _NUMBERS.get(element.tag, ())):
+        if _product(element, together) > MAX_NUMBERS:
+            what = " times ".join(together)
+            raise SceneError(f"{main}: <{element.tag}>: {what} is more than {MAX_NUMBERS:,}")
+
+
+def _is_size(element: ET.Element, name: str) -> bool:
+    return element.tag == "size" and (name in _SIZES or name.startswith(_SIZES_EACH))
+
+
+def _product(element: ET.Element, names: tuple[str, ...]) -> int:
+    """Returns the product of the numbers in attributes; what is no number counts as 1."""
+    product = 1
+    for name in names:
+        for word in element.get(name, "").split():
+            try:
+                number = float(word)
+            except ValueError:
+                continue
+            if math.isfinite(number):
+                product *= max(1, int(min(number, 1e12)))
+            elif number > 0:
+                product *= 10**12
+    return product

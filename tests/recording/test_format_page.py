@@ -1,0 +1,76 @@
+"""The page of the format is enough to write a record: its example opens, with pyarrow alone."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording.stores.stored_columns import part_columns
+from ssduck.schema import MODELS, RECORDED
+
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "record-format.md"
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The record of the page's first example, run where ssduck cannot be imported."""
+    (example, *_) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    place = tmp_path_factory.mktemp("page")
+    alone = "import sys; sys.modules['ssduck'] = None\n"
+    subprocess.run([sys.executable, "-c", alone + example], cwd=place, check=True)
+    return place / "fallen"
+
+
+def test_the_example_opens_and_is_asked(written: Path) -> None:
+    (episode,) = ssduck.episodes(written)
+    assert (episode.ticks, episode.complete, episode.tags) == (5, True, {"task": "fall"})
+    assert ssduck.check(written) == []
+    with ssduck.open(written) as ss:
+        gaps = ss.eval("SELECT clearance(lab.floor, this) FROM lab{} WHERE id == 'ball' AS list;")
+        assert gaps == pytest.approx([0.9 - 4.9 * (n / 10) ** 2 for n in range(5)], abs=1e-12)
+        assert ss.eval("SELECT id FROM lab WHERE isSphere(this) AS list;") == ["ball"]
+        assert ss.sql("SELECT count(*) FROM entities_history WHERE vx IS NULL").fetchone() == (10,)
+        assert ss.eval("SELECT this FROM lab{} WHERE collides(this, lab.floor) AS list;") == []
+
+
+def test_the_example_has_all_columns_of_its_tables(written: Path) -> None:
+    for table in ("ticks", "entities", *(f"models/{name}" for name in MODELS)):
+        (file,) = (written / table).rglob("*.parquet")
+        assert set(pq.read_schema(file).names) == set(part_columns(table)), table
+
+
+def test_the_example_can_be_exported_upgraded_and_read_again(written: Path, tmp_path: Path) -> None:
+    with ssduck.open(written) as ss:
+        ss.export(tmp_path / "copy")
+        expected = ss.sql("SELECT * FROM entities_history ORDER BY ALL").fetchall()
+    with ssduck.open(tmp_path / "copy") as ss:
+        assert ss.sql("SELECT * FROM entities_history ORDER BY ALL").fetchall() == expected
+
+
+def test_a_wrong_label_is_noticed(written: Path) -> None:
+    place = written / "entities" / "world=lab" / "episode=0" / "part-000000.parquet"
+    kept = place.read_bytes()
+    try:
+        other = written / "ticks" / "world=lab" / "episode=0" / "part-000000.parquet"
+        place.write_bytes(other.read_bytes())
+        with pytest.raises(RecordError, match="is another part, or of another record"):
+            ssduck.open(written)
+    finally:
+        place.write_bytes(kept)
+
+
+def test_the_page_names_all_tables_and_keys() -> None:
+    text = PAGE.read_text("utf-8")
+    for name in (*RECORDED, *(f"models/{name}" for name in MODELS)):
+        assert name in text, name
+    from ssduck.recording.stores.descriptions import EPISODE
+
+    for key in EPISODE:
+        assert f"`{key}`" in text, key

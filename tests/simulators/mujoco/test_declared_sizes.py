@@ -1,0 +1,100 @@
+"""MJCF files of a few lines that describe more than a computer can hold."""
+
+from __future__ import annotations
+
+import pytest
+
+import ssduck
+from ssduck.errors import SceneError
+
+mujoco = pytest.importorskip("mujoco")
+from ssduck.simulators.mujoco.declared_sizes import (  # noqa: E402
+    MAX_ELEMENTS,
+    MAX_NUMBERS,
+    check_declared_sizes,
+)
+
+GEOM = '<geom size=".1"/>'
+TOO_LARGE = {
+    "replicate": f'<replicate count="100000000"><body>{GEOM}</body></replicate>',
+    "a number of another form": f'<replicate count="1e9">{GEOM}</replicate>',
+    "within each other": f'<replicate count="2000"><replicate count="2000">{GEOM}</replicate></replicate>',
+    "in a frame": f'<replicate count="2000"><frame><replicate count="2000">{GEOM}</replicate></frame></replicate>',
+    "composite": '<body><composite type="cable" count="100000000 1 1" size="1"/></body>',
+    "flexcomp": '<flexcomp name="f" type="grid" count="900 900 900" spacing="1 1 1"/>',
+    "flexcomp in replicate": '<replicate count="900"><flexcomp name="f" type="grid" count="90 90 1"/></replicate>',
+}
+ASSETS = {
+    "texture": '<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>',
+    "hfield": '<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>',
+}
+SIZES = [
+    'nuserdata="2000000000"',
+    'nkey="2000000000"',
+    'nuser_geom="2000000000"',
+    'nconmax="1e300"',
+]
+
+
+def refused(tmp_path, text, words, **files):
+    for name, content in files.items():
+        (tmp_path / f"{name}.xml").write_text(content)
+    (tmp_path / "bomb.xml").write_text(text)
+    with pytest.raises(SceneError, match=words) as caught:
+        ssduck.load(tmp_path / "bomb.xml")
+    assert "bomb.xml" in str(caught.value)
+
+
+@pytest.mark.parametrize("name", TOO_LARGE)
+def test_millions_of_elements_are_refused(tmp_path, name):
+    text = f"<mujoco><worldbody>{TOO_LARGE[name]}</worldbody></mujoco>"
+    refused(tmp_path, text, "more than 1,000,000 elements")
+
+
+@pytest.mark.parametrize("name", ASSETS)
+def test_large_assets_are_refused(tmp_path, name):
+    refused(tmp_path, f"<mujoco><asset>{ASSETS[name]}</asset></mujoco>", "times .* more than")
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_large_numbers_of_numbers_are_refused(tmp_path, size):
+    refused(tmp_path, f"<mujoco><size {size}/></mujoco>", "is more than 100,000,000")
+
+
+def test_copies_of_an_included_file_count(tmp_path):
+    inner = f'<mujocoinclude><replicate count="2000">{GEOM}</replicate></mujocoinclude>'
+    text = '<mujoco><worldbody><replicate count="2000"><include file="inner.xml"/></replicate></worldbody></mujoco>'
+    refused(tmp_path, text, "more than 1,000,000 elements", inner=inner)
+
+
+def test_a_file_that_includes_itself_is_an_error(tmp_path):
+    refused(tmp_path, '<mujoco><include file="bomb.xml"/></mujoco>', "include")
+
+
+@pytest.mark.parametrize("timestep", ["0", "-1", "nan", "inf"])
+def test_a_timestep_is_above_0(tmp_path, timestep):
+    text = f'<mujoco><option timestep="{timestep}"/><worldbody><body>{GEOM}</body></worldbody></mujoco>'
+    refused(tmp_path, text, "timestep|nan|inf")
+
+
+def test_the_bounds(tmp_path):
+    file = tmp_path / "many.xml"
+    form = "<mujoco><worldbody><replicate count='{}'><a/></replicate></worldbody></mujoco>"
+    file.write_text(form.format(MAX_ELEMENTS - 3))
+    check_declared_sizes(file)
+    file.write_text(form.format(MAX_ELEMENTS - 2))
+    with pytest.raises(SceneError, match="elements"):
+        check_declared_sizes(file)
+    form = "<mujoco><asset><hfield nrow='{}' ncol='1'/></asset></mujoco>"
+    file.write_text(form.format(MAX_NUMBERS))
+    check_declared_sizes(file)
+    file.write_text(form.format(MAX_NUMBERS + 1))
+    with pytest.raises(SceneError, match="nrow times ncol"):
+        check_declared_sizes(file)
+
+
+def test_a_usual_model_loads(tmp_path):
+    text = f'<mujoco><worldbody><replicate count="40" offset="1 0 0"><body name="b">{GEOM}</body></replicate></worldbody></mujoco>'
+    (tmp_path / "row.xml").write_text(text)
+    with ssduck.load(tmp_path / "row.xml") as ss:
+        assert ss.eval("SELECT count(*) AS n FROM row;") == [{"n": 40}]
