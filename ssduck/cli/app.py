@@ -13,31 +13,25 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
-from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
+from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.cli.interchange import import_, macros
-from ssduck.cli.lakes import (
-    Batch,
-    Engine,
-    EngineOption,
-    ForgetMissing,
-    Lake,
-    Processes,
-    Resume,
-    Strict,
-    Where,
-    ask_lake,
-    list_episodes,
-    tag,
+from ssduck.cli.lakes import ask, lake, tag
+from ssduck.cli.options import (
+    FormatOption,
+    Output,
+    Program,
+    ProgramFile,
+    Rows,
+    program_text,
+    writer_of_result,
 )
 from ssduck.cli.records import (
     check,
@@ -53,21 +47,8 @@ from ssduck.cli.viewing import view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.recording.paths import is_record
 
-
-class Format(StrEnum):
-    """The output formats of `ssduck query`."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    PARQUET = "parquet"
-    MARKDOWN = "markdown"
-
-
 # Tells commands that the whole process is theirs; in tests, it is not.
 _OWN_PROCESS = object()
-# The number of rows of a table on a terminal.
-_TERMINAL_ROWS = 40
 
 
 class _Commands(TyperGroup):
@@ -192,7 +173,7 @@ _DemoName = Annotated[
     str,
     typer.Argument(metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."),
 ]
-_OutputFolder = Annotated[
+OutputFolder = Annotated[
     Path | None,
     typer.Option(
         "--out",
@@ -220,7 +201,7 @@ def demo(
     listed: Annotated[
         bool, typer.Option("--list", help="List the demonstrations instead of running one.")
     ] = False,
-    out: _OutputFolder = None,
+    out: OutputFolder = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, metavar="N", help="The seed of random numbers.")
     ] = 0,
@@ -299,12 +280,6 @@ def _created_folder(folder: Path) -> Path:
 _SceneOrRecord = Annotated[
     str, typer.Argument(metavar="SCENE", help="The name or the path of a scene, or a RECORD.")
 ]
-_Program = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="PROGRAM", help="The program; it comes from standard input if it is - or missing."
-    ),
-]
 _Seconds = Annotated[
     float | None,
     typer.Option(
@@ -330,50 +305,15 @@ _Strict = Annotated[
 ]
 
 
-_ProgramFile = Annotated[
-    Path | None,
-    typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
-]
-_Format = Annotated[
-    Format | None,
-    typer.Option(
-        "--format",
-        "-F",
-        metavar="table|csv|json|parquet|markdown",
-        help="The format of the result.",
-        show_default="that of the ending of --output, or table",
-    ),
-]
-_Output = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Write the whole result to a file; an existing one is replaced.",
-        show_default="standard output",
-    ),
-]
-_Rows = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="Print at most N rows of a table: the first and the last ones.",
-        show_default="40 on a terminal, otherwise all",
-    ),
-]
-
-
 @app.command()
 def query(
     context: typer.Context,
     scene: _SceneOrRecord,
-    program: _Program = None,
-    file: _ProgramFile = None,
-    format: _Format = None,
-    output: _Output = None,
-    rows: _Rows = None,
+    program: Program = None,
+    file: ProgramFile = None,
+    format: FormatOption = None,
+    output: Output = None,
+    rows: Rows = None,
     sql: Annotated[
         bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
     ] = False,
@@ -391,8 +331,8 @@ def query(
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
-    write = _writer_of_result(format, output, rows)
-    text = _program_text(program, file)
+    write = writer_of_result(format, output, rows)
+    text = program_text(program, file)
 
     from ssduck.interpreter.shown_rows import rows_to_show
     from ssduck.limits import Limits
@@ -419,79 +359,9 @@ def query(
     write(value)
 
 
-def _writer_of_result(
-    name: Format | None, output: Path | None, rows: int | None
-) -> Callable[[Any], object]:
-    """Returns the function that writes a result to standard output or a file.
-
-    Raises:
-        BadParameter: the options exclude each other, or Parquet has no file.
-        UnknownNameError: no format has the ending of the file.
-    """
-    from ssduck.adapters.formats import FORMATS, format_of, print_value, save
-
-    if name is None:
-        format = FORMATS["table"] if output is None else format_of(output)
-    else:
-        format = FORMATS[name]
-    if rows is not None and (output is not None or format.name != "table"):
-        raise typer.BadParameter("--rows is for tables on standard output")
-    if output is not None:
-        return partial(save, path=output, format=format)
-    if format.is_binary:
-        raise typer.BadParameter(f"--format {format.name}: name a file, as in -o result.parquet")
-    if rows is None and terminal_width() is not None:
-        rows = _TERMINAL_ROWS
-    return partial(print_value, format=format, max_rows=rows)
-
-
-for command in (record, export, episodes, check, tag, upgrade, macros):
+for command in (record, export, episodes, check, lake, ask, tag, upgrade, macros):
     app.command()(command)
 app.command("import")(import_)
-
-
-@app.command()
-def lake(
-    path: Lake,
-    where: Where = None,
-    format: _Format = None,
-    output: _Output = None,
-    rows: _Rows = None,
-    forget_missing: ForgetMissing = False,
-) -> None:
-    """List the episodes of all records below a path, with their tags."""
-    write = _writer_of_result(format, output, rows)
-    list_episodes(path, where, write, forget_missing=forget_missing)
-
-
-@app.command()
-def ask(
-    path: Lake,
-    program: _Program = None,
-    file: _ProgramFile = None,
-    where: Where = None,
-    engine: EngineOption = Engine.LOCAL,
-    processes: Processes = None,
-    batch: Batch = None,
-    resume: Resume = None,
-    format: _Format = None,
-    output: _Output = None,
-    rows: _Rows = None,
-    strict: Strict = False,
-) -> None:
-    """Ask all episodes below a path one question, and write their answers."""
-    write = _writer_of_result(format, output, rows)
-    ask_lake(
-        path,
-        _program_text(program, file),
-        write,
-        where=where,
-        engine=engine,
-        processes=processes,
-        batch=batch,
-        resume=resume,
-        strict=strict,
-    )
 
 
 @app.command()
@@ -599,41 +469,3 @@ def functions(
 
 
 # -- the program --------------------------------------------------------------------------
-
-
-def _program_text(program: str | None, file: Path | None) -> str:
-    """Returns the text of the program: the argument, a file or standard input.
-
-    Raises:
-        BadParameter: there is no program, or there are two.
-        SelectScriptError: the file cannot be read.
-    """
-    if program is not None and file is not None:
-        raise typer.BadParameter("the program is given twice: as an argument, and by --file")
-    if file is not None and str(file) != "-":
-        text = _decoded(_content(file), str(file))
-    elif program is not None and program != "-":
-        text = _decoded(program.encode(errors="surrogateescape"), "the program")
-    elif sys.stdin is None or (program is None and file is None and sys.stdin.isatty()):
-        raise typer.BadParameter("there is no program: give one, or --file, or standard input")
-    else:
-        text = _decoded(sys.stdin.buffer.read(), "standard input")
-    if not text.strip():
-        raise typer.BadParameter("the program is empty")
-    return text
-
-
-def _content(file: Path) -> bytes:
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise SelectScriptError(f"{file} cannot be read: {error.strerror}") from error
-
-
-def _decoded(content: bytes, source: str) -> str:
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise SelectScriptError(
-            f"{source} is not UTF-8: byte {error.start} is 0x{content[error.start]:02x}"
-        ) from error
