@@ -13,34 +13,27 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing
-from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
 
-from ssduck.adapters.display import DisplayTable, print_line, print_table, terminal_width
+from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.cli.interchange import import_, macros
-from ssduck.cli.lakes import (
-    Batch,
-    Engine,
-    EngineOption,
-    ForgetMissing,
-    Lake,
-    Processes,
-    Resume,
-    Strict,
-    Where,
-    ask_lake,
-    list_episodes,
-    tag,
-)
+from ssduck.cli.lakes import ask, lake, tag
 from ssduck.cli.listings import functions, scenes
-from ssduck.cli.program_text import program_text
+from ssduck.cli.options import (
+    FormatOption,
+    Output,
+    Program,
+    ProgramFile,
+    Rows,
+    program_text,
+    writer_of_result,
+)
 from ssduck.cli.records import (
     check,
     episodes,
@@ -55,21 +48,8 @@ from ssduck.cli.viewing import view
 from ssduck.errors import SelectScriptError, UnknownNameError, nearest
 from ssduck.recording.paths import is_record
 
-
-class Format(StrEnum):
-    """The output formats of `ssduck query`."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-    PARQUET = "parquet"
-    MARKDOWN = "markdown"
-
-
 # Tells commands that the whole process is theirs; in tests, it is not.
 _OWN_PROCESS = object()
-# The number of rows of a table on a terminal.
-_TERMINAL_ROWS = 40
 
 
 class _Commands(TyperGroup):
@@ -194,7 +174,7 @@ _DemoName = Annotated[
     str,
     typer.Argument(metavar="NAME", help="The name of a demonstration (see --list), or a SCENE."),
 ]
-_OutputFolder = Annotated[
+OutputFolder = Annotated[
     Path | None,
     typer.Option(
         "--out",
@@ -222,7 +202,7 @@ def demo(
     listed: Annotated[
         bool, typer.Option("--list", help="List the demonstrations instead of running one.")
     ] = False,
-    out: _OutputFolder = None,
+    out: OutputFolder = None,
     seed: Annotated[
         int, typer.Option("--seed", min=0, metavar="N", help="The seed of random numbers.")
     ] = 0,
@@ -301,12 +281,6 @@ def _created_folder(folder: Path) -> Path:
 _SceneOrRecord = Annotated[
     str, typer.Argument(metavar="SCENE", help="The name or the path of a scene, or a RECORD.")
 ]
-_Program = Annotated[
-    str | None,
-    typer.Argument(
-        metavar="PROGRAM", help="The program; it comes from standard input if it is - or missing."
-    ),
-]
 _Seconds = Annotated[
     float | None,
     typer.Option(
@@ -332,50 +306,15 @@ _Strict = Annotated[
 ]
 
 
-_ProgramFile = Annotated[
-    Path | None,
-    typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
-]
-_Format = Annotated[
-    Format | None,
-    typer.Option(
-        "--format",
-        "-F",
-        metavar="table|csv|json|parquet|markdown",
-        help="The format of the result.",
-        show_default="that of the ending of --output, or table",
-    ),
-]
-_Output = Annotated[
-    Path | None,
-    typer.Option(
-        "--output",
-        "-o",
-        metavar="FILE",
-        help="Write the whole result to a file; an existing one is replaced.",
-        show_default="standard output",
-    ),
-]
-_Rows = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        metavar="N",
-        help="Print at most N rows of a table: the first and the last ones.",
-        show_default="40 on a terminal, otherwise all",
-    ),
-]
-
-
 @app.command()
 def query(
     context: typer.Context,
     scene: _SceneOrRecord,
-    program: _Program = None,
-    file: _ProgramFile = None,
-    format: _Format = None,
-    output: _Output = None,
-    rows: _Rows = None,
+    program: Program = None,
+    file: ProgramFile = None,
+    format: FormatOption = None,
+    output: Output = None,
+    rows: Rows = None,
     sql: Annotated[
         bool, typer.Option("--sql", help="The program is SQL, not SelectScript.")
     ] = False,
@@ -393,7 +332,7 @@ def query(
     """
     if steps is not None and seconds is not None:
         raise typer.BadParameter("--steps and --seconds exclude each other")
-    write = _writer_of_result(format, output, rows)
+    write = writer_of_result(format, output, rows)
     text = program_text(program, file)
 
     from ssduck.interpreter.shown_rows import rows_to_show
@@ -421,79 +360,9 @@ def query(
     write(value)
 
 
-def _writer_of_result(
-    name: Format | None, output: Path | None, rows: int | None
-) -> Callable[[Any], object]:
-    """Returns the function that writes a result to standard output or a file.
-
-    Raises:
-        BadParameter: the options exclude each other, or Parquet has no file.
-        UnknownNameError: no format has the ending of the file.
-    """
-    from ssduck.adapters.formats import FORMATS, format_of, print_value, save
-
-    if name is None:
-        format = FORMATS["table"] if output is None else format_of(output)
-    else:
-        format = FORMATS[name]
-    if rows is not None and (output is not None or format.name != "table"):
-        raise typer.BadParameter("--rows is for tables on standard output")
-    if output is not None:
-        return partial(save, path=output, format=format)
-    if format.is_binary:
-        raise typer.BadParameter(f"--format {format.name}: name a file, as in -o result.parquet")
-    if rows is None and terminal_width() is not None:
-        rows = _TERMINAL_ROWS
-    return partial(print_value, format=format, max_rows=rows)
-
-
-for command in (record, export, episodes, check, tag, upgrade, macros):
+for command in (record, export, episodes, check, lake, ask, tag, upgrade, macros):
     app.command()(command)
 app.command("import")(import_)
-
-
-@app.command()
-def lake(
-    path: Lake,
-    where: Where = None,
-    format: _Format = None,
-    output: _Output = None,
-    rows: _Rows = None,
-    forget_missing: ForgetMissing = False,
-) -> None:
-    """List the episodes of all records below a path, with their tags."""
-    write = _writer_of_result(format, output, rows)
-    list_episodes(path, where, write, forget_missing=forget_missing)
-
-
-@app.command()
-def ask(
-    path: Lake,
-    program: _Program = None,
-    file: _ProgramFile = None,
-    where: Where = None,
-    engine: EngineOption = Engine.LOCAL,
-    processes: Processes = None,
-    batch: Batch = None,
-    resume: Resume = None,
-    format: _Format = None,
-    output: _Output = None,
-    rows: _Rows = None,
-    strict: Strict = False,
-) -> None:
-    """Ask all episodes below a path one question, and write their answers."""
-    write = _writer_of_result(format, output, rows)
-    ask_lake(
-        path,
-        program_text(program, file),
-        write,
-        where=where,
-        engine=engine,
-        processes=processes,
-        batch=batch,
-        resume=resume,
-        strict=strict,
-    )
 
 
 @app.command()

@@ -12,6 +12,15 @@ from typing import Annotated, Any
 import typer
 
 from ssduck.adapters.display import print_line
+from ssduck.cli.options import (
+    FormatOption,
+    Output,
+    Program,
+    ProgramFile,
+    Rows,
+    program_text,
+    writer_of_result,
+)
 from ssduck.errors import ArgumentError
 from ssduck.formatting import count_of
 from ssduck.recording.tags import parsed_tag
@@ -82,7 +91,7 @@ ForgetMissing = Annotated[
 ]
 
 
-def list_episodes(
+def _list_episodes(
     path: str, where: str | None, write: Callable[[Any], object], *, forget_missing: bool
 ) -> None:
     """Writes the episodes of a lake."""
@@ -95,7 +104,7 @@ def list_episodes(
     write(Result(lake.select(where)))
 
 
-def ask_lake(
+def _ask_lake(
     path: str,
     program: str,
     write: Callable[[Any], object],
@@ -128,6 +137,48 @@ def ask_lake(
     if failed:
         sys.stderr.write(f"{count_of(failed, 'episode')} without an answer: see the column error\n")
         raise typer.Exit(1)
+
+
+def lake(
+    path: Lake,
+    where: Where = None,
+    format: FormatOption = None,
+    output: Output = None,
+    rows: Rows = None,
+    forget_missing: ForgetMissing = False,
+) -> None:
+    """List the episodes of all records below a path, with their tags."""
+    write = writer_of_result(format, output, rows)
+    _list_episodes(path, where, write, forget_missing=forget_missing)
+
+
+def ask(
+    path: Lake,
+    program: Program = None,
+    file: ProgramFile = None,
+    where: Where = None,
+    engine: EngineOption = Engine.LOCAL,
+    processes: Processes = None,
+    batch: Batch = None,
+    resume: Resume = None,
+    format: FormatOption = None,
+    output: Output = None,
+    rows: Rows = None,
+    strict: Strict = False,
+) -> None:
+    """Ask all episodes below a path one question, and write their answers."""
+    write = writer_of_result(format, output, rows)
+    _ask_lake(
+        path,
+        program_text(program, file),
+        write,
+        where=where,
+        engine=engine,
+        processes=processes,
+        batch=batch,
+        resume=resume,
+        strict=strict,
+    )
 
 
 def tag(

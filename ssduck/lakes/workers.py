@@ -32,7 +32,7 @@ from ssduck.recording.stores.episode_batch import (
     BatchedFile,
     DamagedEpisodeError,
 )
-from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.schema import MODELS, RECORDABLE
 
@@ -146,13 +146,14 @@ def _resolved(path: str) -> str:
     return str(place) if isinstance(place, ObjectPath) else place.as_posix()
 
 
-_readers: OrderedDict[tuple[str, Limits | None], _Reader] = OrderedDict()
+# By the group, whether its files are objects of a store, and the limits.
+_readers: OrderedDict[tuple[str, bool, Limits | None], _Reader] = OrderedDict()
 
 
 def _reader_of(entry: EpisodeEntry, limits: Limits | None) -> _Reader:
     """Returns the reader of the group of an episode; a process keeps the last ones."""
     assert entry.group is not None
-    key = entry.group, limits
+    key = entry.group, is_address(entry.path), limits
     if key not in _readers:
         reader = _Reader(entry, limits)
         while len(_readers) >= MAX_READERS:

@@ -107,7 +107,7 @@ class PairQueries:
         if not len(ticks):
             return [None] * len(starts)
         groups = np.searchsorted(starts, ticks, side="right") - 1
-        first, second = self._sides(rows)
+        first, second = self._sides(rows, question)
         with task(self._meter, "comparing shapes at recorded ticks", len(ticks)) as advance:
             values = self._record.entity_shapes.answers(
                 first, second, question, self._record.calls, advance, groups
@@ -121,16 +121,23 @@ class PairQueries:
             found.append((int(ticks[place]), float(values[place])) if is_known else None)
         return found
 
-    def _sides(self, rows: pa.Table) -> tuple[PairSide, PairSide]:
-        """Returns the two entities of each of some rows of near pairs."""
-        ticks = rows["tick"].to_numpy()
+    def _sides(self, rows: pa.Table, question: PairQuestion) -> tuple[PairSide, PairSide]:
+        """Returns the two entities of each of some rows of near pairs.
+
+        If their order does not matter, the one with the lower id is the first, as at the current
+        tick: rounding errors would depend on the order.
+        """
+        ticks, ids = rows["tick"].to_numpy(), [rows[side].to_numpy() for side in "ab"]
+        poses = [_columns(rows, side, POSE) for side in "ab"]
+        if question.is_symmetric:
+            is_turned = ids[0] > ids[1]
+            ids = [np.where(is_turned, *order) for order in (ids[::-1], ids)]
+            turned = is_turned[:, np.newaxis]
+            poses = [np.where(turned, *order) for order in (poses[::-1], poses)]
+        link_poses = partial(self._record.link_poses, ticks)
         first, second = (
-            PairSide(
-                rows[side].to_numpy(),
-                LinkPosesOverTicks(_columns(rows, side, POSE[:3]), _columns(rows, side, POSE[3:])),
-                partial(self._record.link_poses, ticks),
-            )
-            for side in "ab"
+            PairSide(id, LinkPosesOverTicks(pose[:, :3], pose[:, 3:]), link_poses)
+            for id, pose in zip(ids, poses, strict=True)
         )
         return first, second
 
@@ -139,7 +146,7 @@ class PairQueries:
         if len(selected) < rows.num_rows:
             rows = rows.take(pa.array(selected))
         ticks = rows["tick"].to_numpy()
-        first, second = self._sides(rows)
+        first, second = self._sides(rows, question)
         with task(self._meter, "comparing shapes at recorded ticks", len(ticks)) as advance:
             answers = self._record.entity_shapes.answers(
                 first, second, question, self._record.calls, advance

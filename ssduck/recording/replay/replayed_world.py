@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,12 +54,21 @@ class ReplayedWorld(PastWorld):
 
     def _begin_at_end(self) -> None:
         """Reads the times of the record, and goes to the last tick without restoring it."""
+        self._tick = int(self._record.ticks.numbers[-1])
+        for name in ("_distinct_times", "_median_step"):
+            self.__dict__.pop(name, None)
+
+    @cached_property
+    def _distinct_times(self) -> tuple[Array, npt.NDArray[np.int64]]:
+        """The times of the ticks, s, ascending, and the number of the first tick of each."""
         ticks = self._record.ticks
-        self._tick = int(ticks.numbers[-1])
-        self._times, first = np.unique(ticks.times, return_index=True)
-        self._first_ticks = ticks.numbers[first]
-        steps = np.diff(self._times)
-        self._timestep = float(np.median(steps)) if len(steps) else 0.0
+        times, first = np.unique(ticks.times, return_index=True)
+        return times, ticks.numbers[first]
+
+    @cached_property
+    def _median_step(self) -> float:
+        steps = np.diff(self._distinct_times[0])
+        return float(np.median(steps)) if len(steps) else 0.0
 
     def replace_ticks(
         self, numbers: npt.NDArray[np.int64], times: Array, *, is_read: bool = True
@@ -139,7 +149,7 @@ class ReplayedWorld(PastWorld):
     @property
     def timestep(self) -> float:
         """The median of the steps between recorded times, s."""
-        return self._timestep
+        return self._median_step
 
     def seek(self, time: float) -> ReplayedWorld:
         """Goes to the last tick until a time.
@@ -168,13 +178,12 @@ class ReplayedWorld(PastWorld):
         """
         with self.lock:
             self._check_not_pinned()
-            index = int(np.searchsorted(self._times, self.time, side="right")) - 1 + count
-            if index >= len(self._times):
-                raise EvaluationError(
-                    f"what is recorded of {self.name!r} ends at {self._times[-1]:g} s"
-                )
+            times, first_ticks = self._distinct_times
+            index = int(np.searchsorted(times, self.time, side="right")) - 1 + count
+            if index >= len(times):
+                raise EvaluationError(f"what is recorded of {self.name!r} ends at {times[-1]:g} s")
             if count:
-                self._tick = int(self._first_ticks[index])
+                self._tick = int(first_ticks[index])
             if on_progress is not None:
                 on_progress(count)
             self._take_tick()

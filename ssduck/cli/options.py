@@ -1,0 +1,133 @@
+"""Options that several commands have: the program, and the format and the place of a result."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ssduck.adapters.display import terminal_width
+from ssduck.errors import SelectScriptError
+
+# The number of rows of a table on a terminal.
+_TERMINAL_ROWS = 40
+
+
+class Format(StrEnum):
+    """The output formats of `ssduck query`."""
+
+    TABLE = "table"
+    CSV = "csv"
+    JSON = "json"
+    PARQUET = "parquet"
+    MARKDOWN = "markdown"
+
+
+Program = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="PROGRAM", help="The program; it comes from standard input if it is - or missing."
+    ),
+]
+ProgramFile = Annotated[
+    Path | None,
+    typer.Option("--file", "-f", metavar="FILE", help="Read the program from a file."),
+]
+FormatOption = Annotated[
+    Format | None,
+    typer.Option(
+        "--format",
+        "-F",
+        metavar="table|csv|json|parquet|markdown",
+        help="The format of the result.",
+        show_default="that of the ending of --output, or table",
+    ),
+]
+Output = Annotated[
+    Path | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE",
+        help="Write the whole result to a file; an existing one is replaced.",
+        show_default="standard output",
+    ),
+]
+Rows = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        metavar="N",
+        help="Print at most N rows of a table: the first and the last ones.",
+        show_default="40 on a terminal, otherwise all",
+    ),
+]
+
+
+def writer_of_result(
+    name: Format | None, output: Path | None, rows: int | None
+) -> Callable[[Any], object]:
+    """Returns the function that writes a result to standard output or a file.
+
+    Raises:
+        BadParameter: the options exclude each other, or Parquet has no file.
+        UnknownNameError: no format has the ending of the file.
+    """
+    from ssduck.adapters.formats import FORMATS, format_of, print_value, save
+
+    if name is None:
+        format = FORMATS["table"] if output is None else format_of(output)
+    else:
+        format = FORMATS[name]
+    if rows is not None and (output is not None or format.name != "table"):
+        raise typer.BadParameter("--rows is for tables on standard output")
+    if output is not None:
+        return partial(save, path=output, format=format)
+    if format.is_binary:
+        raise typer.BadParameter(f"--format {format.name}: name a file, as in -o result.parquet")
+    if rows is None and terminal_width() is not None:
+        rows = _TERMINAL_ROWS
+    return partial(print_value, format=format, max_rows=rows)
+
+
+def program_text(program: str | None, file: Path | None) -> str:
+    """Returns the text of the program: the argument, a file or standard input.
+
+    Raises:
+        BadParameter: there is no program, or there are two.
+        SelectScriptError: the file cannot be read.
+    """
+    if program is not None and file is not None:
+        raise typer.BadParameter("the program is given twice: as an argument, and by --file")
+    if file is not None and str(file) != "-":
+        text = _decoded(_content(file), str(file))
+    elif program is not None and program != "-":
+        text = _decoded(program.encode(errors="surrogateescape"), "the program")
+    elif sys.stdin is None or (program is None and file is None and sys.stdin.isatty()):
+        raise typer.BadParameter("there is no program: give one, or --file, or standard input")
+    else:
+        text = _decoded(sys.stdin.buffer.read(), "standard input")
+    if not text.strip():
+        raise typer.BadParameter("the program is empty")
+    return text
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise SelectScriptError(f"{file} cannot be read: {error.strerror}") from error
+
+
+def _decoded(content: bytes, source: str) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SelectScriptError(
+            f"{source} is not UTF-8: byte {error.start} is 0x{content[error.start]:02x}"
+        ) from error

@@ -1,0 +1,53 @@
+"""`ssduck lake`, `ask` and `tag`."""
+
+import json
+
+import pytest
+
+import ssduck
+from tests.support.command_line import answer, ssduck_
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("lake") / "runs"
+    tables = ssduck.Recording(tables=("links", "contacts"))
+    for task in ("drop", "place"):
+        with (
+            ssduck.load("kitchen", recording=None) as ss,
+            ss.record_to(folder, recording=tables, tags={"task": task}),
+        ):
+            ss.run(0.05)
+    return str(folder)
+
+
+def test_lake_ask_and_tag(runs):
+    assert answer("tag", runs, "lab=b12", "--where", "task = 'drop'") == "lab: 1 episode\n"
+    program = "held=heldFor(above(kitchen.table, kitchen.can)) >= 0;"
+    assert answer("tag", runs, "--program", program) == "held: 2 episodes\n"
+    listed = json.loads(answer("lake", runs, "-F", "json", "--where", "held AND lab = 'b12'"))
+    assert [(row["world"], row["episode"], row["task"]) for row in listed] == [
+        ("kitchen", 0, "drop")
+    ]
+    rows = json.loads(answer("ask", runs, "z(kitchen.fridge);", "-F", "json", "-w", "episode = 1"))
+    assert [(row["episode"], row["error"]) for row in rows] == [(1, None)]
+    assert rows[0]["answer"] == pytest.approx(1.55, abs=0.1)
+
+
+def test_errors_of_episodes_end_with_1(runs):
+    result = ssduck_("ask", runs, "z(kitchen.spoo);")
+    assert result.exit_code == 1
+    assert "2 episodes without an answer" in result.stderr
+    assert "no entity" in result.stdout
+
+
+def test_mistakes(runs):
+    for arguments, message in (
+        (("ask", runs, "1;", "--where", "tsk = 1"), "did you mean"),
+        (("tag", runs), "there is no tag"),
+        (("tag", runs, "--program", "1;"), "has no name"),
+        (("lake", f"{runs}/none"), "there is no record"),
+    ):
+        result = ssduck_(*arguments)
+        assert result.exit_code in (1, 2)
+        assert message in result.stderr

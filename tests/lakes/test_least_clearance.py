@@ -1,0 +1,58 @@
+"""`least(clearance(a, b))` compares shapes at few ticks, and gives what comparing all of them gives."""
+
+from itertools import combinations
+
+import pytest
+
+import ssduck
+from tests.support.lake_episodes import record_episodes
+
+BODIES = ("gripper", "cup", "wall", "thing_5", "thing_6")
+PAIRS = [*combinations(BODIES, 2), ("table", "cup")]
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("moving") / "record"
+    record_episodes(folder, 1, first=3, steps=60)
+    return folder
+
+
+def values(folder, text):
+    """Returns the values of expressions of two bodies, in a record that is opened for them."""
+    with ssduck.open(folder) as record:
+        return [record.eval(text.format(a, b)) for a, b in PAIRS]
+
+
+def test_the_least_of_all_ticks(moving):
+    found = values(moving, "least(clearance(sim.{0}, sim.{1}));")
+    assert found == values(moving, "least(clearance(sim.{0}, sim.{1}) + 0);")
+    assert found == values(moving, "least(clearance(sim.{1}, sim.{0}));")
+    assert len({time for time, _ in found}) > 3
+    assert {0.0} < {value for _, value in found}
+
+
+def test_the_least_of_a_window(moving):
+    found = values(moving, "least(clearance(sim.{0}, sim.{1}), -0.3);")
+    assert found == values(moving, "least(clearance(sim.{0}, sim.{1}) + 0, -0.3);")
+
+
+def test_few_ticks_are_compared(moving):
+    with ssduck.open(moving) as record:
+        before = record["sim"].source_record.calls.calls
+        record.eval("least(clearance(sim.gripper, sim.wall));")
+        few = record["sim"].source_record.calls.calls - before
+    with ssduck.open(moving) as record:
+        before = record["sim"].source_record.calls.calls
+        record.eval("least(clearance(sim.gripper, sim.wall) + 0);")
+        all_ticks = record["sim"].source_record.calls.calls - before
+    assert 0 < few < all_ticks / 3
+
+
+def test_the_order_does_not_matter_at_any_tick(moving):
+    one = values(moving, "changes(clearance(sim.{0}, sim.{1}) + 0);")
+    assert one == values(moving, "changes(clearance(sim.{1}, sim.{0}) + 0);")
+    present = values(moving, "clearance(sim.{0}, sim.{1});")
+    assert [changes[-1][1] for changes in one] == present
+    assert present == values(moving, "clearance(sim.{1}, sim.{0});")
