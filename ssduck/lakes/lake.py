@@ -428,7 +428,7 @@ def open_lake(path: str | Path) -> Lake:
     ...     for _ in range(2):
     ...         ss.run(0.1)
     ...         _ = ss.export(folder)
-    ...     ssduck.lake(folder).ask("heldFor(z(kitchen.sink) > 0) > 0.15;")["answer"].to_pylist()
+    ...     ssduck.lake(folder).ask("heldFor(z(kitchen.can) > 0) > 0.15;")["answer"].to_pylist()
     [False, True]
     """
     return Lake(path)

@@ -253,16 +253,16 @@ def test_only_new_ticks_are_compared() -> None:
         ss.add_variable("q", world["q"])
         for _ in range(10):
             world.step()
-        ss.eval("least(clearance(p, q));")
+        ss.eval("holds(clearance(p, q) < 0.05);")
         _, before = _work(ss)
         for _ in range(5):
             world.step()
-        ss.eval("least(clearance(p, q));")
+        ss.eval("holds(clearance(p, q) < 0.05);")
         assert _work(ss)[1] - before == 5
         # What is dropped from the record is dropped from the answers, too.
         for _ in range(300):
             world.step()
-        ss.eval("least(clearance(p, q));")
+        ss.eval("holds(clearance(p, q) < 0.05);")
         cache = ss.past("sim").record.answer_cache
         assert len(cache) <= len(ss.past("sim").ticks) < 200
         # A new record has no answers.
@@ -278,10 +278,10 @@ def test_the_answers_are_bounded(heap: ssduck.Interpreter, monkeypatch: pytest.M
     ticks = len(heap.past("sim").ticks)
     monkeypatch.setattr(answer_cache, "MAX_ANSWERS", 2 * ticks + 1)
     for other in ("box", "ball", "can", "pill"):
-        heap.eval(f"least(clearance(table, {other}));")
+        heap.eval(f"holds(clearance(table, {other}) < 0.05);")
     assert len(cache) == 2 * ticks
     before = _work(heap)
-    heap.eval("[least(clearance(table, can)), least(clearance(table, pill))];")
+    heap.eval("[holds(clearance(table, can) < 0.05), holds(clearance(table, pill) < 0.05)];")
     assert _work(heap) == before
     heap.eval("least(clearance(table, box));")
     assert _work(heap)[1] == before[1] + ticks
