@@ -14,8 +14,8 @@ from ssduck.adapters.grid_values import MAX_CELLS
 from ssduck.adapters.shapes import placed_shapes
 from ssduck.errors import ArgumentError, nearest
 from ssduck.formatting import short_repr
-from ssduck.geometry.raster import Raster
-from ssduck.geometry.rasterize import Rasterizer
+from ssduck.geometry.rasters.raster import Raster
+from ssduck.geometry.rasters.rasterize import Rasterizer
 from ssduck.world.entities import KinBody, Robot, Sensor
 from ssduck.world.openrave_names import AABB, CLONE_BODIES, SensorCommand
 from ssduck.world.world import World

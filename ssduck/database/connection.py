@@ -21,9 +21,8 @@ from ssduck.database import interrupts as ctrl_c
 from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
-from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file
+from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file, reach_objects
 from ssduck.database.limited_fetch import limited_rows, limited_table, whole_table
-from ssduck.database.objects import reach_objects
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -225,8 +224,7 @@ class Connection:
         if record is not None:
             self._opened = OpenedRecord(record)
         if isinstance(record, ObjectPath):
-            self._is_altered = True  # another interpreter must not get this instance
-            reach_objects(self._connection)
+            self._is_altered = reach_objects(self._connection)  # so no other one gets the instance
         return WriterConnection(self._cursor(), self._cursor(), file, record)
 
     def attach(self, path: Path) -> str:

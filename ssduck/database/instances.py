@@ -15,6 +15,9 @@ from pathlib import Path
 import duckdb
 from sqlglot import exp
 
+from ssduck.errors import UnsupportedError
+from ssduck.recording.stores.object_store import file_system
+
 MEMORY = ":memory:"
 # The format of files: the one of DuckDB's version with long-term support, which later versions read
 # too; and small blocks, since each column of each table of an episode takes one at least.
@@ -92,3 +95,22 @@ POOL = InstancePool()
 atexit.register(POOL.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=POOL.leave)
+
+
+def reach_objects(connection: duckdb.DuckDBPyConnection) -> bool:
+    """Lets a connection read objects of the S3 store of the environment; returns True.
+
+    Raises:
+        UnsupportedError: the extra `s3` is not installed.
+    """
+    try:
+        from fsspec.implementations.arrow import ArrowFSWrapper
+    except ModuleNotFoundError as error:
+        raise UnsupportedError(
+            "fsspec is not installed, by which DuckDB reads objects; pip install 'ssduck[s3]' does "
+            "it"
+        ) from error
+    if not connection.filesystem_is_registered("s3"):
+        named = type("S3Objects", (ArrowFSWrapper,), {"protocol": "s3"})
+        connection.register_filesystem(named(file_system()))
+    return True

@@ -18,6 +18,8 @@ Node: TypeAlias = Mapping[str, Any]
 
 # The largest size of the columns of a query, in parts of expressions, and of tables in its plan.
 MAX_SIZE, MAX_TABLES = 200_000, 1_000
+# The largest number of columns that the stars of a SELECT stand for.
+MAX_COLUMNS = 10_000
 # The number of columns of a table; none has more. The number of letters that count as a part.
 _COLUMNS, _LETTERS = 40, 100
 # Functions whose text is so many times as long as that of their argument.
@@ -68,11 +70,15 @@ _Queries: TypeAlias = Mapping[str, _Columns]
 
 def _checked(columns: _Columns) -> _Columns:
     if columns.total > MAX_SIZE or columns.tables > MAX_TABLES:
-        raise LimitError(
-            "names in the SQL stand for others so often that its plan or its values would be too "
-            "large (Limits: select_only)"
-        )
+        raise _too_large()
     return columns
+
+
+def _too_large() -> LimitError:
+    return LimitError(
+        "names in the SQL stand for others so often that its plan or its values would be too "
+        "large (Limits: select_only)"
+    )
 
 
 def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns:
@@ -118,10 +124,14 @@ def _selected(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Colum
     names = {**outer, **source.sizes}
     walk = _Expressions(names, source.total, queries)
     sizes: dict[str, int] = {}
-    total = 0
+    total = stars = 0
     for item in node["select_list"]:
         size = walk.size(item)
         total += size
+        # A column is planned in the time of many parts of an expression.
+        stars += size if item.get("class") == "STAR" else 0
+        if stars > MAX_COLUMNS:
+            raise _too_large()
         _checked(_Columns(total=total))
         if item.get("class") == "STAR":
             sizes |= source.sizes

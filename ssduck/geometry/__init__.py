@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ssduck.geometry.bounds import BoundingBoxes
     from ssduck.geometry.line_of_sight import are_blocked
     from ssduck.geometry.queries import ShapeQueries
-    from ssduck.geometry.rasterize import Rasterizer
+    from ssduck.geometry.rasters.rasterize import Rasterizer
     from ssduck.geometry.shapes import Geometry, PlacedGeometry
 
 __all__ = [
@@ -33,7 +33,7 @@ __getattr__, __dir__ = exports(
     {
         "line_of_sight": ("are_blocked",),
         "queries": ("ShapeQueries",),
-        "rasterize": ("Rasterizer",),
+        "rasters.rasterize": ("Rasterizer",),
         "bounds": ("BoundingBoxes",),
         "shapes": ("Geometry", "PlacedGeometry"),
     },

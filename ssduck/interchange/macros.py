@@ -17,9 +17,9 @@ import sqlglot
 from sqlglot import exp
 
 from ssduck.errors import UnknownNameError, nearest
-from ssduck.interchange.pairs import COLUMNS, PAIRS, pairs_of
+from ssduck.interchange.pairs import COLUMNS, pairs_of
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
-from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS

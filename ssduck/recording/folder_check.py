@@ -25,6 +25,7 @@ from ssduck.recording.stores.parquet_layout import (
     DESCRIPTION,
     LOG,
     MISSING,
+    PAIRS,
     FolderRun,
     check_about,
     lost_runs,
@@ -110,7 +111,7 @@ def partial_run(run: FolderRun) -> FolderRun:
     damages = list(damages_of(run))
     for damage in damages:
         if damage.part is None and damage.log is None:
-            if damage.file == index_file(run.place(INDEX)):
+            if damage.file in _derived_files(run):
                 continue
             raise RecordError(f"{damage.file} {damage.problem}: {damage.loss} cannot be read")
     for damage in damages:
@@ -153,6 +154,15 @@ def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
     problem = _index_problem(run, index)
     if problem is not None:
         yield _RunDamage(index, problem, "nothing: the parts have what it has", run=run)
+    pairs = run.place(PAIRS) / part_name(0)
+    problem = parquet_problem(pairs, has_checksums=True) if pairs.is_file() else None
+    if problem is not None:
+        yield _RunDamage(pairs, problem, "the table of pairs, for other tools", run=run)
+
+
+def _derived_files(run: FolderRun) -> tuple[Path, Path]:
+    """Returns the files of an episode that follow from others, whether they are there or not."""
+    return index_file(run.place(INDEX)), run.place(PAIRS) / part_name(0)
 
 
 def _log_damages(run: FolderRun) -> Iterator[_RunDamage]:
@@ -220,7 +230,7 @@ def _repair(run: FolderRun, damage: _RunDamage) -> bool:
         if about is not None:
             create_file(run.about_file, json_text(about))
         return about is not None or is_export
-    if damage.file == index_file(run.place(INDEX)):
+    if damage.file in _derived_files(run):
         set_aside(damage.file)
         return True
     return False

@@ -425,7 +425,7 @@ class SteppedSimulation(Observable):
                 self._stale_tick_check.check(self.name, self._simulator, self.snapshot)
             if tables:
                 self.request_tables(tables)
-            if is_settled:
+            if is_settled and self.is_restored:
                 self.snapshot.tables["entities"].settle()
             self._queries += 1
         except BaseException:

@@ -64,6 +64,8 @@ TOO_LARGE = [
     f"FROM {nested('(SELECT (c || c) AS s FROM § AS t(c))', 32, '(SELECT name FROM entities)')}",
     f"SELECT 1 FROM {nested('(SELECT *, * FROM §)', 32, '(SELECT 1 AS s)')}",
     f"SELECT 1 FROM {nested('(SELECT *, COLUMNS(*) FROM §)', 20, 'entities')}",
+    f"SELECT {', '.join('*' * 300)} FROM entities",
+    f"SELECT {', '.join(['COLUMNS(*)'] * 300)} FROM entities",
     chain("SELECT 1 AS s", "SELECT {a: s, b: s} AS s FROM §", 40),
     chain("SELECT name AS s FROM entities", "SELECT concat(s, s, s) AS s FROM §", 30),
     chain("SELECT 1 AS s", "SELECT *, * FROM §", 40),

@@ -37,7 +37,10 @@ JOINTS = {"joint", "isOpen", "isClosed"}
 PAIRED = {"collides", "collision", "near"}
 CONTACTS = {"inContact", "contactForce", "grasped", "force", "torque"}
 SENSINGS = {"isSensing", "sensingAmount", "sensingEnvIDs"}
-FORMS = {"isBox", "isSphere", "isCylinder", "isCapsule", "isPlane", "isTriMesh"}
+FORMS = {
+    f"is{form}"
+    for form in ("Box", "Sphere", "Cylinder", "Capsule", "Ellipsoid", "Plane", "TriMesh")
+}
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +227,8 @@ def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> N
         damaged.rename(file)
         with pytest.raises(RecordError, match="damaged"):
             macro_script(run=folder_run(record, None, None))
+        (damage,) = ssduck.check(record)
+        assert (damage.file, damage.loss) == (file, "the table of pairs, for other tools")
     finally:
         file.with_name("kept").rename(file)
 

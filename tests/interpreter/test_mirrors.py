@@ -109,7 +109,7 @@ def test_entities_come_and_go():
     with ssduck.load("kitchen") as ss:
         mirror = Mirror(ss, ss["kitchen"], "kitchen", Limits())
         ss["kitchen"].remove("cup_905a")
-        ss["kitchen"].add_sensor("range_finder", "table", "eye")
+        ss["kitchen"].add_sensor("range_finder", "table", "eye", max_range=1.0)
         ss.run(0.01)
         mirror.update()
         query = "SELECT id FROM kitchen;"

@@ -75,6 +75,8 @@ ABOUT = "ssduck.json"
 # The contents of that file.
 DESCRIPTION = {"format": FORMAT, "version": VERSION, "units": UNITS}
 LOG = "log"
+# The table of near pairs, which only other tools read.
+PAIRS = "pairs"
 # The largest number of missing parts that a check lists.
 _MOST_MISSING = 1000
 # The largest number of digits of a part and of an episode keeps them below 10**9.

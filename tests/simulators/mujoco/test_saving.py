@@ -385,3 +385,23 @@ def test_what_mjcf_has_not_is_named(tmp_path):
     assert any("corner: MuJoCo collides the hull of its mesh" in text for text in warned)
     assert any("one: its point constraint is left out" in text for text in warned)
     assert any("other: its collisions are off" in text for text in warned)
+
+
+@pytest.mark.slow
+def test_the_kitchen_is_at_rest_in_both(tmp_path):
+    """After two seconds of simulation, the same things are on each other."""
+    pytest.importorskip("pybullet")
+    on = "SELECT id(a) AS a, id(b) AS b FROM a=SIM, b=SIM WHERE on(a, b) ORDER BY id(a), id(b);"
+    with ssduck.load("kitchen") as ss:
+        world = ss["kitchen"]
+        file, _ = saved(world, tmp_path / "saved")
+        other = ss.add_variable("m", ssduck.World.load(read_scene(file)))
+        before = {entity.name: np.array(entity.position) for entity in world}
+        assert before == {name: pytest.approx(other[name].position) for name in before}
+        for one in (world, other):
+            one.run(2.0)
+        found = [ss.eval(on.replace("SIM", name)) for name in ("kitchen", "m")]
+        assert len(found[0]) > 20
+        assert found[0] == found[1]
+        for name, position in before.items():
+            assert other[name].position == pytest.approx(position, abs=0.02), name

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 import ssduck
+from ssduck.geometry.shapes import Geometry
 from ssduck.schema import ID_FACTOR
 
 mujoco = pytest.importorskip("mujoco")
@@ -315,3 +316,20 @@ def test_a_recorded_ellipsoid_stays_one_and_pybullet_copies_a_hull(tmp_path):
         assert any("egg: PyBullet has no ellipsoids" in str(one.message) for one in warned)
         assert np.array(copy["egg"].aabb) == pytest.approx(box, abs=1e-3)
         copy.close()
+
+
+def test_pictures_have_the_triangles_of_an_ellipsoid():
+    """Of `ssduck render`: on the surface, lit by its normals, and all of it."""
+    pytest.importorskip("moderngl")
+    from ssduck.render.triangles import triangles
+
+    size = np.array([0.1, 0.2, 0.3])
+    corners = triangles(Geometry.primitive("ellipsoid", size))
+    points, normals = corners[:, :3], corners[:, 3:]
+    assert np.abs(np.linalg.norm(points / size, axis=1) - 1).max() < 1e-12
+    gradients = points / size**2
+    gradients /= np.linalg.norm(gradients, axis=1)[:, None]
+    assert (gradients * normals).sum(axis=1).min() > 0.999
+    a, b, c = points.reshape(-1, 3, 3).swapaxes(0, 1)
+    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6
+    assert volume == pytest.approx(4 / 3 * np.pi * size.prod(), rel=0.01)

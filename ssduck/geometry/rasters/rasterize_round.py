@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
+from ssduck.geometry.rasters.raster import CELL_TOLERANCE, Raster, StripIntervals
 from ssduck.geometry.solids import Solid
 
 # The greatest error of computed points, m.

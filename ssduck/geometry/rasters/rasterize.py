@@ -24,8 +24,8 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.common_volume import clip_polygons
-from ssduck.geometry.raster import CELL_TOLERANCE, Raster, StripIntervals
-from ssduck.geometry.rasterize_round import Ellipsoid, RoundShape, round_parts
+from ssduck.geometry.rasters.raster import CELL_TOLERANCE, Raster, StripIntervals
+from ssduck.geometry.rasters.rasterize_round import Ellipsoid, RoundShape, round_parts
 from ssduck.geometry.solids import PlacedSolids, Solid
 
 # The number of pairs of an edge and a strip that are processed at a time.
