@@ -134,6 +134,8 @@ class Table:
         view_columns: the columns that only its views have: they follow from others.
         follows_from_poses: whether it can be computed for a past tick without being recorded.
         part_of: the table that has its rows among others, so that it is only a view; else empty.
+        has_unknown_numbers: whether numbers are often unknown. In other tables they rarely are: a
+            recorder stores such rows at once.
     """
 
     name: str
@@ -149,6 +151,7 @@ class Table:
     view_columns: tuple[Column, ...] = ()
     follows_from_poses: bool = False
     part_of: str = ""
+    has_unknown_numbers: bool = False
 
     @property
     def source(self) -> str:
@@ -367,6 +370,7 @@ _JOINTS = Table(
     key=("entity", "joint"),
     entity_columns=("entity",),
     is_on_demand=True,
+    has_unknown_numbers=True,
 )
 _SHAPES = Table(
     "shapes",

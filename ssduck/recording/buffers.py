@@ -151,7 +151,9 @@ class RowBuffer:
             sums = self.doubles[:, first : self.count].sum(axis=1)
         for row in np.flatnonzero(np.isnan(sums)).tolist():
             place = len(self.integers) + row
-            column = pa.array(self.doubles[row, first : self.count], from_pandas=True)
+            # Of the table, not of the buffer, whose memory a copied table does not share.
+            values = rows.column(place).to_numpy()
+            column = pa.array(values, from_pandas=True)
             rows = rows.set_column(place, rows.column_names[place], column)
         return rows
 

@@ -56,9 +56,15 @@ def all_columns(
 
 
 def buffered_rows(table: str, view: str) -> str:
-    """Returns a SELECT of the buffered rows of a table, which DuckDB has as a view."""
+    """Returns a SELECT of the buffered rows of a table, which DuckDB has as a view.
+
+    An unknown number is NaN in the buffer, and NULL in the rows.
+    """
     columns = RECORDED[table].tick_columns
-    listed = column_list((*columns.integers, *columns.doubles))
+    listed = column_list(columns.integers)
+    for name in map(quoted, columns.doubles):
+        has_unknown = RECORDED[table].has_unknown_numbers
+        listed += f", nullif({name}, 'nan'::DOUBLE) AS {name}" if has_unknown else f", {name}"
     listed += "".join(f", {quoted(name)}::BOOLEAN AS {quoted(name)}" for name in columns.booleans)
     return f"SELECT {listed} FROM {quoted(view)} WHERE tick >= 0"  # noqa: S608
 

@@ -402,3 +402,25 @@ def test_a_file_is_loaded_and_run(tmp_path):
 def test_a_module_is_no_environment():
     with pytest.raises(SimulatorError, match="unwrapped, physics or sim"):
         ssduck.World.attach(types)
+
+
+def test_unknown_numbers_of_joints_are_buffered_with_the_other_rows(model, data, tmp_path):
+    """A free joint has no position, and that of every tick is NULL wherever its row is."""
+    tables = ("links", "joints", "contacts")
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("sim", ssduck.World.attach(model, data))
+        ss.record("sim", ssduck.Recording(tables=tables))
+        with ss.record_to(tmp_path / "run", recording=ssduck.Recording(tables=tables)):
+            for _ in range(40):
+                mujoco.mj_step(model, data)
+                world.tick()
+            query = (
+                "SELECT tick, entity, joint, position, upper FROM sim.joints_history ORDER BY ALL"
+            )
+            live = ss.sql(query).fetchall()
+            assert any(row[3] is None for row in live)
+            assert not any(value != value for row in live for value in row)  # noqa: PLR0124
+    parts = list((tmp_path / "run" / "joints").rglob("*.parquet"))
+    assert len(parts) <= 2
+    with ssduck.open(tmp_path / "run") as past:
+        assert past.sql(query).fetchall() == live
