@@ -13,6 +13,7 @@ import typer
 
 from ssduck.adapters.display import print_line
 from ssduck.cli.options import (
+    Format,
     FormatOption,
     Output,
     Program,
@@ -91,17 +92,44 @@ ForgetMissing = Annotated[
 ]
 
 
+# The columns of episodes that a table on standard output leaves out.
+_NOT_IN_TABLES = [
+    "id",
+    "version",
+    "first_tick",
+    "last_tick",
+    "every",
+    "tables",
+    "entities",
+    "size",
+]
+
+
 def _list_episodes(
-    path: str, where: str | None, write: Callable[[Any], object], *, forget_missing: bool
+    path: str,
+    where: str | None,
+    write: Callable[[Any], object],
+    *,
+    forget_missing: bool,
+    is_whole: bool,
 ) -> None:
-    """Writes the episodes of a lake."""
+    """Writes the episodes of a lake.
+
+    Args:
+        path: where the lake is.
+        where: a condition on the episodes.
+        write: writes a result.
+        forget_missing: whether to list episodes whose files are gone no longer.
+        is_whole: whether all columns are written, not only those that fit a terminal.
+    """
     from ssduck.adapters.result import Result
     from ssduck.lakes.lake import Lake as Episodes
 
     lake = Episodes(path)
     if forget_missing:
         lake.refresh(forget_missing=True)
-    write(Result(lake.select(where)))
+    episodes = lake.select(where)
+    write(Result(episodes if is_whole else episodes.drop_columns(_NOT_IN_TABLES)))
 
 
 def _ask_lake(
@@ -147,9 +175,13 @@ def lake(
     rows: Rows = None,
     forget_missing: ForgetMissing = False,
 ) -> None:
-    """List the episodes of all records below a path, with their tags."""
+    """List the episodes of all records below a path, with their tags.
+
+    A table leaves out some of the columns; other formats and files have all.
+    """
     write = writer_of_result(format, output, rows)
-    _list_episodes(path, where, write, forget_missing=forget_missing)
+    is_whole = output is not None or format not in (None, Format.TABLE)
+    _list_episodes(path, where, write, forget_missing=forget_missing, is_whole=is_whole)
 
 
 def ask(

@@ -21,6 +21,14 @@ def runs(tmp_path_factory):
     return str(folder)
 
 
+def test_a_table_of_episodes_fits_a_terminal(runs):
+    heading = answer("lake", runs).splitlines()[0].split()
+    assert heading[:4] == ["path", "world", "episode", "started"]
+    assert "entities" not in heading
+    whole = json.loads(answer("lake", runs, "-F", "json"))
+    assert {"id", "entities", "tables"} <= whole[0].keys()
+
+
 def test_lake_ask_and_tag(runs):
     assert answer("tag", runs, "lab=b12", "--where", "task = 'drop'") == "lab: 1 episode\n"
     program = "held=heldFor(above(kitchen.table, kitchen.can)) >= 0;"
