@@ -486,6 +486,8 @@ TABLES: Mapping[str, Table] = {table.name: table for table in _DECLARED if table
 STORED_TABLES: Mapping[str, Table] = {n: table for n, table in TABLES.items() if not table.part_of}
 # The tables that are read from the simulator only when they are requested.
 ON_DEMAND = frozenset(table.source for table in _DECLARED if table.is_on_demand)
+# The tables whose numbers are often unknown.
+OFTEN_UNKNOWN = frozenset(table.name for table in _DECLARED if table.has_unknown_numbers)
 # The tables that users choose to record; `ticks` is recorded always, and models once.
 RECORDABLE = tuple(table.name for table in _DECLARED if table.is_recordable)
 # The tables that are recorded unless the user chooses others.

@@ -29,7 +29,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
-from ssduck.schema import FORGOTTEN_AFTER, ON_DEMAND, STORED_TABLES, TABLES
+from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
 from ssduck.world.contact_rows import contact_rows
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
@@ -133,11 +133,7 @@ class Snapshot:
     @property
     def is_complete(self) -> bool:
         """Whether every number is known in the tables that rarely have unknown ones."""
-        return all(
-            table.is_complete
-            for name, table in self.tables.items()
-            if not TABLES[name].has_unknown_numbers
-        )
+        return all(t.is_complete for n, t in self.tables.items() if n not in OFTEN_UNKNOWN)
 
     @property
     def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
