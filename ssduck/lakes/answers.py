@@ -93,12 +93,23 @@ def _array(values: Sequence[Any]) -> pa.Array:
         array = pa.array(values)
     except (pa.ArrowException, OverflowError):
         array = None
-    if array is not None and array.to_pylist() == list(values):
-        return array
-    # NaN differs from itself; its text does not.
-    if array is not None and list(map(to_text, array.to_pylist())) == list(map(to_text, values)):
+    if array is not None and _are_same(array.to_pylist(), list(values)):
         return array
     return pa.array([None if value is None else to_text(value) for value in values], pa.string())
+
+
+def _are_same(found: Any, value: Any) -> bool:
+    """Checks whether Arrow has a value as it is: 1 may be 1.0, but True is not, and NaN is NaN."""
+    match value:
+        case list():
+            return len(found) == len(value) and all(map(_are_same, found, value))
+        case dict():
+            return found.keys() == value.keys() and all(_are_same(found[k], value[k]) for k in value)
+        case bool():
+            return found is value
+        case float() if value != value:
+            return bool(found != found)
+    return bool(found == value)
 
 
 class KeptAnswers:
@@ -119,7 +130,7 @@ class KeptAnswers:
             return None
         sums = hashlib.sha256(self._question.key.encode())
         for entry in entries:
-            sums.update(repr((entry.key, entry.error, entry.files)).encode())
+            sums.update(repr(entry).encode())  # a DuckDB file is known by the ids of its episodes
         return self._folder / f"answers-{sums.hexdigest()[:32]}.parquet"
 
     def read(self, entries: Sequence[EpisodeEntry]) -> list[Answer] | None:

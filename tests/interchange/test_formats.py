@@ -161,9 +161,12 @@ def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
     ssduck.write_record(tmp_path / "a", ["pot"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((1, 1, 3)), [0])
+    ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.05, 0.1])
     cases = [
         ([0], None, "not evenly spaced"),
         ([3], None, "has one tick"),
+        ([1, 4], None, "has 20 ticks per second, and the episodes before it 10"),
+        ([1, 0], None, "not evenly spaced"),
         ([1, 2], None, "has other observation.environment_state .* such as 'cup.qw'"),
         ([], None, "there is no episode"),
     ]
