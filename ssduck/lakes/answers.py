@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,11 +105,12 @@ def _are_same(found: Any, value: Any) -> bool:
         case list():
             return len(found) == len(value) and all(map(_are_same, found, value))
         case dict():
-            return found.keys() == value.keys() and all(_are_same(found[k], value[k]) for k in value)
+            is_same = found.keys() == value.keys()
+            return is_same and all(_are_same(found[key], value[key]) for key in value)
         case bool():
             return found is value
-        case float() if value != value:
-            return bool(found != found)
+        case float() if math.isnan(value):
+            return math.isnan(found)
     return bool(found == value)
 
 
