@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -132,7 +132,8 @@ class KeptAnswers:
             return None
         sums = hashlib.sha256(self._question.key.encode())
         for entry in entries:
-            sums.update(repr(entry).encode())  # a DuckDB file is known by the ids of its episodes
+            # A DuckDB file is known by the ids of its episodes. No answer depends on tags.
+            sums.update(repr(replace(entry, tags={})).encode())
         return self._folder / f"answers-{sums.hexdigest()[:32]}.parquet"
 
     def read(self, entries: Sequence[EpisodeEntry]) -> list[Answer] | None:
