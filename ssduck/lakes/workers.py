@@ -147,8 +147,8 @@ def _resolved(path: str) -> str:
     return str(place) if isinstance(place, ObjectPath) else place.as_posix()
 
 
-# By the group, whether its files are objects of a store, and the limits. They answer one question at
-# a time: a batch of episodes has one present episode.
+# By the group, whether its files are objects of a store, and the limits. They answer one question
+# at a time: a batch of episodes has one present episode.
 _readers: OrderedDict[tuple[str, bool, Limits | None], _Reader] = OrderedDict()
 _lock = threading.RLock()
 
