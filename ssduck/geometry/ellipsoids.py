@@ -15,6 +15,8 @@ from collections.abc import Sequence
 from ssduck.geometry.placed_solid import Point
 
 _ROUNDING = 1e-15
+# A coordinate that is a smaller fraction of the half length is 0: the distance hardly changes.
+_LEAST_FRACTION = 1e-20
 
 
 def nearest_on_ellipsoid(semi_axes: Sequence[float], point: Sequence[float]) -> Point:
@@ -41,7 +43,7 @@ def _nearest(semi_axes: list[float], point: list[float]) -> list[float]:
     shortest = semi_axes[-1]
     if len(semi_axes) == 1:
         return [shortest]
-    if point[-1] > 0.0:
+    if point[-1] > _LEAST_FRACTION * shortest:
         return _by_root(semi_axes, point)
     # In the plane of symmetry: beside it, unless the point is too far from the middle.
     rest = [(s - shortest) * (s + shortest) / s for s in semi_axes[:-1]]
@@ -58,20 +60,21 @@ def _by_root(semi_axes: list[float], point: list[float]) -> list[float]:
     from scipy.optimize import brentq
 
     shortest = semi_axes[-1]
-    scaled = [y / s for y, s in zip(point, semi_axes, strict=True)]
     ratios = [(s / shortest) ** 2 for s in semi_axes]
-    products = [r * z for r, z in zip(ratios, scaled, strict=True)]
+    products = [r * y / s for r, y, s in zip(ratios, point, semi_axes, strict=True)]
+    # t in units of the shortest half length squared, from its least value: that is -1, near which
+    # the root is for a point near the plane of symmetry, and t itself would round it away.
+    others = [(s - shortest) * (s + shortest) / shortest**2 for s in semi_axes]
 
-    # With t in units of the shortest half length squared.
-    def level(t: float) -> float:
-        return sum((p / (t + r)) ** 2 for p, r in zip(products, ratios, strict=True)) - 1.0
+    def level(rest: float) -> float:
+        return sum((p / (rest + o)) ** 2 for p, o in zip(products, others, strict=True)) - 1.0
 
-    low, high = scaled[-1] - 1.0, math.hypot(*products) - 1.0
-    high += _ROUNDING * max(1.0, abs(high))
+    low, high = products[-1], math.hypot(*products)
+    high += _ROUNDING * high
     if level(low) <= 0.0:
         root = low
     elif level(high) >= 0.0:
         root = high
     else:
         root = brentq(level, low, high, xtol=1e-300, rtol=4 * _ROUNDING, maxiter=200)
-    return [r * y / (root + r) for r, y in zip(ratios, point, strict=True)]
+    return [r * y / (root + o) for r, y, o in zip(ratios, point, others, strict=True)]

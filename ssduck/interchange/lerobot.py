@@ -41,6 +41,7 @@ TASKS_PATH, INFO_PATH, STATS_PATH = "meta/tasks.parquet", "meta/info.json", "met
 CHUNK_SIZE, DATA_FILE_SIZE = 1000, 100
 # Simulated times differ from whole frames by less, as a fraction of a frame.
 _TOLERANCE = 1e-3
+_ADVICE = "give the frames per second (--fps); a frame has the last tick until its time then"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 
@@ -52,14 +53,15 @@ def write_dataset(folder: Path, motions: Iterable[Motion], fps: int | None = Non
         folder: a new or empty folder.
         motions: the episodes, whose entities and joints have the same names.
         fps: the frames per second. A frame has the last tick until its time. None for a frame for
-            each tick, if the ticks are evenly spaced.
+            each tick, if the ticks of all episodes are evenly spaced, and equally far apart.
 
     Returns:
         The folder.
 
     Raises:
-        ArgumentError: the ticks are not evenly spaced and `fps` is None; episodes have different
-            entities; an entity is missing at some ticks; there is no episode.
+        ArgumentError: `fps` is None, and the ticks are not evenly spaced, or others in another
+            episode; episodes have different entities; an entity is missing at some ticks; there is
+            no episode.
         RecordError: the folder is not empty, or cannot be written.
     """
     try:
@@ -67,7 +69,7 @@ def write_dataset(folder: Path, motions: Iterable[Motion], fps: int | None = Non
             raise RecordError(f"{folder} is not empty: give a new folder")
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            _Dataset(folder, fps).write(motions)
+            _Dataset(folder, fps, has_frame_per_tick=fps is None).write(motions)
         except BaseException:
             for name in ("meta", "data"):
                 shutil.rmtree(folder / name, ignore_errors=True)
@@ -85,6 +87,7 @@ class _Dataset:
 
     folder: Path
     fps: int | None
+    has_frame_per_tick: bool
     names: dict[str, list[str]] = field(default_factory=dict)
     tasks: dict[str, int] = field(default_factory=dict)
     episodes: list[dict[str, Any]] = field(default_factory=list)
@@ -123,8 +126,15 @@ class _Dataset:
     def _frames_of(self, motion: Motion) -> tuple[pa.Table, dict[str, Array]]:
         """Returns the rows of an episode, and the values of its features."""
         which = f"episode {motion.run.number} of {motion.run.world!r}"
-        if self.fps is None:
-            self.fps = _frames_per_second(motion.times, which)
+        if self.has_frame_per_tick:
+            found = _frames_per_second(motion.times, which)
+            if self.fps not in (None, found):
+                raise ArgumentError(
+                    f"{which} has {found} ticks per second, and the episodes before it "
+                    f"{self.fps}: {_ADVICE}"
+                )
+            self.fps = found
+        assert self.fps is not None
         chosen = _ticks_of_frames(motion.times, self.fps)
         features = _features(motion, chosen, which)
         names = _names(motion)
@@ -251,19 +261,18 @@ def _frames_per_second(times: Array, which: str) -> int:
     Raises:
         ArgumentError: they are not, or their number is no whole one.
     """
-    advice = "give the frames per second (--fps); a frame has the last tick until its time then"
     steps = np.diff(times)
     if not len(steps):
-        raise ArgumentError(f"{which} has one tick: {advice}")
+        raise ArgumentError(f"{which} has one tick: {_ADVICE}")
     step = float(np.median(steps))
     fps = round(1.0 / step) if step > 0.0 else 0
     if fps < 1 or abs(1.0 / step - fps) > _TOLERANCE * fps:
         raise ArgumentError(
-            f"the ticks of {which} are {step:g} s apart, no fraction of 1 s: {advice}"
+            f"the ticks of {which} are {step:g} s apart, no fraction of 1 s: {_ADVICE}"
         )
     expected = times[0] + np.arange(len(times)) / fps
     if np.abs(times - expected).max() > _TOLERANCE / fps + 1e-9 * abs(times[-1]):
-        raise ArgumentError(f"the ticks of {which} are not evenly spaced: {advice}")
+        raise ArgumentError(f"the ticks of {which} are not evenly spaced: {_ADVICE}")
     return fps
 
 

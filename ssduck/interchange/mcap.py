@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.adapters.optional import library
-from ssduck.errors import RecordError
+from ssduck.errors import ArgumentError, RecordError
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
@@ -33,6 +33,8 @@ WORLD_FRAME = "world"
 TRANSFORMS, SCENE, TICKS = "/tf", "/scene", "/ssduck/tick"
 METADATA = "ssduck"
 _NANO = 10**9
+# Times are less, s: signed integers of 64 bits have their nanoseconds.
+_END = 9.2e9
 _COLOUR = (0.7, 0.7, 0.7, 1.0)
 _TICK_SCHEMA = {
     "type": "object",
@@ -48,11 +50,18 @@ def write_mcap(file: Path, motion: Motion) -> Path:
 
     Raises:
         UnsupportedError: the extra `mcap` is not installed.
+        ArgumentError: a time is negative, or 292 years or more.
         RecordError: the file cannot be written.
     """
     library("mcap", "mcap")
     library("mcap_protobuf", "mcap")
     library("foxglove_schemas_protobuf", "mcap")
+    wrong = motion.times[~((motion.times >= 0.0) & (motion.times < _END))]
+    if len(wrong):
+        raise ArgumentError(
+            f"episode {motion.run.number} of {motion.run.world!r} has a tick at {wrong[0]:g} s: "
+            "times in an MCAP file are from 0 s to 292 years"
+        )
     temporary = file.with_name(f".{file.name}.unfinished")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -207,10 +216,12 @@ class _Poses:
     exact_times: dict[int, float] = field(default_factory=dict)
     moments: list[int] = field(default_factory=list)
     ignored: set[str] = field(default_factory=set)
-    parents: dict[str, str] = field(default_factory=dict)
+    # Frames by the frame that they are relative to; a file may change it from message to message.
+    children: dict[str, str] = field(default_factory=dict)
 
-    def add(self, moment: int, name: str, position: Any, turn: Any) -> None:
-        """Adds the pose of a frame at a time, ns."""
+    def add(self, moment: int, parent: str, name: str, position: Any, turn: Any) -> None:
+        """Adds the pose of a frame in another one at a time, ns."""
+        self.children.setdefault(parent, name)
         self.moments.append(moment)
         self.names.append(name)
         self.poses.append((position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z))
@@ -269,9 +280,8 @@ def _read(stream: Any, file: Path) -> tuple[pa.Table, dict[str, Any]]:
 
 
 def _add_transform(found: _Poses, _: str, __: int, told: Any) -> None:
-    found.parents[told.child_frame_id] = told.parent_frame_id
     moment = told.timestamp.seconds * _NANO + told.timestamp.nanos
-    found.add(moment, told.child_frame_id, told.translation, told.rotation)
+    found.add(moment, told.parent_frame_id, told.child_frame_id, told.translation, told.rotation)
 
 
 def _add_transforms(found: _Poses, topic: str, moment: int, told: Any) -> None:
@@ -280,10 +290,8 @@ def _add_transforms(found: _Poses, topic: str, moment: int, told: Any) -> None:
 
 
 def _add_pose(found: _Poses, topic: str, _: int, told: Any) -> None:
-    name = topic.strip("/")
-    found.parents[name] = told.frame_id
     moment = told.timestamp.seconds * _NANO + told.timestamp.nanos
-    found.add(moment, name, told.pose.position, told.pose.orientation)
+    found.add(moment, told.frame_id, topic.strip("/"), told.pose.position, told.pose.orientation)
 
 
 _READERS = {
@@ -300,12 +308,12 @@ def _table(found: _Poses, about: Mapping[str, Any], file: Path) -> tuple[pa.Tabl
             f"{file} has no poses of named frames ({', '.join(_READERS)}); its other topics: "
             f"{others}"
         )
-    fixed = sorted(set(found.parents.values()))
+    fixed = sorted(found.children)
     if len(fixed) > 1:
-        child = next(name for name, parent in found.parents.items() if parent != fixed[0])
         raise RecordError(
-            f"{file}: {child!r} is relative to {found.parents[child]!r}, and others to "
-            f"{fixed[0]!r}: ssduck reads poses that are all relative to one frame"
+            f"{file}: {found.children[fixed[1]]!r} is relative to {fixed[1]!r}, and "
+            f"{found.children[fixed[0]]!r} to {fixed[0]!r}: ssduck reads poses that are all "
+            "relative to one frame"
         )
     moments = np.array(found.moments, dtype=np.int64)
     order = np.argsort(moments, kind="stable")

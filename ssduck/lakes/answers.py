@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -93,12 +94,24 @@ def _array(values: Sequence[Any]) -> pa.Array:
         array = pa.array(values)
     except (pa.ArrowException, OverflowError):
         array = None
-    if array is not None and array.to_pylist() == list(values):
-        return array
-    # NaN differs from itself; its text does not.
-    if array is not None and list(map(to_text, array.to_pylist())) == list(map(to_text, values)):
+    if array is not None and _are_same(array.to_pylist(), list(values)):
         return array
     return pa.array([None if value is None else to_text(value) for value in values], pa.string())
+
+
+def _are_same(found: Any, value: Any) -> bool:
+    """Checks whether Arrow has a value as it is: 1 may be 1.0, but True is not, and NaN is NaN."""
+    match value:
+        case list():
+            return len(found) == len(value) and all(map(_are_same, found, value))
+        case dict():
+            is_same = found.keys() == value.keys()
+            return is_same and all(_are_same(found[key], value[key]) for key in value)
+        case bool():
+            return found is value
+        case float() if math.isnan(value):
+            return math.isnan(found)
+    return bool(found == value)
 
 
 class KeptAnswers:
@@ -119,7 +132,8 @@ class KeptAnswers:
             return None
         sums = hashlib.sha256(self._question.key.encode())
         for entry in entries:
-            sums.update(repr((entry.key, entry.error, entry.files)).encode())
+            # A DuckDB file is known by the ids of its episodes. No answer depends on tags.
+            sums.update(repr(replace(entry, tags={})).encode())
         return self._folder / f"answers-{sums.hexdigest()[:32]}.parquet"
 
     def read(self, entries: Sequence[EpisodeEntry]) -> list[Answer] | None:

@@ -403,11 +403,12 @@ class Lake:
 
     def _write_tags(self, tags: Mapping[tuple[str, str, int], Mapping[str, Tag]]) -> None:
         """Writes tags of episodes, by their keys, and reads their descriptions again."""
-        for path, world, number in tags:
-            place = expand_path(path)
+        places = {path: expand_path(path) for path, _, _ in tags}
+        for path, place in places.items():  # before anything is written
             if place.suffix == DUCKDB_SUFFIX and place.is_file():
                 raise RecordError(f"{path} is a DuckDB file: tags are given while it is recorded")
-            write_tags(FolderRun(place, world, number), tags[path, world, number])
+        for path, world, number in tags:
+            write_tags(FolderRun(places[path], world, number), tags[path, world, number])
         before = self._entries
         self._replace([_with_tags(entry, tags.get(entry.key)) for entry in before], before)
 

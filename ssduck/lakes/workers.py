@@ -7,6 +7,7 @@ itself, as `ssduck.open` does: its answer or its error is the result.
 
 from __future__ import annotations
 
+import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -146,8 +147,10 @@ def _resolved(path: str) -> str:
     return str(place) if isinstance(place, ObjectPath) else place.as_posix()
 
 
-# By the group, whether its files are objects of a store, and the limits.
+# By the group, whether its files are objects of a store, and the limits. They answer one question
+# at a time: a batch of episodes has one present episode.
 _readers: OrderedDict[tuple[str, bool, Limits | None], _Reader] = OrderedDict()
+_lock = threading.RLock()
 
 
 def _reader_of(entry: EpisodeEntry, limits: Limits | None) -> _Reader:
@@ -166,7 +169,7 @@ def _reader_of(entry: EpisodeEntry, limits: Limits | None) -> _Reader:
 def answer_episodes(question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer]:
     """Returns the answer or the error of each episode, in order."""
     answers: list[Answer | None] = [None] * len(entries)
-    with warnings.catch_warnings():
+    with _lock, warnings.catch_warnings():
         # They are of the program, and would come from each process.
         warnings.simplefilter("ignore", ProgramWarning)
         groups: dict[str, list[int]] = {}
@@ -210,5 +213,6 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
 
 def forget_readers() -> None:
     """Closes what this process keeps of groups of episodes."""
-    while _readers:
-        _readers.popitem()[1].close()
+    with _lock:
+        while _readers:
+            _readers.popitem()[1].close()

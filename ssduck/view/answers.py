@@ -159,7 +159,8 @@ class Answers:
     def _pick(self, question: dict[str, Any]) -> dict[str, Any]:
         id = validation.integer(question.get("entity"), "pick: entity", minimum=0)
         asked = self._source.mirror(_time(question))
-        return facts_of(asked.interpreter, asked.world, id)
+        facts: dict[str, Any] = as_json(facts_of(asked.interpreter, asked.world, id))
+        return facts
 
     def _plot(self, question: dict[str, Any]) -> dict[str, Any]:
         id = validation.integer(question.get("entity"), "plot: entity", minimum=0)

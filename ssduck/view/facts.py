@@ -66,7 +66,9 @@ def facts_of(ss: Interpreter, world: World, id: int) -> dict[str, Any]:
     facts["orientation (w, x, y, z)"] = _rounded(entity.orientation)
     if isinstance(entity, Sensor):
         return {"name": entity.name, "facts": facts, "relations": {}, "links": [], "joints": []}
-    facts["velocity (m/s, rad/s)"] = _rounded(entity.velocity)
+    velocity = _rounded(entity.velocity)
+    if np.isfinite(velocity).all():  # poses from elsewhere may lack it
+        facts["velocity (m/s, rad/s)"] = velocity
     facts["mass (kg)"] = round(entity.mass, 4)
     relations: dict[str, list[list[Any]]] = {
         title: [[name, None] for (name,) in ss.sql(query, [id])]

@@ -161,9 +161,12 @@ def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
     ssduck.write_record(tmp_path / "a", ["pot"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((1, 1, 3)), [0])
+    ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.05, 0.1])
     cases = [
         ([0], None, "not evenly spaced"),
         ([3], None, "has one tick"),
+        ([1, 4], None, "has 20 ticks per second, and the episodes before it 10"),
+        ([1, 0], None, "not evenly spaced"),
         ([1, 2], None, "has other observation.environment_state .* such as 'cup.qw'"),
         ([], None, "there is no episode"),
     ]
@@ -314,6 +317,15 @@ def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path:
         assert imported.eval(asked) == original.eval(asked)
 
 
+@pytest.mark.parametrize("time", [-0.5, 1e10])
+def test_times_that_mcap_has_not_are_an_error(tmp_path: Path, time: float) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    ssduck.write_record(tmp_path / "r", ["cup"], np.zeros((1, 1, 3)), [time])
+    with pytest.raises(ArgumentError, match=r"a tick at .* s: times in an MCAP file are from 0 s"):
+        write_runs(runs_in(tmp_path / "r"), tmp_path / "out.mcap", "mcap")
+    assert not (tmp_path / "out.mcap").exists()
+
+
 def test_files_of_others(tmp_path: Path) -> None:
     """Poses by topics and transforms are read; other topics are named."""
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
@@ -322,14 +334,15 @@ def test_files_of_others(tmp_path: Path) -> None:
     from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
     from mcap_protobuf.writer import Writer
 
-    def write(name: str, parents: tuple[str, str]) -> Path:
+    def write(name: str, parents: tuple[str, ...]) -> Path:
         with (tmp_path / name).open("wb") as stream, Writer(stream) as writer:
             for second in range(3):
                 pose = PoseInFrame(frame_id=parents[0])
                 pose.timestamp.seconds = second
                 pose.pose.position.x, pose.pose.orientation.w = second / 3, 1.0
                 writer.write_message("/cup", pose, second, second)
-                moved = FrameTransform(parent_frame_id=parents[1], child_frame_id="hand")
+                parent = parents[min(second + 1, len(parents) - 1)]
+                moved = FrameTransform(parent_frame_id=parent, child_frame_id="hand")
                 moved.timestamp.seconds = second
                 moved.translation.z, moved.rotation.w = second / 7, 1.0
                 writer.write_message("/tf", moved, second, second)
@@ -342,8 +355,9 @@ def test_files_of_others(tmp_path: Path) -> None:
         found = ss.sql("SELECT name, time, x, z FROM entities_history ORDER BY ALL").fetchall()
     hand = [("hand", float(n), 0.0, n / 7) for n in range(3)]
     assert found == [("cup", float(n), n / 3, 0.0) for n in range(3)] + hand
-    with pytest.raises(RecordError, match="is relative to"):
-        ssduck.import_poses(write("b.mcap", ("map", "base")), tmp_path / "s")
+    for name, parents in {"b": ("map", "base"), "changed": ("map", "base", "map")}.items():
+        with pytest.raises(RecordError, match=r"'cup' is relative to 'map', and 'hand' to 'base'"):
+            ssduck.import_poses(write(f"{name}.mcap", parents), tmp_path / "s")
     (tmp_path / "c.mcap").write_bytes(b"not MCAP")
     with pytest.raises(RecordError, match="cannot be read as an MCAP file"):
         ssduck.import_poses(tmp_path / "c.mcap", tmp_path / "s")

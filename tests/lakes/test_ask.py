@@ -2,6 +2,7 @@
 
 import json
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pyarrow as pa
 import pytest
@@ -13,6 +14,7 @@ from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.questions import ProgramQuestion
 from tests.lakes.conftest import EPISODES
+from tests.support.command_line import write_scene
 from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
 from tests.support.lake_questions import FURTHER, PROGRAMS, answer_of, by_itself, scores
 
@@ -71,6 +73,27 @@ def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch)
         lake.ask(f"{program} ", processes=1, resume=tmp_path)
 
 
+def test_kept_answers_are_of_the_same_episodes(tmp_path):
+    file, program = tmp_path / "lab.duckdb", "SELECT id FROM two{} AS list;"
+    scene = write_scene(tmp_path) / "two.toml"
+    for duration in (0.02, 0.03):
+        file.unlink(missing_ok=True)
+        with ssduck.load(scene, database=file) as ss:
+            ss.run(duration)
+        lake = ssduck.lake(file)
+        kept = lake.ask(program, processes=1, resume=tmp_path / "kept")
+        assert kept.equals(lake.ask(program, processes=1))
+
+
+def test_threads_ask_one_after_the_other(recorded):
+    lake = ssduck.lake(recorded)
+    expected = {text: lake.ask(text, processes=1) for text in PROGRAMS.values()}
+    with ThreadPoolExecutor(len(expected)) as pool:
+        asked = [(t, pool.submit(lake.ask, t, processes=1)) for t in expected for _ in range(4)]
+        for text, answers in asked:
+            assert answers.result().equals(expected[text]), text
+
+
 def test_where_selects(recorded):
     lake = ssduck.lake(recorded)
     answers = lake.ask(
@@ -101,6 +124,8 @@ def row(text, error=None):
         (["true", "null"], pa.bool_(), [True, None]),
         (["[0.1, 2]", "[3.5, 4.5]"], pa.list_(pa.float64()), [[0.1, 2], [3.5, 4.5]]),
         (["true", "1"], pa.string(), ["true", "1"]),
+        (["0.5", "true"], pa.string(), ["0.5", "true"]),
+        (["[0.5]", "[true]"], pa.string(), ["[0.5]", "[true]"]),
         (['[1, "a"]', "null"], pa.string(), ['[1, "a"]', None]),
         (["Infinity", "0.1"], pa.float64(), [math.inf, 0.1]),
         ([str(2**80)], pa.string(), [str(2**80)]),

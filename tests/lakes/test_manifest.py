@@ -12,6 +12,7 @@ from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import entries_of, from_bytes, table_of, to_bytes
 from ssduck.recording.stores.checksums import json_text
 from tests.lakes.conftest import EPISODES, STEPS
+from tests.support.command_line import write_scene
 from tests.support.lake_questions import PROGRAMS, by_itself
 
 QUESTION = PROGRAMS["last tick"]
@@ -172,6 +173,23 @@ def test_patterns_files_and_folders(recorded, tmp_path):
         ssduck.lake(tmp_path / "d*")
     with pytest.raises(RecordError, match="there is no record"):
         ssduck.lake(tmp_path / "nothing")
+
+
+def test_tags_are_for_all_episodes_or_none(tmp_path):
+    scene = write_scene(tmp_path) / "two.toml"
+    (tmp_path / "lake").mkdir()
+    for name in ("a", "b.duckdb", "c"):
+        database = tmp_path / "lake" / name if name.endswith(".duckdb") else ":memory:"
+        with ssduck.load(scene, database) as ss:
+            ss.run(0.02)
+            if database == ":memory:":
+                ss.export(tmp_path / "lake" / name)
+    lake = ssduck.lake(tmp_path / "lake")
+    assert len(lake) == 3
+    with pytest.raises(RecordError, match=r"b\.duckdb is a DuckDB file"):
+        lake.set_tags({"task": "pick"})
+    assert [entry.tags for entry in ssduck.lake(tmp_path / "lake").entries] == [{}] * 3
+    assert lake.set_tags({"task": "pick"}, "path LIKE '%/c'") == 1
 
 
 def test_tags(folder):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from uuid import UUID
 
@@ -65,6 +67,28 @@ def test_a_running_recording_and_a_closed_one_get_further_tags(scene: Path, tmp_
     assert after.tags == {"task": "pick", "success": True, "seed": 7}
     assert (after.id, after.complete, after.ticks) == (before.id, True, before.ticks)
     assert ssduck.check(tmp_path / "r") == []
+
+
+def tag_many(place: Path, name: str) -> None:
+    for number in range(20):
+        write_tags(FolderRun(place, "two", 0), {f"{name}_{number}": number})
+
+
+def test_threads_and_processes_tag_an_episode_that_ends(scene: Path, tmp_path: Path) -> None:
+    place = tmp_path / "r"
+    process = get_context("spawn").Process(target=tag_many, args=(place, "process"))
+    with ThreadPoolExecutor() as pool:
+        with ssduck.load(scene) as ss, ss.record_to(place, recording=ENTITIES):
+            ss.run(0.02)
+            process.start()
+            tagged = [pool.submit(tag_many, place, name) for name in "abc"]
+        for one in tagged:
+            one.result()
+    process.join()
+    (episode,) = ssduck.episodes(place)
+    names = ("process", "a", "b", "c")
+    assert episode.tags == {f"{name}_{number}": number for name in names for number in range(20)}
+    assert episode.complete
 
 
 def test_a_database_has_ids_and_tags_and_an_export_keeps_the_tags(

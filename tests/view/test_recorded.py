@@ -16,6 +16,7 @@ from websockets.sync.client import connect
 
 from ssduck.adapters.grid_values import Grid
 from ssduck.view.drawings import drawing_of
+from ssduck.view.facts import facts_of
 from ssduck.view.frames import Frame
 from ssduck.view.scans import Scan
 from ssduck.view.tracks import track_of
@@ -243,6 +244,15 @@ def test_a_robot_has_its_links_and_joints(socket, ss):
     assert names
     points = asked(socket, type="plot", entity=robot.id, column="", joint=names[0])["points"]
     assert len(points) == len(ss.worlds[0].source_record.ticks)
+
+
+def test_unknown_velocities_are_not_told(tmp_path):
+    """NaN is no number of JSON: a page would not understand the answer."""
+    ssduck.write_record(tmp_path / "r", ["cup", "pot"], np.zeros((2, 2, 3)), [0.0, 0.1])
+    with ssduck.open(tmp_path / "r") as ss:
+        facts = facts_of(ss, ss.worlds[0], 1)
+    assert facts["facts"]["position (m)"] == [0.0, 0.0, 0.0]
+    assert "NaN" not in json.dumps(facts)
 
 
 # -- parts ------------------------------------------------------------------------------------

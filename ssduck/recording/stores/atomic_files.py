@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable
-from contextlib import suppress
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from ssduck.recording.stores.object_store import ObjectPath, written
+
+_fcntl: Any = import_module("fcntl") if os.name == "posix" else None
+_lock = threading.Lock()
 
 
 def temporary_path(place: Path) -> Path:
@@ -31,6 +37,21 @@ def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(place.parent)
+
+
+@contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Waits until no other writer is in such a context for a folder, whose files may be changed.
+
+    Writers are the threads of this process, and on POSIX other processes of this machine.
+    """
+    with _lock, ExitStack() as opened:
+        if _fcntl is not None and not isinstance(folder, ObjectPath):
+            with suppress(OSError):  # some file systems of networks have no locks
+                handle = os.open(folder, os.O_RDONLY)
+                opened.callback(os.close, handle)
+                _fcntl.flock(handle, _fcntl.LOCK_EX)
+        yield
 
 
 def is_temporary(file: Path) -> bool:

@@ -29,6 +29,7 @@ from ssduck.recording.static_tables import IdProvider, model_rows
 from ssduck.recording.stores.atomic_files import (
     create_file,
     is_temporary,
+    sole_writer,
     sync_folder,
     temporary_path,
     write_atomically,
@@ -173,9 +174,10 @@ class ParquetStore(TickStore):
         try:
             self._index.write()
             self._move_staged()
-            about = read_description(self.run.about_file) | {"parts": parts}
-            about.pop("exporting", None)
-            write_atomically(self.run.about_file, lambda file: write_json(about, file))
+            with sole_writer(self.run.about_file.parent):
+                about = read_description(self.run.about_file) | {"parts": parts}
+                about.pop("exporting", None)
+                write_atomically(self.run.about_file, lambda file: write_json(about, file))
         except OSError as error:
             raise RecordError(f"{self.run.about_file} cannot be written: {error}") from error
 
@@ -228,11 +230,12 @@ def write_tags(run: FolderRun, tags: Tags) -> None:
     """
     added = checked_tags(tags)
     check_inside(run.path, run.about_file)
-    about = read_description(run.about_file)
-    check_description(about, EPISODE, str(run.about_file), "what is recorded")
-    content = about | {"tags": checked_tags({**about.get("tags", {}), **added})}
-    with _writing(run.about_file):
-        write_atomically(run.about_file, lambda file: write_json(content, file))
+    with sole_writer(run.about_file.parent):
+        about = read_description(run.about_file)
+        check_description(about, EPISODE, str(run.about_file), "what is recorded")
+        content = about | {"tags": checked_tags({**about.get("tags", {}), **added})}
+        with _writing(run.about_file):
+            write_atomically(run.about_file, lambda file: write_json(content, file))
 
 
 def _fill_a_part(rows: Mapping[str, pa.Table]) -> bool:

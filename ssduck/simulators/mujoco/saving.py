@@ -15,12 +15,21 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
 from ssduck.errors import UnsupportedError
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.poses import (
+    IDENTITY,
+    compose,
+    invert,
+    rotate,
+    rotation_matrices,
+    unit_quaternions,
+)
 from ssduck.simulators.mjcf import KIND_PREFIX, STATE_KEY
 from ssduck.simulators.mujoco.bodies import body_names
 from ssduck.simulators.mujoco.interventions import HOLD, IDLE, holds, spare_welds
@@ -38,9 +47,16 @@ _EQUAL = (
     *("body_parentid", "jnt_type", "jnt_bodyid", "geom_type", "geom_bodyid", "geom_contype"),
     *("geom_conaffinity", "site_bodyid", "actuator_trntype", "actuator_trnid"),
 )
-_NEAR = ("body_pos", "body_mass", "jnt_pos", "jnt_axis", "geom_size", "site_pos", "site_size")
+_NEAR = (
+    *("body_pos", "body_mass", "jnt_pos", "jnt_axis", "geom_pos", "geom_size"),
+    *("site_pos", "site_size"),
+)
 _TOLERANCE = 1e-5
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+# A pose: a position (1, 3) and a quaternion w, x, y, z (1, 4).
+_Pose: TypeAlias = tuple[Array, Array]
+# A part of a body, and the pose in the body of the <frame> around it; None without one.
+_Part: TypeAlias = tuple[ET.Element, _Pose | None]
 
 
 def write_model(model: Any, data: Any, spec: Any, kinds: Mapping[str, str], file: Path) -> None:
@@ -205,36 +221,53 @@ def _write_digits(root: ET.Element, model: Any) -> None:
     option = ET.SubElement(root, "option") if option is None else option
     option.set("timestep", _texts([model.opt.timestep]))
     option.set("gravity", _texts(model.opt.gravity))
-    for number, element in enumerate(_bodies(root)):
+    for number, (element, frame) in enumerate(_bodies(root)):
         if number:
-            element.set("pos", _texts(model.body_pos[number]))
-            _set_turn(element, model.body_quat[number])
+            _write_pose(element, model.body_pos[number], model.body_quat[number], frame)
             _write_inertia(element, model, number)
-        for tag, first, of in (
+        for tag, first, write in (
             ("geom", model.body_geomadr, _write_geom),
             ("joint", model.body_jntadr, _write_joint),
         ):
-            for place, part in enumerate(_parts(element, tag)):
-                of(part, model, int(first[number]) + place)
+            for place, (part, around) in enumerate(_parts(element, tag)):
+                write(part, model, int(first[number]) + place, around)
         sites = np.flatnonzero(model.site_bodyid == number).tolist()
-        for site, part in zip(sites, _parts(element, "site"), strict=True):
-            part.set("pos", _texts(model.site_pos[site]))
+        for site, (part, around) in zip(sites, _parts(element, "site"), strict=True):
             part.set("size", _texts(model.site_size[site]))
             part.attrib.pop("fromto", None)
-            _set_turn(part, model.site_quat[site])
+            _write_pose(part, model.site_pos[site], model.site_quat[site], around)
 
 
-def _bodies(root: ET.Element) -> Iterator[ET.Element]:
+def _bodies(root: ET.Element) -> Iterator[_Part]:
     """Yields the world body and all others, in the order of their numbers: depth first."""
     for world in root.findall("worldbody"):
-        yield world
-        yield from world.iter("body")
+        yield world, None
+        yield from _bodies_in(world)
 
 
-def _parts(body: ET.Element, tag: str) -> list[ET.Element]:
+def _bodies_in(body: ET.Element) -> Iterator[_Part]:
+    for part, frame in _all_parts(body):
+        if part.tag == "body":
+            yield part, frame
+            yield from _bodies_in(part)
+
+
+def _parts(body: ET.Element, tag: str) -> list[_Part]:
     """Returns the geoms, joints or sites of a body."""
     tags = ("joint", "freejoint") if tag == "joint" else (tag,)
-    return [part for part in body if part.tag in tags]
+    return [(part, frame) for part, frame in _all_parts(body) if part.tag in tags]
+
+
+def _all_parts(body: ET.Element, around: _Pose | None = None) -> Iterator[_Part]:
+    """Yields the parts of a body, also those in its frames, in their order."""
+    for part in body:
+        if part.tag != "frame":
+            yield part, around
+            continue
+        position = np.array([part.get("pos", "0 0 0").split()], dtype=np.float64)
+        turn = np.array([part.get("quat", "1 0 0 0").split()], dtype=np.float64)
+        frame = position, unit_quaternions(turn)
+        yield from _all_parts(part, frame if around is None else compose(*around, *frame))
 
 
 def _write_inertia(element: ET.Element, model: Any, number: int) -> None:
@@ -247,22 +280,37 @@ def _write_inertia(element: ET.Element, model: Any, number: int) -> None:
         inertial.set("diaginertia", _texts(model.body_inertia[number]))
 
 
-def _write_geom(element: ET.Element, model: Any, number: int) -> None:
+def _write_geom(element: ET.Element, model: Any, number: int, frame: _Pose | None) -> None:
     if int(model.geom_type[number]) == _MESH or element.get("mesh") or element.get("fitscale"):
         return  # its pose is that of the mesh as it was, not as MuJoCo has turned it
-    element.set("pos", _texts(model.geom_pos[number]))
     element.set("size", _texts(model.geom_size[number]))
     element.attrib.pop("fromto", None)
-    _set_turn(element, model.geom_quat[number])
+    _write_pose(element, model.geom_pos[number], model.geom_quat[number], frame)
 
 
-def _write_joint(element: ET.Element, model: Any, number: int) -> None:
+def _write_joint(element: ET.Element, model: Any, number: int, frame: _Pose | None) -> None:
     is_scalar = element.tag == "joint" and element.get("type", "hinge") in ("hinge", "slide")
     if is_scalar:
-        element.set("pos", _texts(model.jnt_pos[number]))
-        element.set("axis", _texts(model.jnt_axis[number]))
+        position, axis = model.jnt_pos[number], model.jnt_axis[number]
+        if frame is not None:
+            back = invert(*frame)
+            position = compose(*back, position[None], IDENTITY[None])[0][0]
+            axis = rotate(rotation_matrices(back[1]), axis[None])[0]
+        element.set("pos", _texts(position))
+        element.set("axis", _texts(axis))
         if model.jnt_limited[number]:
             element.set("range", _texts(model.jnt_range[number]))
+
+
+def _write_pose(
+    element: ET.Element, position: Array, quaternion: Array, frame: _Pose | None
+) -> None:
+    """Writes a pose in the frame of a body as one in a frame of it, in which the element stands."""
+    if frame is not None:
+        moved = compose(*invert(*frame), position[None], quaternion[None])
+        position, quaternion = moved[0][0], moved[1][0]
+    element.set("pos", _texts(position))
+    _set_turn(element, quaternion)
 
 
 def _set_turn(element: ET.Element, quaternion: Any) -> None:

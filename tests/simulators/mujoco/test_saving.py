@@ -118,6 +118,42 @@ def test_a_saved_world_is_the_same(cell, tmp_path):
         assert np.isfinite(found.simulator.data.qpos).all()
 
 
+FRAMES = """<mujoco model="frames">
+<worldbody>
+  <frame pos="1 1 1" euler="0 0 33"><geom name="first" type="box" size=".1 .2 .3"/></frame>
+  <geom name="second" type="box" size=".1 .2 .3"/>
+  <body name="outer">
+    <frame pos="1 0 0" euler="10 2 3">
+      <frame pos="0 1 0" euler="3 40 5">
+        <geom name="inner" type="box" size=".1 .2 .3" pos="0 0 .123456789" euler="1 2 3"/>
+        <body name="arm" pos=".1 .2 .3"><joint name="elbow" axis="1 0 2" pos=".5 0 0"/>
+          <geom type="box" size=".1 .2 .3"/></body>
+      </frame>
+      <site name="tip" pos=".1 0 0" size=".01"/>
+    </frame>
+    <geom name="other" type="box" size=".1 .2 .3"/>
+    <site name="base" size=".02"/>
+    <frame euler="0 0 80"><joint name="shoulder" axis="1 0 2" pos=".5 0 0"/></frame>
+  </body>
+  <replicate count="3" offset=".5 0 0.123456789" euler="0 0 20">
+    <body name="ball" pos="0 3 2"><freejoint/><geom type="ellipsoid" size=".1 .2 .3"/></body>
+  </replicate>
+</worldbody>
+</mujoco>"""
+
+
+def test_frames_and_copies_are_saved(tmp_path):
+    (tmp_path / "frames.xml").write_text(FRAMES)
+    with ssduck.load(tmp_path / "frames.xml", simulator="mujoco") as ss:
+        model = ss["frames"].simulator.model
+        with ssduck.load(ss["frames"].save(tmp_path / "saved")) as again:
+            found = again["frames"].simulator.model
+            poses = [f"{of}_{part}" for of in ("body", "geom", "site") for part in ("pos", "quat")]
+            for name in (*poses, "jnt_pos", "jnt_axis", "geom_size", "site_size"):
+                expected = getattr(model, name)
+                assert getattr(found, name) == pytest.approx(expected, abs=1e-12), name
+
+
 def test_a_saved_world_goes_on_alike(cell, tmp_path):
     """What has six digits differs a little: friction, density."""
     with ssduck.load(cell) as ss:
