@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
+from ssduck.database.folding import folded
 from ssduck.database.macros import TABLE_MACROS
 from ssduck.database.permitted_functions import (
     AGGREGATING,
@@ -35,7 +36,7 @@ Node: TypeAlias = Mapping[str, Any]
 _MAX_TEXTS = 256
 _TREE = "SELECT system.main.json_serialize_sql($1)"
 _TABLES = frozenset(
-    name.lower()
+    folded(name)
     for name in (
         *TABLES,
         *(table.history_view for table in HISTORIES.values()),
@@ -44,12 +45,12 @@ _TABLES = frozenset(
 )
 _INTERVALS = "intervals"
 _TABLE_MACROS = frozenset((*(macro.name for macro in TABLE_MACROS), _INTERVALS))
-_RELATIONS = frozenset(name.lower() for name in (*RELATIONS, *RELATIONS_OF_INTERVALS))
-_SCALARS = frozenset(name.lower() for name in FUNCTIONS) | _RELATIONS
+_RELATIONS = frozenset(folded(name) for name in (*RELATIONS, *RELATIONS_OF_INTERVALS))
+_SCALARS = frozenset(map(folded, FUNCTIONS)) | _RELATIONS
 _IN_FROM = TABLE_FUNCTIONS | _TABLE_MACROS
 # The tables that users have made in a file.
 _OWN_TABLES = (
-    "SELECT lower(table_name) FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
+    "SELECT table_name FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
     "AND database_name = current_database()"
 )
 # DuckDB's place of a part that the text does not have.
@@ -85,10 +86,10 @@ class SelectCheck:
         own_tables: frozenset[str] = frozenset()
         if self._connection.is_file:
             rows = self._connection.internal_rows(_OWN_TABLES)
-            own_tables = frozenset(name for (name,) in rows)
+            own_tables = frozenset(folded(name) for (name,) in rows)
         names = _Names(
-            schemas=frozenset(name.lower() for name in self._worlds),
-            database=self._connection.name.lower(),
+            schemas=frozenset(map(folded, self._worlds)),
+            database=folded(self._connection.name),
             own_tables=own_tables,
         )
         _Walk(sql, names).check(tree)
@@ -175,7 +176,7 @@ class _Walk:
         if "cte_map" in node:
             for item in node["cte_map"]["map"]:
                 yield item["value"], queries
-                queries |= {item["key"].lower()}
+                queries |= {folded(item["key"])}
         if kind == "BASE_TABLE":
             self._check_table(node, queries)
         elif kind == "SHOW_REF" and node["query"] is None:
@@ -188,14 +189,14 @@ class _Walk:
             self._check_function(node)
         for key, part in node.items():
             if key == "right" and kind == "RECURSIVE_CTE_NODE":
-                yield part, queries | {node["cte_name"].lower()}
+                yield part, queries | {folded(node["cte_name"])}
             elif key != "cte_map":
                 yield part, queries
 
     def _check_table(self, node: Node, queries: AbstractSet[str]) -> None:
-        name, schema = node["table_name"].lower(), node["schema_name"].lower()
+        name, schema = folded(node["table_name"]), folded(node["schema_name"])
         path = ".".join(node["qualified_name"]["path"])
-        if not self._is_table(node["catalog_name"].lower(), schema, name, queries):
+        if not self._is_table(folded(node["catalog_name"]), schema, name, queries):
             known = sorted(_TABLES | queries | self._names.own_tables)
             self._refuse(node, f"there is no table {path!r} that SQL may read", name, known)
 
@@ -213,19 +214,19 @@ class _Walk:
 
     def _check_table_function(self, node: Node, queries: AbstractSet[str]) -> None:
         function = node["function"]
-        name = function["function_name"].lower()
+        name = folded(function["function_name"])
         if name not in _IN_FROM:
             message = f"{name} is no function that SQL may call in FROM"
             self._refuse(node, message, name, _IN_FROM)
         if name == _INTERVALS:
             literals = [item["expression"].get("literal") for item in function["arguments"]]
             texts = [literal.get("text") for literal in literals if isinstance(literal, dict)]
-            names = [text.lower() for text in texts if isinstance(text, str)]
+            names = [folded(text) for text in texts if isinstance(text, str)]
             if len(names) != 1 or not self._is_table("", *_split(names[0]), queries):
                 self._refuse(node, "intervals takes the name of a table that SQL may read")
 
     def _check_function(self, node: Node) -> None:
-        name = node["function_name"].lower()
+        name = folded(node["function_name"])
         if name not in OPERATORS and name not in _SCALARS:
             self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
         if name in REGULAR:
@@ -233,7 +234,7 @@ class _Walk:
         if name in AGGREGATING:
             for argument in node["arguments"][1:2]:
                 literal = argument["expression"].get("literal") or {}
-                aggregate = str(literal.get("text")).lower()
+                aggregate = folded(str(literal.get("text")))
                 if aggregate not in FUNCTIONS:
                     message = f"{name} takes the name of an aggregate that SQL may call"
                     self._refuse(node, message, aggregate, FUNCTIONS)

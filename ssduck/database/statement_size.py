@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from ssduck.database.folding import folded
 from ssduck.errors import LimitError
 
 Node: TypeAlias = Mapping[str, Any]
@@ -94,7 +95,7 @@ def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Column
         inner = _columns(item["value"]["query_node"], queries, outer)
         is_inlined = item["value"].get("materialized") == "CTE_MATERIALIZE_NEVER"
         inner = _Columns(inner.sizes, inner.total, inner.tables, is_inlined)
-        queries[item["key"].lower()] = _renamed(inner, item["value"].get("aliases") or ())
+        queries[folded(item["key"])] = _renamed(inner, item["value"].get("aliases") or ())
     match node["type"]:
         case "SELECT_NODE":
             return _selected(node, queries, outer)
@@ -102,7 +103,7 @@ def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Column
             parts = [_columns(child, queries, outer) for child in node["children"]]
         case "RECURSIVE_CTE_NODE":
             first = _columns(node["left"], queries, outer)
-            name = node["cte_name"].lower()
+            name = folded(node["cte_name"])
             parts = [first, _columns(node["right"], {**queries, name: first}, outer)]
         case _:
             parts = [_columns(part, queries, outer) for part in _queries_in(node)]
@@ -135,7 +136,7 @@ def _selected(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Colum
         _checked(_Columns(total=total))
         if item.get("class") == "STAR":
             sizes |= source.sizes
-        name = (item.get("alias") or _last_name(item)).lower()
+        name = folded(item.get("alias") or _last_name(item))
         if size > 1 and name:
             sizes[name] = max(size, sizes.get(name, 1))
             names.setdefault(name, size)
@@ -150,7 +151,7 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
     """Returns the columns of the tables behind FROM."""
     kind = node["type"]
     if kind == "BASE_TABLE":
-        name = node["table_name"].lower()
+        name = folded(node["table_name"])
         columns = _Columns(total=_COLUMNS)
         if not node.get("schema_name") and name in queries:
             query = queries[name]
@@ -179,13 +180,13 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
     columns = _renamed(columns, node.get("column_name_alias") or ())
     # The name of a table stands for all of its columns.
     return _checked(
-        _Columns({alias.lower(): columns.total, **columns.sizes}, columns.total, columns.tables)
+        _Columns({folded(alias): columns.total, **columns.sizes}, columns.total, columns.tables)
     )
 
 
 def _renamed(columns: _Columns, names: Iterable[str]) -> _Columns:
     """Returns the columns of a table that has a list of their names."""
-    sizes = columns.sizes | dict.fromkeys((name.lower() for name in names), columns.total)
+    sizes = columns.sizes | dict.fromkeys(map(folded, names), columns.total)
     return _Columns(sizes, columns.total, columns.tables, columns.is_inlined)
 
 
@@ -224,7 +225,7 @@ class _Expressions:
             return columns.total
         match part.get("class"):
             case "COLUMN_REF":
-                return self._names.get(_last_name(part).lower(), 1)
+                return self._names.get(folded(_last_name(part)), 1)
             case "STAR":
                 return self._total + self._size_of_parts(part)
             case "CONSTANT":
@@ -232,7 +233,7 @@ class _Expressions:
             case "SUBQUERY":
                 return self._size_of_parts(part)
             case "CAST":
-                name = str((part.get("type_expr") or {}).get("type_name")).lower()
+                name = folded(str((part.get("type_expr") or {}).get("type_name")))
                 factor = 1 if name in _FIXED_TYPES else _CAST_FACTOR
                 return factor * self._size_of_parts(part)
             case "FUNCTION":
@@ -254,7 +255,7 @@ class _Expressions:
                 size = max(size, walk.size(function["expr"]))
                 self.tables += walk.tables
         rest = [part for key, part in call.items() if key != "arguments"]
-        name = call["function_name"].lower()
+        name = folded(call["function_name"])
         is_json = "json" in name
         factor = _JSON_FACTOR if is_json else _FACTORS.get(name, 1)
         return factor * size + self.size(rest) + (not call.get("is_operator"))
@@ -269,5 +270,5 @@ def _parameters(left: Node) -> list[str]:
     """Returns the names of the parameters of a lambda."""
     parts = left.get("arguments")
     if parts:
-        return [_last_name(item["expression"]).lower() for item in parts]
-    return [_last_name(left).lower()]
+        return [folded(_last_name(item["expression"])) for item in parts]
+    return [folded(_last_name(left))]

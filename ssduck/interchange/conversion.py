@@ -99,7 +99,10 @@ def import_poses(
     for rows, told in episodes:
         names = list(dict.fromkeys(rows["name"].to_pylist()))
         described = _entities(names, told.get("kinds", {}), entities)
-        tags = dict(told.get("tags") or {})
+        tags = told.get("tags") or {}
+        if not isinstance(tags, Mapping):
+            raise RecordError(f"{place}: its tags are no object of texts and numbers by name")
+        tags = dict(tags)
         if told.get("task") is not None:
             tags.setdefault("task", told["task"])
         name = world or told.get("world") or "world"

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -39,6 +40,8 @@ EPISODES_PATH = f"meta/episodes/{DATA_PATH.removeprefix('data/')}"
 TASKS_PATH, INFO_PATH, STATS_PATH = "meta/tasks.parquet", "meta/info.json", "meta/stats.json"
 # The number of files in a folder, and the size of a file, MiB.
 CHUNK_SIZE, DATA_FILE_SIZE = 1000, 100
+# What stands for the indices in `data_path`.
+_INDEX = re.compile(r"\{(chunk_index|file_index)(?::0?([0-9]{1,2})d)?\}")
 # Simulated times differ from whole frames by less, as a fraction of a frame.
 _TOLERANCE = 1e-3
 _ADVICE = "give the frames per second (--fps); a frame has the last tick until its time then"
@@ -372,25 +375,27 @@ def read_poses(folder: Path) -> Iterator[tuple[pa.Table, dict[str, Any]]]:
     Raises:
         RecordError: there is no such dataset, it is of another version, or it has no poses.
     """
-    info = _read_json(folder / INFO_PATH)
+    info = _read_json(_own_file(folder, INFO_PATH))
     if info.get("codebase_version") != CODEBASE_VERSION:
         raise RecordError(
             f"{folder} is a dataset of version {info.get('codebase_version')!r}; ssduck reads "
             f"{CODEBASE_VERSION}: convert it with LeRobot"
         )
     features = info.get("features")
-    frames = _pose_columns(features if isinstance(features, dict) else {})
+    features = features if isinstance(features, dict) else {}
+    frames = _pose_columns(features)
     if not frames:
-        known = ", ".join(sorted(features or ()))
+        known = ", ".join(sorted(features))
         raise RecordError(
             f"{folder} tells of no named frames: no feature has names such as cup.x, cup.y, cup.z; "
             f"its features are {known}"
         )
     used = {feature for columns in frames.values() for feature, _ in columns.values()}
-    ignored = sorted(set(features or ()) - used - {"timestamp", *_INDICES})
+    ignored = sorted(set(features) - used - {"timestamp", *_INDICES})
     try:
         listed = sorted((folder / "meta/episodes").glob("*/*.parquet"))
-        episodes = [row for file in listed for row in pq.read_table(file).to_pylist()]
+        files = [_own_file(folder, str(file.relative_to(folder))) for file in listed]
+        episodes = [row for file in files for row in pq.read_table(file).to_pylist()]
         for episode in episodes:
             yield (
                 _poses_of(folder, info, episode, frames),
@@ -401,16 +406,33 @@ def read_poses(folder: Path) -> Iterator[tuple[pa.Table, dict[str, Any]]]:
                     "ignored": ignored,
                 },
             )
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, IndexError) as error:
+    except (
+        *(pa.ArrowException, OSError, KeyError, TypeError, ValueError),
+        *(IndexError, OverflowError, RecursionError),
+    ) as error:
         if isinstance(error, RecordError):
             raise
         raise RecordError(f"{folder} cannot be read as a dataset of LeRobot: {error}") from error
 
 
+def _own_file(folder: Path, name: str) -> Path:
+    """Returns the path of a file of a dataset.
+
+    Raises:
+        RecordError: it is elsewhere, or no file.
+    """
+    file = folder / name
+    if not file.resolve().is_relative_to(folder.resolve()):
+        raise RecordError(f"{file} is outside of {folder}")
+    if not file.is_file():  # a pipe would be waited for
+        raise RecordError(f"{file} cannot be read: there is no such file")
+    return file
+
+
 def _read_json(file: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RecordError(f"{file} cannot be read: {error}") from error
     if not isinstance(content, dict):
         raise RecordError(f"{file} has no JSON object")
@@ -435,12 +457,10 @@ def _poses_of(
     episode: Mapping[str, Any],
     frames: Mapping[str, Mapping[str, tuple[str, int]]],
 ) -> pa.Table:
-    path = str(info["data_path"]).format(
-        chunk_index=episode["data/chunk_index"], file_index=episode["data/file_index"]
-    )
-    file = folder / path
-    if not file.resolve().is_relative_to(folder.resolve()):
-        raise RecordError(f"{file} is outside of {folder}")
+    indices = {name: int(episode[f"data/{name}"]) for name in ("chunk_index", "file_index")}
+    # A stranger's pattern may ask str.format for attributes, or for a text of any length.
+    path = _INDEX.sub(lambda m: f"{indices[m[1]]:0{m[2] or 0}d}", str(info["data_path"]))
+    file = _own_file(folder, path)
     used = sorted({feature for columns in frames.values() for feature, _ in columns.values()})
     number = episode["episode_index"]
     rows = pq.read_table(

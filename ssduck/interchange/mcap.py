@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.adapters.optional import library
-from ssduck.errors import ArgumentError, RecordError
+from ssduck.errors import ArgumentError, RecordError, SelectScriptError
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
@@ -245,14 +245,13 @@ def read_poses(file: Path) -> tuple[pa.Table, dict[str, Any]]:
     """
     library("mcap", "mcap")
     library("mcap_protobuf", "mcap")
-    from mcap.exceptions import McapError
 
     try:
         with file.open("rb") as stream:
             return _read(stream, file)
-    except (OSError, McapError, ValueError, KeyError, AttributeError) as error:
-        if isinstance(error, RecordError):
-            raise
+    except SelectScriptError:
+        raise
+    except Exception as error:  # the libraries of the compressions raise errors of their own
         raise RecordError(f"{file} cannot be read as an MCAP file: {error}") from error
 
 
@@ -260,14 +259,14 @@ def _read(stream: Any, file: Path) -> tuple[pa.Table, dict[str, Any]]:
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
 
-    reader, found, about = make_reader(stream), _Poses(), dict[str, Any]()
+    reader, found, about = make_reader(stream, validate_crcs=True), _Poses(), dict[str, Any]()
     factory = DecoderFactory()
     for record in reader.iter_metadata():
         if record.name == METADATA:
             about = {name: json.loads(value) for name, value in record.metadata.items()}
     for schema, channel, message in reader.iter_messages():
         if channel.topic == TICKS and channel.message_encoding == "json":
-            found.exact_times[message.log_time] = json.loads(message.data)["time"]
+            found.exact_times[message.log_time] = float(json.loads(message.data)["time"])
             continue
         kind = None if schema is None else schema.name
         decode = factory.decoder_for(channel.message_encoding, schema)

@@ -270,7 +270,7 @@ def _column(table: pa.Table, name: str, *, may_lack: bool = False) -> Array:
     where = f"poses: the column {name!r}"
     try:
         column = table[name].cast(pa.float64())
-    except pa.ArrowInvalid as error:
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
         raise ArgumentError(f"{where} has other values than numbers: {error}") from error
     if column.null_count and not may_lack:
         raise ArgumentError(f"{where} lacks a value")

@@ -260,7 +260,10 @@ class Planner:
             if planned is not None:
                 return planned, values
             try:
-                plan = translate(query, shapes, types, cautious=cautious, portable=portable)
+                step = frame.scope.meter.step
+                plan = translate(
+                    query, shapes, types, cautious=cautious, portable=portable, step=step
+                )
             except NotInlineError as error:
                 self._evaluated_aliases.setdefault(query, set()).add(str(error))
                 continue

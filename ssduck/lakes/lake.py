@@ -166,8 +166,11 @@ class Lake:
             return range(len(self._entries))
         rows = self.episodes
         test = condition(where, rows.column_names)
-        place = exp.to_identifier("ssduck row", quoted=True)
-        numbered = rows.append_column(place.name, pa.array(range(rows.num_rows), pa.int64()))
+        name, known = "row", {name.casefold() for name in rows.column_names}
+        while name in known:  # a tag may have any name
+            name += " "
+        place = exp.to_identifier(name, quoted=True)
+        numbered = rows.append_column(name, pa.array(range(rows.num_rows), pa.int64()))
         select = exp.select(exp.column(place)).from_("episodes").where(test)
         database = Database(":memory:", None)
         try:

@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import pyarrow as pa
@@ -19,7 +19,7 @@ import pyarrow as pa
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath
-from ssduck.recording.tags import Tag
+from ssduck.recording.tags import Tag, are_tags
 
 VERSION = 1
 _LABEL = b"ssduck manifest"
@@ -197,8 +197,14 @@ def _below(path: str, base: Path) -> str:
 
 
 def read_manifest(file: Path) -> list[EpisodeEntry]:
-    """Returns the entries of a manifest; none if it is missing, damaged or of another version."""
+    """Returns the entries of a manifest; none if it is missing, damaged or of another version.
+
+    It may come from a stranger, with the records: it is not read through a link or from a pipe, and
+    rows of no such records are left out.
+    """
     try:
+        if not isinstance(file, ObjectPath) and (file.is_symlink() or not file.is_file()):
+            return []
         content = verified_parquet(file, has_checksums=True)
         metadata = content.schema_arrow.metadata or {}
         if metadata.get(_LABEL) != str(VERSION).encode():
@@ -206,6 +212,21 @@ def read_manifest(file: Path) -> list[EpisodeEntry]:
         rows = content.read()
         if rows.schema.remove_metadata() != SCHEMA.remove_metadata():
             return []
-        return [replace(e, path=str(file.parent / e.path)) for e in entries_of(rows)]
-    except (OSError, pa.ArrowException, ValueError, TypeError):  # a RecordError is an OSError
+        entries = filter(_is_possible, entries_of(rows))
+        return [replace(e, path=str(file.parent / e.path)) for e in entries]
+    # A RecordError is an OSError.
+    except (OSError, pa.ArrowException, ValueError, TypeError, RecursionError):
         return []
+
+
+def _is_possible(entry: EpisodeEntry) -> bool:
+    """Checks whether an entry may be of a record below the manifest's folder."""
+    place = PurePosixPath(entry.path)
+    return (
+        not place.is_absolute()
+        and ".." not in place.parts
+        and isinstance(entry.world, str)
+        and isinstance(entry.episode, int)
+        and are_tags(entry.tags)
+        and (entry.group is None or entry.tables is not None)
+    )

@@ -6,6 +6,7 @@ import glob
 import hashlib
 import os
 import re
+import stat
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import parquet_problem
 from ssduck.recording.stores.episode_batch import has_current_columns
+from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system, parquet_source
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
@@ -133,10 +135,23 @@ def found_in(record: Path) -> list[FoundEpisode]:
     try:
         runs = [*runs_named(record), *lost_runs(record, _keys(record))]
     except (RecordError, OSError) as error:
-        message = error.message if isinstance(error, RecordError) else str(error)
-        entry = EpisodeEntry(str(record), "", 0, error=message)
-        return [FoundEpisode(record, "", 0, {}, entry)]
-    return [FoundEpisode(record, run.world, run.number, _listing(run)) for run in runs]
+        return [_unreadable(record, "", 0, error)]
+    return [_found_run(run) for run in runs]
+
+
+def _found_run(run: FolderRun) -> FoundEpisode:
+    """Returns an episode in a folder, with its files."""
+    try:
+        return FoundEpisode(run.path, run.world, run.number, _listing(run))
+    except (RecordError, OSError) as error:
+        return _unreadable(run.path, run.world, run.number, error)
+
+
+def _unreadable(record: Path, world: str, number: int, error: Exception) -> FoundEpisode:
+    """Returns an episode whose files cannot be listed."""
+    message = error.message if isinstance(error, RecordError) else str(error)
+    entry = EpisodeEntry(str(record), world, number, error=message)
+    return FoundEpisode(record, world, number, {}, entry)
 
 
 def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
@@ -160,24 +175,33 @@ def _keys(record: Path) -> list[tuple[str, int]]:
 
 
 def _listing(run: FolderRun) -> dict[str, tuple[int, int]]:
-    """Returns the files of an episode in a folder."""
+    """Returns the files of an episode in a folder; pipes and devices are none.
+
+    Raises:
+        RecordError: a link leaves the folder.
+    """
     files: dict[str, tuple[int, int]] = {}
     single = (ABOUT, f"episodes/{run.about_file.name}", f"gym/{run.about_file.name}")
     for name in single:
+        check_inside(run.path, run.path / name)
         try:
             status = (run.path / name).stat()
         except OSError:
             continue
-        files[name] = (status.st_size, status.st_mtime_ns)
+        if stat.S_ISREG(status.st_mode):
+            files[name] = (status.st_size, status.st_mtime_ns)
     for table in _folders(run):
         place = run.place(table)
+        check_inside(run.path, place)
         prefix = place.relative_to(run.path).as_posix()
         try:
             entries = list(os.scandir(place))
         except OSError:
             continue
         for entry in entries:
-            if not entry.name.startswith("."):
+            if entry.is_symlink():
+                check_inside(run.path, place / entry.name)
+            if not entry.name.startswith(".") and entry.is_file():
                 status = entry.stat()
                 files[f"{prefix}/{entry.name}"] = (status.st_size, status.st_mtime_ns)
     return files

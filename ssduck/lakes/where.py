@@ -74,6 +74,8 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
         raise ArgumentError(f"where: {text!r} is no condition: {detail}") from error
     except sqlglot.TokenError as error:
         raise ArgumentError(f"where: {text!r} is no condition: {error}") from error
+    except RecursionError:
+        raise ArgumentError("where: the condition is nested too deeply") from None
     names = {name.casefold(): name for name in columns}
     for part in tree.walk():
         if not isinstance(part, _PARTS):

@@ -60,12 +60,13 @@ class _Reader:
         check_models(models, lambda table: str(run.place(f"models/{table}")))
         number = run_of(models)
         assert number is not None
-        assert entry.tables is not None
-        tables = [table for table in entry.tables if table in RECORDABLE]
+        # The manifest may come from a stranger; what the record itself says was checked.
+        self._tables = tuple(run.tables)
+        tables = [table for table in self._tables if table in RECORDABLE]
         self._batch = BatchInterpreter(
             entry.world,
             Recording(**{**run.recording, "tables": tables}),
-            entry.tables,
+            self._tables,
             models,
             number,
             limits,
@@ -109,12 +110,13 @@ class _Reader:
 
     def _episode(self, entry: EpisodeEntry) -> BatchedEpisode:
         """Returns an episode whose ticks come after those of all others so far."""
-        assert entry.tables is not None
+        if entry.tables != self._tables:
+            raise RecordError(f"{entry.path} has other tables than its manifest says")
         root = _resolved(entry.path)
         folders = {
-            f"{table}/world={entry.world}/episode={entry.episode}": table for table in entry.tables
+            f"{table}/world={entry.world}/episode={entry.episode}": table for table in self._tables
         }
-        files: dict[str, list[BatchedFile]] = {table: [] for table in entry.tables}
+        files: dict[str, list[BatchedFile]] = {table: [] for table in self._tables}
         for file in entry.files:
             folder, _, _ = file.name.rpartition("/")
             if folder in folders:

@@ -177,10 +177,15 @@ class Clauses:
         if not self._group:
             return self._select_all(entries, row, select, window, outer)
         groups: dict[str, list[Any]] = {}
+        meter = outer.scope.meter
         for entry in entries:
+            meter.step()
             frame = row(entry)
             key = ", ".join(printed(thunk(frame), node) for thunk, node in self._group)
-            groups.setdefault(key, []).append(entry)
+            if key not in groups:
+                meter.charge(len(key))
+                groups[key] = []
+            groups[key].append(entry)
         frames = {key: [row(entry) for entry in group] for key, group in groups.items()}
         selected_keys = [key for key in groups if self._fulfils_having(frames[key], outer)]
         if self._group_order:

@@ -79,7 +79,8 @@ class InterpreterAnswers:
             SelectScriptError: the query failed.
         """
         size = min(width, MAX_PIXELS), min(height, MAX_PIXELS)
-        text = f"{query.strip().removesuffix(';')} AS image({size[0]:d}, {size[1]:d});"
+        # In a line of its own: a comment that ends the query would hide it.
+        text = f"{query.strip().removesuffix(';')}\nAS image({size[0]:d}, {size[1]:d});"
         stream = io.BytesIO()
         self._ss.eval(text).save(stream, "PNG")
         return stream.getvalue()

@@ -8,7 +8,7 @@ whose columns are the largest parts of them that are SQL.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Literal
 
@@ -62,6 +62,7 @@ def translate(
     *,
     cautious: bool = False,
     portable: bool = False,
+    step: Callable[[], object] = bool,
 ) -> Plan:
     """Plans a query.
 
@@ -78,6 +79,7 @@ def translate(
         names: the variables, the functions, and the types of constants.
         cautious: whether parts that may fail in SQL are left to Python.
         portable: whether the SQL is to be read, or sent to another engine.
+        step: is called before each condition: it may end the planning of many, by an error.
 
     Raises:
         SelectScriptError: a name or a number of arguments is wrong.
@@ -85,7 +87,7 @@ def translate(
         NotSqlError: the query is hierarchical, and runs row by row.
     """
     types = tuple(source_types)
-    return _Translator(query, types, names, cautious=cautious, portable=portable).plan()
+    return _Translator(query, types, names, step, cautious=cautious, portable=portable).plan()
 
 
 class _Translator:
@@ -94,11 +96,12 @@ class _Translator:
         query: Query,
         source_types: tuple[SourceType, ...],
         names: TypeEnvironment,
+        step: Callable[[], object],
         *,
         cautious: bool,
         portable: bool,
     ) -> None:
-        self.names = names
+        self.names, self._step = names, step
         self.context = StatementContext(names, cautious, changing(query))
         self.sql = Expressions(self.context)
         self.result = Plan(
@@ -264,6 +267,7 @@ class _Translator:
         """Yields the conditions in SQL, up to the first one with side effects."""
         has_side_effects = False
         for node in conjuncts(self.query.where):
+            self._step()
             has_side_effects = has_side_effects or is_impure(node)
             if has_side_effects:
                 self._leave_to_python(node)

@@ -30,6 +30,8 @@ from ssduck.world.world import World
 # The rows that a page gets; downloads have all.
 MAX_ROWS = 1000
 MAX_COMPLETIONS = 60
+# The longest text that is completed, letters: no limit of time ends that.
+MAX_COMPLETED = 50_000
 MAX_LINES = 100
 # The formats of downloads.
 _DOWNLOADS = ("csv", "json", "parquet")
@@ -129,6 +131,8 @@ class Answers:
     def _complete(self, question: dict[str, Any]) -> dict[str, Any]:
         text, language = text_of(question, "text"), language_of(question)
         cursor = validation.integer(question.get("cursor"), "complete: cursor", minimum=0)
+        if len(text) > MAX_COMPLETED:
+            return {"completions": []}
         found = complete(self._source.mirror(_time(question)).interpreter, text, cursor, language)
         return {
             "completions": [

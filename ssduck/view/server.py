@@ -154,7 +154,10 @@ class PageServer:
 
     def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
         """Refuses a request, answers it with a file, or lets it become a connection (None)."""
-        address = urlsplit(request.path)
+        try:
+            address = urlsplit(request.path)
+        except ValueError:  # brackets around what is no IPv6 address
+            return connection.respond(http.HTTPStatus.BAD_REQUEST, "no address\n")
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not self._is_own(hosts[0]):
             return connection.respond(http.HTTPStatus.MISDIRECTED_REQUEST, "an unknown host\n")

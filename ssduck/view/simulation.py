@@ -15,6 +15,8 @@ from ssduck.world.world import World
 # The real time between two looks at what was asked, s: updates of the page come as often.
 PERIOD = 1.0 / 30.0
 MAX_SPEED = 100.0
+# So many steps are taken between two looks at what was asked, at most.
+MAX_STEPS = 100
 
 
 class Simulation:
@@ -54,7 +56,7 @@ class Simulation:
         """
         with self._condition:
             if action in ("play", "pause"):
-                self._is_playing = action == "play"
+                self._is_playing, self._steps = action == "play", 0
             elif action == "speed":
                 speed = validation.number_above_0(value, "speed: a number above 0")
                 self._speed = min(speed, MAX_SPEED)
@@ -62,7 +64,7 @@ class Simulation:
                 self._is_playing = False
                 self._steps += validation.integer(value or 1, "step: a number", minimum=1)
             elif action == "reset":
-                self._is_reset = True
+                self._is_reset, self._steps = True, 0
             else:
                 raise ArgumentError(f"a page cannot ask for {str(action)[:40]!r}")
             self._condition.notify()
@@ -82,7 +84,8 @@ class Simulation:
                     self._condition.wait()
                 if self._is_over:
                     return
-                steps, self._steps = self._steps, 0
+                steps = min(self._steps, MAX_STEPS)
+                self._steps -= steps
                 is_reset, self._is_reset = self._is_reset, False
                 speed = self._speed if self._is_playing else 0.0
             try:

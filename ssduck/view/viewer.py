@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import sys
 from bisect import bisect_right
 from typing import Any
 
@@ -93,8 +94,10 @@ class Viewer:
     def seek(self, question: dict[str, Any]) -> None:
         """Shows another time, as the page asks."""
         at = question.get("at")
-        is_number = isinstance(at, int | float) and not isinstance(at, bool) and math.isfinite(at)
-        self.time = float(at) if is_number else None  # type: ignore[arg-type]
+        is_number = isinstance(at, int | float) and not isinstance(at, bool)
+        # Neither infinite, nor NaN, nor an integer that no float can have.
+        is_time = is_number and abs(at) <= sys.float_info.max  # type: ignore[arg-type]
+        self.time = float(at) if is_time else None  # type: ignore[arg-type]
         # A page that showed poses of its own needs all of them.
         if self.is_local:
             self.sent = None

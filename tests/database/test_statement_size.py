@@ -84,6 +84,16 @@ def test_what_would_grow_beyond_bounds_is_refused_before_it_is_planned(strict, t
     assert time.process_time() - started < 5
 
 
+def test_names_that_are_equal_to_python_only_are_told_apart(strict):
+    """A small query does not take the place of a large one: KELVIN SIGN is no k to DuckDB."""
+    large = "k0 AS (SELECT 1 AS s), " + ", ".join(
+        f'"\u212a{n}" AS (SELECT 1 AS s), k{n + 1} AS (SELECT [s, s] AS s FROM k{n})'
+        for n in range(22)
+    )
+    with pytest.raises(LimitError, match="would be too large"):
+        strict.sql(f"WITH {large} SELECT len(s) FROM k22")
+
+
 HARMLESS = [
     ("SELECT count(*) FROM (SELECT *, upper(name) AS u FROM entities) WHERE u LIKE 'C%'", None),
     (f"SELECT length({nested('hex(§)', 6, chr(39) + 'ab' + chr(39))})", 128),

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import re
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pybullet
 import pytest
@@ -17,6 +22,8 @@ import ssduck
 from ssduck.errors import ArgumentError, RecordError, SelectScriptError
 from ssduck.interchange.conversion import write_runs
 from ssduck.interchange.lerobot import JOINTS, POSES, write_dataset
+from ssduck.interchange.mcap import METADATA
+from ssduck.interchange.mcap import TICKS as TICKS_TOPIC
 from ssduck.interchange.motion import motion_of
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
@@ -366,6 +373,124 @@ def test_files_of_others(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="cannot be read as an MCAP file"):
         ssduck.import_poses(cut, tmp_path / "s")
     assert not (tmp_path / "s").exists()
+
+
+# (what a stranger's file says, words of the error)
+FORGED_MCAP = [
+    ("tags", b"[1]", "its tags are no object"),
+    ("tags", b"[" * 100_000, "cannot be read as an MCAP file"),
+    ("ticks", b"[1]", "cannot be read as an MCAP file"),
+    ("ticks", b'{"time": [1]}', "cannot be read as an MCAP file"),
+    ("ticks", b'{"time": 1' + b"0" * 400 + b"}", "cannot be read as an MCAP file"),
+    ("ticks", b"[" * 100_000, "cannot be read as an MCAP file"),
+    ("seconds", 1 << 62, "cannot be read as an MCAP file"),
+]
+
+
+@pytest.mark.parametrize(("part", "content", "message"), FORGED_MCAP)
+def test_a_forged_mcap_file_is_an_error(
+    tmp_path: Path, part: str, content: Any, message: str
+) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+    from mcap_protobuf.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as stream, Writer(stream) as writer:
+        plain = writer._writer
+        if part == "tags":
+            plain.add_metadata(METADATA, {"tags": content.decode()})
+        if part == "ticks":
+            schema = plain.register_schema("tick", "jsonschema", b"{}")
+            channel = plain.register_channel(TICKS_TOPIC, "json", schema)
+            plain.add_message(channel, 0, content, 0)
+        moved = FrameTransform(parent_frame_id="map", child_frame_id="hand")
+        moved.timestamp.seconds, moved.rotation.w = content if part == "seconds" else 0, 1.0
+        writer.write_message("/tf", moved, 0, 0)
+    with pytest.raises(RecordError, match=message):
+        ssduck.import_poses(tmp_path / "a.mcap", tmp_path / "r")
+    assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.filterwarnings("ignore:.*tells of poses")
+def test_a_damaged_mcap_file_has_its_poses_or_is_an_error(
+    record: Path, mcap_file: Path, tmp_path: Path
+) -> None:
+    content, right, errors = mcap_file.read_bytes(), rows(record, 0), 0
+    for number in range(20):
+        damaged = bytearray(content)
+        damaged[len(content) * number // 20 + 9] ^= 255
+        (tmp_path / "a.mcap").write_bytes(damaged)
+        try:
+            ssduck.import_poses(tmp_path / "a.mcap", tmp_path / f"{number}")
+        except RecordError as error:
+            assert "cannot be read as an MCAP file" in error.message
+            errors += 1
+        else:
+            assert rows(tmp_path / f"{number}") == right
+    assert errors > 10
+
+
+def _pipe(name: str) -> Callable[[Path], Any]:
+    def change(dataset: Path) -> None:
+        (dataset / name).unlink()
+        os.mkfifo(dataset / name)
+
+    return change
+
+
+def _elsewhere(name: str) -> Callable[[Path], Any]:
+    def change(dataset: Path) -> None:
+        (dataset / name).rename(dataset.parent / "outside")
+        (dataset / name).symlink_to(dataset.parent / "outside")
+
+    return change
+
+
+def _info(**values: Any) -> Callable[[Path], Any]:
+    def change(dataset: Path) -> None:
+        content = json.loads((dataset / "meta/info.json").read_text()) | values
+        (dataset / "meta/info.json").write_text(json.dumps(content))
+
+    return change
+
+
+def _tags(text: str) -> Callable[[Path], Any]:
+    def change(dataset: Path) -> None:
+        (file,) = (dataset / "meta/episodes").glob("*/*.parquet")
+        about = pq.read_table(file).to_pylist()
+        about[0]["ssduck/tags"] = text
+        pq.write_table(pa.Table.from_pylist(about), file)
+
+    return change
+
+
+DATA, ABOUT = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
+FORGED_DATASETS: dict[str, tuple[Callable[[Path], Any], str]] = {
+    "a long text": (_info(data_path="{chunk_index:9999999999d}"), "no such file"),
+    "attributes": (_info(data_path="{chunk_index.__class__}"), "{chunk_index.__class__} cannot be"),
+    "outside": (_info(data_path="../outside"), "is outside of"),
+    "features": (_info(features=[1]), "tells of no named frames"),
+    "a pipe": (_pipe("meta/info.json"), "no such file"),
+    "data in a pipe": (_pipe(DATA), "no such file"),
+    "episodes in a pipe": (_pipe(ABOUT), "no such file"),
+    "a link": (_elsewhere("meta/info.json"), "is outside of"),
+    "a link to data": (_elsewhere(DATA), "is outside of"),
+    "a link to episodes": (_elsewhere(ABOUT), "is outside of"),
+    "deep": (lambda place: (place / "meta/info.json").write_text("[" * 100_000), "cannot be read"),
+    "tags": (_tags("[1]"), "its tags are no object"),
+    "deep tags": (_tags("[" * 100_000), "cannot be read as a dataset"),
+}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
+@pytest.mark.parametrize("name", FORGED_DATASETS)
+def test_a_forged_dataset_is_an_error(dataset: Path, tmp_path: Path, name: str) -> None:
+    change, message = FORGED_DATASETS[name]
+    place = Path(shutil.copytree(dataset, tmp_path / "d"))
+    change(place)
+    with pytest.raises(RecordError, match=re.escape(message)):
+        ssduck.import_poses(place, tmp_path / "r")
+    assert not (tmp_path / "r").exists()
 
 
 # -- Rerun --------------------------------------------------------------------------------------

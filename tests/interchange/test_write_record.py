@@ -338,3 +338,9 @@ def test_a_writer_that_wrote_nothing_says_so(tmp_path: Path) -> None:
 def test_frames_of_pandas_may_have_an_index(tmp_path: Path) -> None:
     frame = LONG.to_pandas().set_index(pd.Index(range(10, 20)))
     assert ssduck.write_record(tmp_path / "r", TWO, frame).ticks == 5
+
+
+def test_a_column_of_lists_is_no_column_of_numbers(tmp_path: Path) -> None:
+    rows = [{"time": [0.0], "name": "a", "x": 0.0, "y": 0.0, "z": 0.0}]
+    with pytest.raises(ArgumentError, match="'time' has other values than numbers"):
+        ssduck.write_record(tmp_path / "r", {"a": {"sphere": 0.1}}, pa.Table.from_pylist(rows))

@@ -332,6 +332,19 @@ ENDLESS = [
     + ";",
     _many(10_000, "v{0}={0}", ";") + ";",
 ]
+# What ended long after its time once.
+LATE = [
+    "l = [1] * 200000; SELECT a.this FROM a=n, b=n GROUP BY l AS list;",
+    "l = [1] * 200000; SELECT a.this FROM a=n, b=n GROUP BY [l, a.this] AS list;",
+    f"SELECT a0.this FROM {_many(60, 'a{}=kitchen')} WHERE "
+    + " AND ".join(f"near(a{i}.this, a{j}.this, 1)" for i in range(60) for j in range(i))
+    + " AS list;",
+]
+
+
+@pytest.mark.parametrize("program", LATE)
+def test_a_program_that_python_prepares_is_ended_in_time(hasty, program):
+    fails(hasty, program, LimitError, "took more than|memory|values of more than")
 
 
 @sampled("program", ENDLESS, every=3)

@@ -108,6 +108,8 @@ MISTAKES = [
     ("query", {"program": "eval('1');"}, "switched off"),
     ("query", {"program": "1 +"}, "line 1, column"),
     ("picture", {"query": "SELECT obj FROM kitchn"}, "did you mean 'kitchen'"),
+    ("picture", {"query": "kitchen; --"}, "expected an expression, found 'AS'"),
+    ("picture", {"query": "SELECT obj FROM kitchen AS environment; --"}, "found 'AS'"),
 ]
 
 

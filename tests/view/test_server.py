@@ -6,6 +6,8 @@ import struct
 import urllib.error
 import urllib.request
 from pathlib import Path
+from socket import create_connection as socket_to
+from time import process_time
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -113,6 +115,22 @@ def test_nothing_is_answered_without_the_token(url, name, token):
 def test_foreign_hosts_and_origins_are_refused(url, headers, expected):
     port = urlsplit(url).port
     assert status(url, **{k: v.format(port=port) for k, v in headers.items()}) == expected
+
+
+def test_an_address_that_is_none_is_refused(url):
+    parts = urlsplit(url)
+    with socket_to((parts.hostname, parts.port), timeout=30) as connection:
+        connection.sendall(f"GET http://[::1/ HTTP/1.1\r\nHost: {parts.netloc}\r\n\r\n".encode())
+        assert connection.recv(100).startswith(b"HTTP/1.1 400 ")
+
+
+def test_questions_without_a_limit_of_time_are_bounded(socket):
+    socket.send(f'{{"type": "seek", "at": 1{"0" * 400}}}')  # no float can have it
+    started = process_time()
+    for letters in ("a." * 700_000, "/*" * 600_000, "SELECT a, " * 150_000):
+        answer = asked(socket, type="complete", text=letters, cursor=len(letters))
+        assert answer["completions"] == []
+    assert process_time() - started < 2
 
 
 @pytest.mark.parametrize("origin", ["http://example.org", "http://127.0.0.1:1", "null"])
@@ -280,6 +298,11 @@ def test_a_page_runs_its_scene():
         control("reset")
         assert poses_at(lambda time: time == 0.0) == 0.0
         assert len(loaded) == 2
+        control("step", 10**15)
+        poses_at(lambda time: time > 0.0)
+        control("pause")
+        control("reset")
+        assert poses_at(lambda time: time == 0.0) == 0.0
         for action, value in (("speed", 0), ("speed", "x"), ("step", -1), ("jump", None)):
             assert control(action, value)["error"]["message"]
     loaded[-1].close()
