@@ -24,7 +24,6 @@ from ssduck.cli.options import (
 )
 from ssduck.errors import ArgumentError
 from ssduck.formatting import count_of
-from ssduck.recording.tags import parsed_tag
 
 
 class Engine(StrEnum):
@@ -240,6 +239,8 @@ def tag(
 
     if not tags and not program:
         raise typer.BadParameter("there is no tag: give NAME=VALUE, or --program NAME=PROGRAM")
+    from ssduck.recording.tags import parsed_tag
+
     values = dict(map(parsed_tag, tags or ()))
     programs = []
     for text in program or ():

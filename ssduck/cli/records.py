@@ -15,7 +15,6 @@ import typer
 from ssduck.adapters.display import DisplayTable, print_line, print_table
 from ssduck.formatting import count_of
 from ssduck.recording.paths import expand_path, is_record
-from ssduck.recording.tags import parsed_tag
 
 if TYPE_CHECKING:
     from ssduck.interpreter.interpreter import Interpreter
@@ -103,6 +102,8 @@ def record(
         every=every,
         flush_every=flush_every,
     )
+    from ssduck.recording.tags import parsed_tag
+
     tags = dict(map(parsed_tag, tag or ()))
     to_file = output.suffix == _DUCKDB_SUFFIX
     with _deferred_signals() as received:
@@ -240,6 +241,7 @@ def export(
 ) -> None:
     """Write an episode of a record, or a part of it, to a folder or in a format of other tools."""
     from ssduck.interpreter.opening import open_record
+    from ssduck.recording.tags import parsed_tag
 
     tags = dict(map(parsed_tag, tag or ()))
     if format != "folder":

@@ -34,8 +34,8 @@ from ssduck.database.referenced_tables import (
     words_of,
 )
 from ssduck.database.schemas import Schemas
-from ssduck.database.select_check import SelectCheck
 from ssduck.database.statement import PreparedPlans, Statement
+from ssduck.database.strict.select_check import SelectCheck
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
 from ssduck.errors import EvaluationError, SqlError

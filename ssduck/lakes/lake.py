@@ -94,6 +94,7 @@ class Lake:
         Raises:
             RecordError: there is no such path.
         """
+        forget_missing = validation.boolean(forget_missing, "refresh: forget_missing")
         before = read_manifest(self.manifest)
         known = {entry.key: entry for entry in before}
         entries = list(entries_of_records(records_of(self.path), known))
@@ -309,6 +310,7 @@ class Lake:
         engines: dict[str, Any],
     ) -> Iterator[AnsweredEpisode]:
         """Yields the answers of the selected episodes, in order."""
+        progress = validation.boolean(progress, "ask: progress")
         if batch is not None:
             batch = validation.integer(batch, "ask: batch", minimum=1)
         if engines["processes"] is not None:

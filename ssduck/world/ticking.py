@@ -7,7 +7,6 @@ import time
 import weakref
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
-from functools import partial
 from itertools import count
 from typing import Never, Protocol, Self
 
@@ -23,11 +22,11 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES
-from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import Simulator
 from ssduck.simulators.static import StaticSimulator
 from ssduck.world import ctrl_c
+from ssduck.world.drawn_bodies import DrawnBodies
 from ssduck.world.entity_registry import EntityRegistry
 from ssduck.world.observers import Observable
 from ssduck.world.snapshot import Snapshot
@@ -105,9 +104,9 @@ class SteppedSimulation(Observable):
         """Sets the simulator and its last tick."""
         self.snapshot = snapshot
         self._simulator = simulator
-        if not isinstance(simulator, StaticSimulator):
-            snapshot.drawn = partial(drawn_shapes, simulator)
         self._registry = EntityRegistry(snapshot.load_order)
+        if not isinstance(simulator, StaticSimulator):
+            snapshot.drawn = DrawnBodies(simulator, self._registry)
 
     @property
     def tick_number(self) -> int:

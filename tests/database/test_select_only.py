@@ -7,7 +7,7 @@ import time
 import pytest
 
 import ssduck
-from ssduck.database.permitted_functions import FUNCTIONS, OPERATORS
+from ssduck.database.strict.permitted_functions import FUNCTIONS, OPERATORS
 from ssduck.errors import LimitError, SqlError
 from tests.support.cases import sampled
 

@@ -8,7 +8,7 @@ import pytest
 
 import ssduck
 from ssduck.database import statement_size
-from ssduck.database.statement_size import MAX_SIZE
+from ssduck.database.strict.statement_size import MAX_SIZE
 from ssduck.errors import LimitError, SqlError
 
 

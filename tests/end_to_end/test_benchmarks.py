@@ -46,8 +46,10 @@ def test_the_tables_of_relations(capsys):
     arguments = ["--sizes", "20", "--forms", "cube", "--rounds", "1"]
     assert pair_relations.main(arguments) == 0
     rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines() if "| 20 |" in line]
-    assert [row[2] for row in rows] == ["collides", "near", "touching", "on"] * 2
-    assert all(row[-1] == "0 |" for row in rows if row[2] != "on")
+    relations = ["collides", "near", "touching", "on"]
+    expected = [(motion, name) for motion in ("apart", "together") for name in relations] * 2
+    assert [(row[2], row[3]) for row in rows] == expected
+    assert all(row[-1] == "0 |" for row in rows if row[3] != "on")
 
 
 def test_without_coal(monkeypatch, capsys):

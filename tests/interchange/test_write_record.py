@@ -27,15 +27,16 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("live") / "r"
     client = pybullet.connect(pybullet.DIRECT)
     pybullet.setGravity(0, 0, -9.81, client)
-    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[1, 1, 0.05])
-    brick = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.05, 0.2])
-    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
+    own = {"physicsClientId": client}
+    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[1, 1, 0.05], **own)
+    brick = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1, 0.05, 0.2], **own)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, **own)
     bodies = {
-        pybullet.createMultiBody(0, board): "board",
-        pybullet.createMultiBody(1, brick, basePosition=[0, 0, 0.5]): "brick",
-        pybullet.createMultiBody(1, ball, basePosition=[0.25, 0, 0.3]): "ball",
+        pybullet.createMultiBody(0, board, **own): "board",
+        pybullet.createMultiBody(1, brick, basePosition=[0, 0, 0.5], **own): "brick",
+        pybullet.createMultiBody(1, ball, basePosition=[0.25, 0, 0.3], **own): "ball",
     }
-    pybullet.resetBaseVelocity(1, [0, 0, 0], [3, 2, 1])
+    pybullet.resetBaseVelocity(1, [0, 0, 0], [3, 2, 1], **own)
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client, bodies))
         with ss.record_to(place, recording=Recording(tables=("entities",))):

@@ -189,6 +189,7 @@ CALLS = {
     "TableView.text(width)": ("above 0", True, lambda t, v: t.ss.sql("SELECT 1").__rich__().text(v)),
     "Interpreter.past(age)": ("time", True, lambda t, v: t.ss.past("sim", v)),
     "Interpreter.export(start)": ("time", True, lambda t, v: t.ss.export(t.path, start=v)),
+    "Interpreter.export(pairs)": ("seconds", True, lambda t, v: t.ss.export(t.path, pairs=v)),
     "Interpreter.export(end)": ("time", True, lambda t, v: t.ss.export(t.path, end=v)),
     "Interpreter.add_trigger(interval)": ("seconds", False, lambda t, v: trigger(t, interval=v)),
     "Interpreter.add_trigger(debounce)": ("seconds", False, lambda t, v: trigger(t, debounce=v)),
@@ -222,6 +223,10 @@ CALLS = {
     "OccupancyGrid.load(unknown)": (
         "flag", True, lambda t, v: grids.OccupancyGrid.load(t.map, unknown=v)
     ),
+    "Lake.ask(processes)": ("above 0", True, lambda t, v: t.lake.ask("1;", processes=v)),
+    "Lake.ask(batch)": ("above 0", True, lambda t, v: t.lake.ask("1;", batch=v, processes=1)),
+    "Lake.ask(progress)": ("flag", False, lambda t, v: t.lake.ask("1;", progress=v, processes=1)),
+    "Lake.refresh(forget_missing)": ("flag", False, lambda t, v: t.lake.refresh(forget_missing=v)),
     "open(episode)": ("id", True, lambda t, v: ssduck.open(t.record, episode=v)),
 }  # fmt: skip
 
@@ -241,6 +246,8 @@ OTHERS = {
     "World.pin(is_read)": "a part of pinned", "World.handle(id)": "of a row", "World.steps_to_tick": "a part of step",
     "World(simulator)": "made by load and attach", "Interpreter.keep": "a part of programs",
     "Interpreter.addTrigger": "Interpreter.add_trigger",
+    "Lake.score": "Lake.ask", "Lake.stream": "Lake.ask", "RecordWriter.begin": "for its subclass",
+    "World.pin(is_settled)": "a part of pinned", "ReplayedWorld.replace_ticks": "for readers of lakes",
 }  # fmt: skip
 
 
@@ -274,6 +281,7 @@ class Things:
         self.path, self.record = folder / "exported", folder / "record"
         self.ss.export(self.record)
         self.opened = ssduck.open(self.record)
+        self.lake = ssduck.lake(self.record)
         self.recorded = self.opened.call_variable("sim")
         self.map = occupied().save(folder / "map.yaml")
 

@@ -199,8 +199,8 @@ def _s3(endpoint: str | None, region: str | None, process: int) -> FileSystem:  
 
 
 def is_address(text: object) -> bool:
-    """Checks whether a text or a path is an address in an object store."""
-    return isinstance(text, ObjectPath) or _ADDRESS.fullmatch(str(text)) is not None
+    """Checks whether a text is an address in an object store; `s3:/run` is a local path."""
+    return isinstance(text, ObjectPath) or (str(text).startswith(_PREFIX) and str(text) != _PREFIX)
 
 
 def written(place: ObjectPath, write: Callable[[Path], None]) -> None:

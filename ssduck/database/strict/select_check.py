@@ -16,7 +16,7 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.folding import folded
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.database.permitted_functions import (
+from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
     MAX_EXPRESSION,
@@ -24,7 +24,7 @@ from ssduck.database.permitted_functions import (
     REGULAR,
     TABLE_FUNCTIONS,
 )
-from ssduck.database.statement_size import check_statement_size
+from ssduck.database.strict.statement_size import check_statement_size
 from ssduck.errors import LimitError, SourceSpan, nearest
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.schema import HISTORIES, MODELS, TABLES

@@ -1,0 +1,37 @@
+"""What a simulator draws of the bodies of a world, also of those that it no longer has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ssduck.simulators.backends import drawn_shapes
+from ssduck.simulators.interface import Body, Simulator, VisualShape
+from ssduck.simulators.visuals import collision_visuals
+from ssduck.world.entity_registry import EntityRegistry
+
+
+class DrawnBodies:
+    """Asks a simulator what it draws of a body, while it has the body.
+
+    A simulator may give the number of a removed body to a new one. So a body that is gone has what
+    was read last, or its collision shapes if nothing was.
+
+    Args:
+        simulator: the simulator.
+        registry: the entities of the current tick.
+    """
+
+    def __init__(self, simulator: Simulator, registry: EntityRegistry) -> None:
+        self._simulator, self._registry = simulator, registry
+        self._read: dict[int, tuple[Body, Sequence[VisualShape]]] = {}
+
+    def __call__(self, body: Body) -> Sequence[VisualShape]:
+        """Returns what is drawn of a body."""
+        if any(entity.body is body for entity in self._registry.entities):
+            shapes = drawn_shapes(self._simulator, body)
+            self._read[id(body)] = body, shapes
+            return shapes
+        known = self._read.get(id(body))
+        if known is not None and known[0] is body:
+            return known[1]
+        return body.visuals if body.visuals is not None else collision_visuals(body)
