@@ -7,7 +7,7 @@ import time
 import pytest
 
 import ssduck
-from ssduck.database import statement_size
+from ssduck.database.strict import statement_size
 from ssduck.database.strict.statement_size import MAX_SIZE
 from ssduck.errors import LimitError, SqlError
 

@@ -1,1 +1,1 @@
-"""Checks SQL under strict limits before it runs: one SELECT, permitted functions, a bounded size."""
+"""Checks SQL under strict limits before it runs: one SELECT, its functions and its size."""
