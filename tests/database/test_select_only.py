@@ -43,6 +43,7 @@ PERMITTED = [
     "FROM (PIVOT (SELECT kind, z > 1 AS high FROM entities) ON kind IN ('robot') USING count(*))",
     "SELECT regexp_matches(name, '^c.*[0-9]$'), name SIMILAR TO 'c(a|u).*' FROM entities",
     f"SELECT regexp_extract(name, '{'a|' * 99}ab') FROM entities",
+    f"SELECT name FROM entities WHERE name LIKE '{'%a' * 100}' OR name NOT ILIKE 'C_p%' ESCAPE '!'",
     "SELECT unnest([1, 2]), extract(year FROM DATE '2026-01-01')",
 ]
 
@@ -139,6 +140,10 @@ REFUSED = [
     ("SELECT list_reduce(['a', 'b'], lambda a, b: a || a)", "list_reduce"),
     ("SELECT levenshtein(name, kind) FROM entities", "levenshtein"),
     ("SELECT regexp_matches(name, kind) FROM entities", "a text of at most 200 letters"),
+    (f"SELECT name LIKE '{'%a' * 100}%' FROM entities", "the pattern of LIKE is a text of at most"),
+    ("SELECT name FROM entities WHERE name NOT LIKE kind || '%'", "the pattern of NOT LIKE is"),
+    ("SELECT name ILIKE kind ESCAPE '!' FROM entities", "the pattern of ILIKE is"),
+    ("SELECT name ~~~ kind FROM entities", "the pattern of GLOB is"),
     (f"SELECT regexp_extract(name, '{'(a|b)*' * 50}') FROM entities", "at most 200 letters"),
     (f"SELECT name SIMILAR TO '{'(a|b)*' * 50}' FROM entities", "at most 200 letters"),
     ("SELECT string_split_regex(name, name || 'a') FROM entities", "at most 200 letters"),

@@ -98,6 +98,18 @@ REGULAR = frozenset(
         "!~*",
     ]
 )
+# Functions whose second argument is a pattern, which take as long, by what a statement says.
+LIKES = {
+    "~~": "LIKE",
+    "!~~": "NOT LIKE",
+    "~~*": "ILIKE",
+    "!~~*": "NOT ILIKE",
+    "~~~": "GLOB",
+    "like_escape": "LIKE",
+    "not_like_escape": "NOT LIKE",
+    "ilike_escape": "ILIKE",
+    "not_ilike_escape": "NOT ILIKE",
+}
 MAX_EXPRESSION = 200
 # Functions in FROM.
 TABLE_FUNCTIONS = frozenset(("generate_series", "json_each", "json_tree", "range", "unnest"))

@@ -19,6 +19,7 @@ from ssduck.database.macros import TABLE_MACROS
 from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
+    LIKES,
     MAX_EXPRESSION,
     OPERATORS,
     REGULAR,
@@ -230,7 +231,9 @@ class _Walk:
         if name not in OPERATORS and name not in _SCALARS:
             self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
         if name in REGULAR:
-            self._check_expression(node, name)
+            self._check_expression(node, f"the regular expression of {name}")
+        if name in LIKES:
+            self._check_expression(node, f"the pattern of {LIKES[name]}")
         if name in AGGREGATING:
             for argument in node["arguments"][1:2]:
                 literal = argument["expression"].get("literal") or {}
@@ -239,17 +242,13 @@ class _Walk:
                     message = f"{name} takes the name of an aggregate that SQL may call"
                     self._refuse(node, message, aggregate, FUNCTIONS)
 
-    def _check_expression(self, node: Node, name: str) -> None:
-        """Checks that a regular expression is short, and known before the statement runs."""
+    def _check_expression(self, node: Node, what: str) -> None:
+        """Checks that an expression or a pattern is short, and known before the statement runs."""
         for argument in node["arguments"][1:2]:
             literal = argument["expression"].get("literal")
             text = literal.get("text") if isinstance(literal, dict) else None
             if not isinstance(text, str) or len(text) > MAX_EXPRESSION:
-                self._refuse(
-                    node,
-                    f"the regular expression of {name} is a text of at most {MAX_EXPRESSION} "
-                    "letters here",
-                )
+                self._refuse(node, f"{what} is a text of at most {MAX_EXPRESSION} letters here")
 
     def _refuse(
         self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()
