@@ -59,6 +59,7 @@ def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monke
     ss = ssduck.Interpreter()
     ss.add_variable("lab", ball(client)).step()
     names = ["run[1]", "~x", "~ x", "md:x", "C:x", "s3:/x", "file:x"]
+    Path("s3:").mkdir()  # or else a path that begins so is an address
     for name in names:
         ss.export(name)
         assert ticks(Path(name)) == (2, 2)

@@ -199,8 +199,16 @@ def _s3(endpoint: str | None, region: str | None, process: int) -> FileSystem:  
 
 
 def is_address(text: object) -> bool:
-    """Checks whether a text is an address in an object store; `s3:/run` is a local path."""
-    return isinstance(text, ObjectPath) or (str(text).startswith(_PREFIX) and str(text) != _PREFIX)
+    """Checks whether a text or a path is an address in an object store.
+
+    The text `s3:/run` is a local path. `Path("s3://bucket/run")` has one slash, too, and is an
+    address unless there is a folder `s3:` here.
+    """
+    if isinstance(text, ObjectPath):
+        return True
+    if isinstance(text, Path):
+        return _ADDRESS.fullmatch(str(text)) is not None and not Path(text.parts[0]).exists()
+    return str(text).startswith(_PREFIX) and str(text) != _PREFIX
 
 
 def written(place: ObjectPath, write: Callable[[Path], None]) -> None:
