@@ -5,43 +5,24 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.lakes.lake import MANIFEST
-from ssduck.recording.stores import object_store
 from ssduck.recording.stores.object_store import ObjectPath
 from tests.lakes.conftest import EPISODES
 from tests.support.lake_episodes import REWARD, SUCCESS
 from tests.support.lake_questions import PROGRAMS
+from tests.support.s3_server import s3_server
 
-server_module = pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
+pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
 pytest.importorskip("fsspec", reason="the extra s3 is not installed")
 
 
 @pytest.fixture(scope="module")
 def address(recorded):
-    server = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    host, port = server.get_host_and_port()
-    settings = {
-        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
-        "AWS_ACCESS_KEY_ID": "test",
-        "AWS_SECRET_ACCESS_KEY": "test",
-        "AWS_REGION": "us-east-1",
-        "AWS_EC2_METADATA_DISABLED": "true",
-    }
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in settings.items():
-            patch.setenv(name, value)
-        from pyarrow.fs import S3FileSystem
-
-        S3FileSystem(
-            endpoint_override=f"{host}:{port}", scheme="http", allow_bucket_creation=True
-        ).create_dir("runs")
+    with s3_server("runs"):
         place = ObjectPath("s3://runs/of today/record")
         for file in recorded.rglob("*"):
             if file.is_file() and not file.name.startswith(MANIFEST):
                 (place / file.relative_to(recorded).as_posix()).write_bytes(file.read_bytes())
         yield "s3://runs/of today"
-    object_store._s3.cache_clear()
-    server.stop()
 
 
 def test_the_same_answers(address, recorded, monkeypatch):

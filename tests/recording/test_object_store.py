@@ -19,35 +19,16 @@ from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from tests.support.command_line import answer, ssduck_, write_scene
 from tests.support.recorded import ALL, PAST, live_lab, lively, rows
+from tests.support.s3_server import s3_server
 
-server_module = pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
+pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
 pytest.importorskip("fsspec", reason="the extra s3 is not installed")
 
 
 @pytest.fixture(scope="module", autouse=True)
 def server():
-    running = server_module.ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    running.start()
-    host, port = running.get_host_and_port()
-    settings = {
-        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
-        "AWS_ACCESS_KEY_ID": "test",
-        "AWS_SECRET_ACCESS_KEY": "test",
-        "AWS_REGION": "us-east-1",
-        "AWS_EC2_METADATA_DISABLED": "true",
-    }
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in settings.items():
-            patch.setenv(name, value)
-        from pyarrow.fs import S3FileSystem
-
-        maker = S3FileSystem(
-            endpoint_override=f"{host}:{port}", scheme="http", allow_bucket_creation=True
-        )
-        maker.create_dir("lake")
-        yield f"http://{host}:{port}"
-    object_store._s3.cache_clear()
-    running.stop()
+    with s3_server("lake") as address:
+        yield address
 
 
 @pytest.fixture(scope="module")
