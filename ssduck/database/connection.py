@@ -191,8 +191,8 @@ class Connection:
 
     def _give_back(self) -> None:
         """Empties the database, and gives it to the next interpreter."""
-        for name in self._functions:
-            self._connection.remove_function(name)
+        for name in list(self._functions):
+            self.remove_function(name)
         if self._attached is not None:
             self._connection.execute(f"DETACH {_ATTACHED_NAME}")
         schemas = self._connection.execute(
@@ -332,6 +332,11 @@ class Connection:
         self._functions.add(name)
         if at_start is not None:
             self._at_start[name] = at_start
+
+    def remove_function(self, name: str) -> None:
+        """Removes a registered function from SQL."""
+        self._functions.discard(name)
+        self._connection.remove_function(name)
 
     # -- statements -----------------------------------------------------------------------
 

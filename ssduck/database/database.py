@@ -79,13 +79,14 @@ class Database:
         self.connection = Connection(path, tracer, limits or Limits(), running)
         self._lock = threading.RLock()
         self._references = ReferencedTables()
-        self.plans = PreparedPlans(self.connection, self._references.persistent)
+        by_schema: dict[str, BoundWorld] = {}
+        self.plans = PreparedPlans(self.connection, self._references.persistent, by_schema)
         self._schemas = Schemas(self.connection)
         if self.connection.is_file:
             self._schemas.drop_stale_views()
         self._recorders = Recorders(self.connection, running)
         self._worlds = WorldRegistry(
-            self.connection, self.plans, self._schemas, self._recorders, recording
+            self.connection, self.plans, self._schemas, self._recorders, by_schema, recording
         )
         self._raw_sql = RawSql(
             self.connection, self.plans, self._references, self._worlds, self._schemas

@@ -10,8 +10,17 @@ from typing import Any, Literal
 
 from sqlglot import exp
 
+from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, execution_of
+from ssduck.database.kept_plans import (
+    KeptPlans,
+    KeptQuery,
+    RowSource,
+    live_source,
+    parameter_source,
+)
 from ssduck.errors import SelectScriptError
+from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
@@ -20,6 +29,11 @@ from ssduck.world.live_tables import LiveTable
 NAME_PREFIX = "ssduck statement "
 # The tables of a world whose buffers may be replaced.
 _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values())))
+# The number of runs before a statement is prepared: to make a plan that is kept takes as long as
+# four runs without one.
+RUNS_BEFORE_PLAN = 3
+# What a plan depends on that reads no buffer.
+_LAYOUT = frozenset(("entities",))
 # No source can have this name, because it has a space.
 _PARAMETERS = "the parameters"
 
@@ -30,11 +44,19 @@ class PreparedPlans:
     Args:
         connection: the connection on which they are prepared.
         user_tables: the tables in users' statements whose plans DuckDB keeps.
+        worlds: the worlds of the database by name, up to date.
     """
 
-    def __init__(self, connection: Connection, user_tables: AbstractSet[str]) -> None:
+    def __init__(
+        self,
+        connection: Connection,
+        user_tables: AbstractSet[str],
+        worlds: Mapping[str, BoundWorld],
+    ) -> None:
         self.connection = connection
+        self.worlds = worlds
         self._user_tables = user_tables
+        self._kept = KeptPlans(connection)
         # The tables that ssduck's own valid statements read, by the statement's name.
         self._own: dict[str, frozenset[str]] = {}
 
@@ -42,8 +64,19 @@ class PreparedPlans:
         """Checks whether one of ssduck's own statements is prepared and valid."""
         return name in self._own
 
-    def add(self, name: str, tables: frozenset[str]) -> None:
-        """Adds one of ssduck's own prepared statements, with the tables that it reads."""
+    def prepare(self, name: str, sql: str, tables: frozenset[str], query: KeptQuery | None) -> None:
+        """Prepares one of ssduck's own statements, which has run before.
+
+        Args:
+            name: its name.
+            sql: the statement.
+            tables: the tables that it reads.
+            query: the statement as one whose plan may be kept; None if it is none.
+        """
+        if query is not None and self._kept.prepare(name, sql, query):
+            tables = _LAYOUT  # it reads what the tables are at each run
+        else:
+            self.connection.prepare(name, sql)
         self._own[name] = tables
 
     def deallocate(self, name: str) -> None:
@@ -70,16 +103,16 @@ class PreparedPlans:
                     self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
-        self.connection.run(f"DEALLOCATE {exp.to_identifier(name, quoted=True).sql('duckdb')}")
+        self.connection.run(f"DEALLOCATE {quoted(name)}")
+        self._kept.drop(name)
 
 
 class Statement:
     """A SELECT that DuckDB plans once and runs many times.
 
-    Planning is most of the cost of a small query. DuckDB keeps the plan of a prepared statement
-    only if it has no parameters. So these become the columns of a table of one row, which is
-    written in place. Such a plan goes on reading the buffers that it was made for; when
-    buffers are made anew, so is the plan.
+    Planning is most of the cost of a small query, so DuckDB keeps the plan from the second run on
+    (`KeptPlans`). It does so only if there are no parameters: these become the columns of a table
+    of one row, which is written in place.
 
     Args:
         plans: the plans of the database.
@@ -106,21 +139,55 @@ class Statement:
             _read_parameters(tree, exp.table_(self._name, quoted=True, alias=_PARAMETERS))
         self._select = tree.sql("duckdb")
         self._execute = execution_of(self._name)
+        self._is_registered = False
+        self._tree = tree
+        self._runs = 0
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
         """Returns all rows for these values of the parameters; the caller pins the worlds."""
         for name, value in values.items():
             self._row[name][0] = value
+        if self._has_parameters and not self._is_registered:
+            self._connection.register(self._name, self._row.arrow)
+            self._is_registered = True
         if not self._plans.has(self._name):
-            if self._has_parameters:
-                self._connection.register(self._name, self._row.arrow)
-            self._connection.prepare(self._name, self._select)
-            self._plans.add(self._name, self._reads)
+            if self._runs < RUNS_BEFORE_PLAN:
+                self._runs += 1
+                return self._connection.rows(self._select)
+            self._plans.prepare(self._name, self._select, self._reads, self._kept_query())
+            self._runs = 0
         try:
             return self._connection.rows(self._execute)
         except SelectScriptError:
             self._release()
             raise
+
+    def _kept_query(self) -> KeptQuery | None:
+        """Returns the SELECT as a query whose plan may be kept; None if that is not known."""
+        tree = self._tree.copy()
+        expressions = {cte.alias for cte in tree.find_all(exp.CTE)}
+        sources: list[RowSource] = []
+        for table in tree.find_all(exp.Table):
+            if not table.db and table.name in expressions:
+                continue
+            source = self._source(table)
+            if source is None:
+                return None
+            alias = table.alias_or_name
+            mark = exp.to_identifier(KeptQuery.mark(len(sources)).strip('"'), quoted=True)
+            table.set("this", mark)
+            table.set("db", None)
+            table.set("alias", exp.TableAlias(this=exp.to_identifier(alias, quoted=True)))
+            sources.append(source)
+        return KeptQuery(tree.sql("duckdb"), sources, has_known_columns=True)
+
+    def _source(self, table: exp.Table) -> RowSource | None:
+        """Returns what a name behind FROM stands for; None if that is not known."""
+        if table.name == self._name:
+            return parameter_source(self._row)
+        if table.db not in self._plans.worlds or table.name not in TABLES:
+            return None
+        return live_source(self._plans.worlds[table.db], TABLES[table.name])
 
     def _release(self) -> None:
         """Frees the memory that DuckDB keeps for a statement that failed."""
@@ -130,8 +197,9 @@ class Statement:
     def forget(self) -> None:
         """Drops the statement."""
         self._plans.deallocate(self._name)
-        if self._has_parameters:
+        if self._is_registered:
             self._connection.unregister(self._name)
+            self._is_registered = False
 
 
 class ParameterRow:
@@ -168,6 +236,11 @@ class ParameterRow:
         """Returns the expression for one of the numbers."""
         column = exp.column(name, quoted=True)
         return f"({exp.select(column).from_(exp.table_(self._name, quoted=True)).sql('duckdb')})"
+
+    @property
+    def source(self) -> RowSource:
+        """The table, as the rows that its name stands for."""
+        return parameter_source(self._row)
 
     def drop(self) -> None:
         """Removes the table."""

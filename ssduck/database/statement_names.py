@@ -262,15 +262,24 @@ def _index_of(parts: list[exp.Expr], part: exp.Expr | None) -> int:
     return next(number for number, other in enumerate(parts) if other is part)
 
 
-def reads_only_live_tables(statement: exp.Expr, names: WorldNames) -> bool:
-    """Checks whether all tables behind FROM are those of worlds at their current tick."""
+def source_tables(statement: exp.Expr) -> Iterator[exp.Table]:
+    """Yields the names behind FROM that are no common table expressions of the statement."""
     for table in statement.find_all(exp.Table):
         select = table.find_ancestor(exp.Select)
-        if select is not None and not table.db and _visible_cte(select, table.name) is not None:
-            continue
-        if names.live_table(table) is None:
-            return False
-    return True
+        if select is None or table.db or _visible_cte(select, table.name) is None:
+            yield table
+
+
+def start_of(table: exp.Table) -> int:
+    """Returns where a name behind FROM starts in the text, with its schema; -1 if unknown."""
+    first = table.args.get("db") or table.this
+    is_known = not table.args.get("catalog") and "end" in table.this.meta
+    return int(first.meta.get("start", -1)) if is_known else -1
+
+
+def reads_only_live_tables(statement: exp.Expr, names: WorldNames) -> bool:
+    """Checks whether all tables behind FROM are those of worlds at their current tick."""
+    return all(names.live_table(table) is not None for table in source_tables(statement))
 
 
 # The data that a simulator is asked for on behalf of one column, by the column.

@@ -1,7 +1,7 @@
 """Users' statements: what is known of their texts, and the plans that DuckDB keeps of them.
 
-The first run of a text is DuckDB's own. From the second one on, a query of the current tick is a
-prepared statement, which is forgotten when anything that its plan depends on changes. A query with
+The first runs of a text are DuckDB's own. After that, a query of the current tick is a prepared
+statement, which is forgotten when anything that its plan depends on changes. A query with
 relations of shapes is rewritten (`relation_rewriting`) from the first run on, if its columns remain
 the same. A statement that cannot be rewritten or prepared runs as it is.
 """
@@ -18,10 +18,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import pyarrow as pa
+from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, Parameters, execution_of
 from ssduck.database.fetched_rows import FetchedRows, Header, are_plain, has_plain_types
+from ssduck.database.kept_plans import MARK, KeptQuery, RowSource, live_source
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.referenced_tables import ReadData
 from ssduck.database.relation_rewriting import (
@@ -33,9 +35,21 @@ from ssduck.database.relation_rewriting import (
     rewritten,
     with_parameters,
 )
-from ssduck.database.statement import ParameterRow, PreparedPlans, statement_name
-from ssduck.database.statement_names import WorldNames, reads_only_live_tables, unread_columns
+from ssduck.database.statement import (
+    RUNS_BEFORE_PLAN,
+    ParameterRow,
+    PreparedPlans,
+    statement_name,
+)
+from ssduck.database.statement_names import (
+    WorldNames,
+    reads_only_live_tables,
+    source_tables,
+    start_of,
+    unread_columns,
+)
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError
+from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.pair_lookup import PairLookup
 
 # The number of texts that are known at a time.
@@ -61,7 +75,7 @@ class UserStatement:
         lookup: the look-up that has its rows without a statement, if there is one.
         has_plain_types: whether its columns are fetched as Python's values; None if unknown.
         may_be_kept: whether its plan may be kept; None if that is not known yet.
-        is_planned_next: whether the next run prepares it, if it is not prepared.
+        runs: the number of runs since it was not prepared.
         row: the numbers that it is prepared with; None if it has no parameters.
         unread: the data of a simulator that its words refer to, and that it does not read.
         last_header: the columns of its last run, and whether it had many rows.
@@ -77,7 +91,7 @@ class UserStatement:
     lookup: PairLookup | None = None
     has_plain_types: bool | None = None
     may_be_kept: bool | None = None
-    is_planned_next: bool = False
+    runs: int = 0
     row: ParameterRow | None = None
     unread: frozenset[str] = frozenset()
     last_header: Header | None = None
@@ -288,8 +302,8 @@ class UserStatements:
         statement.row.set(numbers)
         if self._plans.has(statement.name):
             return True
-        if not statement.is_planned_next:
-            statement.is_planned_next = True
+        if statement.runs < RUNS_BEFORE_PLAN:
+            statement.runs += 1
             return False
         query = with_parameters(numbered(sql), statement.row.value)
         columns = self._connection.columns(sql, parameters)
@@ -304,8 +318,8 @@ class UserStatements:
         """Prepares a statement at its second run with the same tables."""
         if self._plans.has(statement.name):
             return True
-        if not statement.is_planned_next:
-            statement.is_planned_next = True
+        if statement.runs < RUNS_BEFORE_PLAN:
+            statement.runs += 1
             return False
         if statement.may_be_kept is None:
             tree = None if _CHANGES.search(statement.text) else parsed(statement.text)
@@ -314,10 +328,41 @@ class UserStatements:
                 statement.unread = unread_columns(tree, statement.text)
         if not statement.may_be_kept:
             return False
-        self._connection.prepare(statement.name, sql)
-        self._plans.add(statement.name, statement.tables)
-        statement.is_planned_next, statement.last_header = False, None
+        query = self._kept_query(statement, sql, names)
+        self._plans.prepare(statement.name, sql, statement.tables, query)
+        statement.runs, statement.last_header = 0, None
         return True
+
+    def _kept_query(
+        self, statement: UserStatement, sql: str, names: WorldNames
+    ) -> KeptQuery | None:
+        """Returns a query as one whose plan may be kept; None if that is not known."""
+        tree = parsed(sql)
+        if tree is None or "#" in sql or MARK in sql:  # `#3` is a column by its place
+            return None
+        parts, sources, end = [], list[RowSource](), 0
+        for table in sorted(source_tables(tree), key=start_of):
+            source = self._source(statement, table, names)
+            start = start_of(table)
+            alias = table.args.get("alias")
+            if source is None or start < 0 or (alias is not None and alias.columns):
+                return None
+            name = "" if table.alias else f" AS {quoted(table.name)}"
+            parts += [sql[end:start], KeptQuery.mark(len(sources)), name]
+            end = table.this.meta["end"] + 1
+            sources.append(source)
+        # A column of a subquery has the name of its text.
+        return KeptQuery("".join((*parts, sql[end:])), sources, has_known_columns=False)
+
+    def _source(
+        self, statement: UserStatement, table: exp.Table, names: WorldNames
+    ) -> RowSource | None:
+        """Returns what a name behind FROM stands for; None if that is not known."""
+        if statement.row is not None and table.name == statement.name:
+            return statement.row.source
+        live, schema = names.live_table(table), names.schema(table)
+        bound = None if schema is None else self._worlds.get(schema)
+        return None if live is None or bound is None else live_source(bound, live)
 
 
 def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:

@@ -38,6 +38,7 @@ class WorldRegistry:
         plans: the plans of prepared statements, which read the worlds' buffers.
         schemas: the schemas of their tables.
         recorders: the recorders of their ticks.
+        by_schema: is filled with the worlds by all their names.
         recording: the recording of each world; None for none.
 
     Attributes:
@@ -54,6 +55,7 @@ class WorldRegistry:
         plans: PreparedPlans,
         schemas: Schemas,
         recorders: Recorders,
+        by_schema: dict[str, BoundWorld],
         recording: Recording | None,
     ) -> None:
         self._connection = connection
@@ -62,7 +64,7 @@ class WorldRegistry:
         self._recorders = recorders
         self._recording = recording
         self.bound: list[BoundWorld] = []
-        self.by_schema: dict[str, BoundWorld] = {}
+        self.by_schema = by_schema
         self.version = 0
         self.episode_observer: EpisodeObserver | None = None
         self._numbers = count(1)

@@ -6,6 +6,7 @@ from sqlglot import exp
 from sqlglot.dialects.dialect import Dialect
 from sqlglot.errors import SqlglotError
 from sqlglot.parsers.duckdb import DuckDBParser
+from sqlglot.tokens import TokenType
 
 # Longer texts are not parsed: sqlglot's time grows with them.
 MAX_LENGTH = 20_000
@@ -13,7 +14,12 @@ _DIALECT = Dialect.get_or_raise("duckdb")
 
 
 class _Parser(DuckDBParser):
-    """A parser that does not warn of statements that it does not know, such as EXPLAIN."""
+    """A parser that does not warn of statements that it does not know, such as EXPLAIN.
+
+    The column `force` of contacts is no word of DuckDB's, but one of sqlglot's.
+    """
+
+    ID_VAR_TOKENS = DuckDBParser.ID_VAR_TOKENS | {TokenType.FORCE}
 
     def _warn_unsupported(self) -> None:
         pass

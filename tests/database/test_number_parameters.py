@@ -7,6 +7,7 @@ import pytest
 
 import ssduck
 from ssduck.adapters.result import Result
+from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.errors import SqlError
 
 # Statements, the values of their parameters in turn, and whether their plans are kept.
@@ -85,7 +86,7 @@ def test_results_are_those_of_duckdb(traced, sql, values, is_kept):
         with ss._database.pinned(set()):
             expected = described(Result(ss._database.connection.table(sql, parameters)))
         statements.clear()
-        for _ in range(3):
+        for _ in range(RUNS_BEFORE_PLAN + 2):
             assert described(ss.sql(sql, parameters)) == expected
         kinds = [statement.split()[0] for statement in statements]
         assert (kinds[-1] == "EXECUTE") == is_kept
@@ -110,9 +111,9 @@ def test_a_plan_is_made_once_for_all_numbers(traced):
 def test_missing_and_further_parameters_are_errors(traced, parameters):
     ss, _ = traced
     sql = CASES[0][0]
-    for _ in range(3):
+    for _ in range(RUNS_BEFORE_PLAN + 2):
         expected = ss.sql(sql, {"low": 0.05}).fetchall()
-    for _ in range(3):
+    for _ in range(RUNS_BEFORE_PLAN + 2):
         with pytest.raises(SqlError):
             ss.sql(sql, parameters)
     assert ss.sql(sql, {"low": 0.05}).fetchall() == expected
@@ -121,7 +122,7 @@ def test_missing_and_further_parameters_are_errors(traced, parameters):
 def test_names_that_differ_by_case_are_not_confused(traced):
     ss, _ = traced
     sql = "SELECT name FROM entities WHERE z > $low"
-    for _ in range(3):
+    for _ in range(RUNS_BEFORE_PLAN + 2):
         with ss._database.pinned(set()):
             expected = ss._database.connection.table(sql, {"LOW": 0.15}).to_pylist()
         assert ss.sql(sql, {"LOW": 0.15}).arrow().to_pylist() == expected
@@ -130,10 +131,10 @@ def test_names_that_differ_by_case_are_not_confused(traced):
 def test_a_new_body_makes_a_new_plan(traced, client):
     ss, statements = traced
     sql = CASES[0][0]
-    for _ in range(3):
+    for _ in range(RUNS_BEFORE_PLAN + 2):
         before = ss.sql(sql, {"low": 0.0}).fetchall()
     boxes(client, [7])
     ss.call_variable("sim").tick()
-    for _ in range(3):
+    for _ in range(RUNS_BEFORE_PLAN + 2):
         assert len(ss.sql(sql, {"low": 0.0}).fetchall()) == len(before) + 1
     assert sum(statement.startswith("PREPARE") for statement in statements) == 2

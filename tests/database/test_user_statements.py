@@ -9,9 +9,12 @@ import ssduck
 from ssduck.adapters.result import Result
 from ssduck.database import connection
 from ssduck.database.referenced_tables import words_of
+from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.errors import EvaluationError, LimitError, SqlError
 from tests.support.cases import generated, sampled
 
+# As many that the plan of a statement is kept at the last ones.
+RUNS = RUNS_BEFORE_PLAN + 3
 # Relations of two entities, with their further arguments.
 SEARCHED = {
     "collides": "",
@@ -142,7 +145,7 @@ def check(ss, sql):
     """Compares a statement at its first, second and third run with the row-by-row macro."""
     expected = row_by_row(ss, sql)
     expected_rows = rows(expected)
-    for _ in range(3):
+    for _ in range(RUNS):
         found = ss.sql(sql)
         assert (found.columns, found.types) == (expected.columns, expected.types)
         assert found.arrow().schema == expected.arrow().schema
@@ -196,7 +199,7 @@ def test_selectscript_has_the_same_pairs(ss, relation):
     )
     expected = list(zip(names[::2], names[1::2], strict=True))
     sql = f"SELECT a.name, b.name FROM entities a, entities b WHERE {relation}(a, b{more})"
-    for _ in range(3):
+    for _ in range(RUNS):
         assert sorted(ss.sql(sql).fetchall()) == sorted(expected)
     assert "ssduck pairs" in query(ss, sql)
 
@@ -231,7 +234,7 @@ def test_outer_and_semi_joins_take_the_pairs_of_the_tick(ss, relation, join):
         same = same.replace("AND b.z > 0.05)", "AND c.z > 0.05)") + " AND a.z < 10"
     expected = rows(row_by_row(ss, same))
     assert expected
-    assert [rows(ss.sql(sql)) for _ in range(3)] == [expected] * 3
+    assert [rows(ss.sql(sql)) for _ in range(RUNS)] == [expected] * RUNS
     assert "ssduck pairs" in query(ss, sql)
 
 
@@ -347,7 +350,9 @@ def test_views_of_an_earlier_session(client, tmp_path):
                     ss.sql(f"CREATE MACRO all_{name}() AS TABLE FROM {name}")
                     found[name] = rows(ss.sql(sql))
                 for view in (name, f"all_{name}()") if session else ():
-                    assert [rows(ss.sql(f"FROM {view}")) for _ in range(3)] == [found[name]] * 3
+                    assert [rows(ss.sql(f"FROM {view}")) for _ in range(RUNS)] == [
+                        found[name]
+                    ] * RUNS
             if session:
                 assert ss.sql(RANGE_JOINS).fetchall() != [(5,)]
     assert found["met"]
@@ -373,7 +378,7 @@ def test_views_of_an_earlier_session(client, tmp_path):
 def test_errors_are_those_of_the_macro(ss, sql):
     with pytest.raises(SqlError) as expected:
         row_by_row(ss, sql)
-    for _ in range(3):
+    for _ in range(RUNS):
         with pytest.raises(SqlError) as found:
             ss.sql(sql)
         assert found.value.message == expected.value.message
@@ -416,11 +421,11 @@ def prepared(statements):
 
 
 @pytest.mark.parametrize("sql", [PAIRS, FILTER])
-def test_a_statement_is_prepared_once_at_its_second_run(traced, sql):
+def test_a_statement_is_prepared_once_after_some_runs(traced, sql):
     ss, _, statements = traced
     expected = ss.sql(sql).fetchall()
     assert prepared(statements) == 0
-    for _ in range(3):
+    for _ in range(RUNS):
         ss.call_variable("sim").tick()
         assert sorted(ss.sql(sql).fetchall()) == sorted(expected)
     assert prepared(statements) == 1
@@ -430,14 +435,14 @@ def test_a_statement_is_prepared_once_at_its_second_run(traced, sql):
 
 def test_a_new_body_or_function_makes_new_plans(traced):
     ss, client, statements = traced
-    for _ in range(3):
+    for _ in range(RUNS):
         ss.sql(PAIRS)
     assert prepared(statements) == 1
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
     pybullet.createMultiBody(1, shape, basePosition=[0.2, 0, 0.1], physicsClientId=client)
     ss.call_variable("sim").tick()
-    found = [sorted(ss.sql(PAIRS).fetchall()) for _ in range(3)]
-    assert found[0] == found[1] == found[2] == sorted(row_by_row(ss, PAIRS).fetchall())
+    found = [sorted(ss.sql(PAIRS).fetchall()) for _ in range(RUNS)]
+    assert found == [sorted(row_by_row(ss, PAIRS).fetchall())] * RUNS
     assert prepared(statements) == 1
 
     def double(x: float) -> float:
@@ -446,7 +451,7 @@ def test_a_new_body_or_function_makes_new_plans(traced):
     ss.add_function("double", double)
     assert ss.eval("SELECT id FROM sim WHERE double(z(this)) > 0.5 AS list;") == ["upper"]
     statements.clear()
-    for _ in range(3):
+    for _ in range(RUNS):
         ss.sql(PAIRS)
     assert prepared(statements) == 1
 
@@ -462,7 +467,7 @@ def test_the_search_for_pairs_is_that_of_selectscript(traced):
             "WHERE collides(a.this, b.this) AS list;"
         ),
     ):
-        for _ in range(3):
+        for _ in range(RUNS):
             world.tick()
             before = ss.statistics()["sim"]
             ask()
@@ -475,34 +480,34 @@ def test_the_search_for_pairs_is_that_of_selectscript(traced):
 @pytest.mark.slow
 def test_a_second_world_requires_its_name(traced):
     ss, _, _ = traced
-    for _ in range(3):
+    for _ in range(RUNS):
         ss.sql(PAIRS)
     ss.add_variable("other", ss.call_variable("sim").what_if({}))
-    for _ in range(3):
+    for _ in range(RUNS):
         with pytest.raises(SqlError, match="needs one world"):
             ss.sql(PAIRS)
     for name in ("sim", "other"):
         sql = PAIRS.replace("collides", f"{name}.collides").replace("entities", f"{name}.entities")
         expected = rows(row_by_row(ss, sql))
         assert expected
-        assert [rows(ss.sql(sql)) for _ in range(3)] == [expected] * 3
+        assert [rows(ss.sql(sql)) for _ in range(RUNS)] == [expected] * RUNS
     mixed = PAIRS.replace("collides", "other.collides")
-    for _ in range(3):
+    for _ in range(RUNS):
         with pytest.raises(EvaluationError, match="belongs to the run"):
             ss.sql(mixed)
 
 
 def test_what_users_define_comes_first(traced):
     ss, _, _ = traced
-    for _ in range(3):
+    for _ in range(RUNS):
         assert len(ss.sql(FILTER)) > 1
         assert len(ss.sql(PAIRS)) > 0
     ss.sql("CREATE MACRO main.collides(a, b) AS a.id + b.id = 0")
     ss.sql("CREATE OR REPLACE TEMP MACRO collides(a, b) AS a.id + 1 = b.id")
     count = len(ss.sql("SELECT * FROM entities")) - 1
-    assert [len(ss.sql(PAIRS)) for _ in range(3)] == [count] * 3
+    assert [len(ss.sql(PAIRS)) for _ in range(RUNS)] == [count] * RUNS
     ss.sql("CREATE VIEW main.entities AS SELECT * FROM sim.entities WHERE name = 'b1'")
-    assert [ss.sql(FILTER).fetchall() for _ in range(3)] == [[("b1",)]] * 3
+    assert [ss.sql(FILTER).fetchall() for _ in range(RUNS)] == [[("b1",)]] * RUNS
 
 
 @pytest.mark.slow
@@ -566,7 +571,7 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
     limits = ssduck.Limits(rows=5)
     with ssduck.Interpreter(limits=limits, recording=None) as ss:
         ss.add_variable("sim", ssduck.World.attach(client, names=scene(client)))
-        for _ in range(3):
+        for _ in range(RUNS):
             assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
             with pytest.raises(LimitError, match="more than 5 rows"):
                 ss.sql("SELECT name FROM entities")
@@ -584,7 +589,7 @@ def test_limits_of_many_texts_hold_at_each_run_and_are_measured_by_batch(monkeyp
     with ssduck.Interpreter(limits=limits, recording=None) as ss:
         text = "SELECT range, 'row ' || range AS name FROM range(2000)"
         expected = [(number, f"row {number}") for number in range(2000)]
-        for _ in range(3):
+        for _ in range(RUNS):
             assert ss.sql(text).fetchall() == expected
         assert len(fetched) == 1  # the later ones are Arrow tables
         text = "SELECT repeat('x', $size) AS x FROM range(1500)"

@@ -9,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import ssduck
+from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
 from ssduck.gym import QueryWrapper
 from tests.support.gym_environments import Drop, Push
@@ -103,12 +104,12 @@ def test_one_statement_a_step_at_most(wrap, near, count):
     env.interpreter._database.connection._tracer = statements.append
     counts = []
     env.reset(seed=1)
-    for _ in range(10):
+    for _ in range(RUNS_BEFORE_PLAN + 10):
         statements.clear()
         env.step([1.0])
         counts.append(len(statements))
-    # The first one prepares the statement as well.
-    assert counts[1:] == [count] * 9
+    # One of the first steps makes the plan of the statement.
+    assert counts[RUNS_BEFORE_PLAN + 1 :] == [count] * 9
 
 
 def test_history_begins_at_a_reset(wrap):

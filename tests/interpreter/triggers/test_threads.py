@@ -9,6 +9,7 @@ import weakref
 import pytest
 
 import ssduck
+from ssduck.database.statement import RUNS_BEFORE_PLAN
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 from tests.support.triggering import HEIGHT, state, until
@@ -139,7 +140,7 @@ def test_triggers_keep_nothing_alive(queue):
 def test_what_it_costs_is_one_statement_an_evaluation(ss, sim, told):
     named = "SELECT z FROM sim WHERE name LIKE 'b%' AS value;"  # numpy does not evaluate it
     ss.add_trigger("t", named, 0.1, lambda _: None)
-    sim.step(24)
+    sim.step(24 * (RUNS_BEFORE_PLAN + 1))
     told.clear()
     sim.step(240)
     assert len(told) == 10

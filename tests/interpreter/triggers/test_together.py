@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.geometry import shape_comparisons
 from ssduck.interpreter.triggers.batch import FormulaBatches
 from ssduck.interpreter.triggers.selection import FormulaSelection
@@ -279,12 +280,12 @@ def test_what_numpy_evaluates_needs_no_statement(ss, boxes, told):
 @pytest.mark.slow
 def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE name LIKE 'b%' AND z < {};")
-    boxes.step(2)
+    boxes.step(RUNS_BEFORE_PLAN + 1)
     told.clear()
     boxes.step(20)
     assert len(told) == 20
     assert len(set(told)) == 1
-    assert state(ss, "t99").evaluations == 23
+    assert state(ss, "t99").evaluations == RUNS_BEFORE_PLAN + 22
 
 
 @pytest.mark.slow
@@ -334,7 +335,7 @@ def test_a_statement_serves_triggers_that_are_due_at_different_ticks(ss, boxes, 
 
 def test_a_removed_trigger_leaves_the_statement_of_the_others(ss, boxes, told):
     add_all(ss, "SELECT name, z FROM sim WHERE name LIKE 'b%' AND z < {};", 10)
-    boxes.step(2)
+    boxes.step(RUNS_BEFORE_PLAN + 1)
     told.clear()
     for number in range(8):
         ss.del_trigger(f"t{number}")

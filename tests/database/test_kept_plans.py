@@ -1,0 +1,203 @@
+"""Plans that DuckDB keeps: what they read, their results at each tick, and when they are dropped."""
+
+from __future__ import annotations
+
+import json
+
+import duckdb
+import pybullet
+import pytest
+
+import ssduck
+from ssduck.database import kept_plans
+from ssduck.database.statement import RUNS_BEFORE_PLAN
+from ssduck.schema import TABLES
+
+RUNS = RUNS_BEFORE_PLAN + 3
+# Statements, and whether their plans are kept.
+CASES = [
+    ("SELECT name FROM entities WHERE kind = 'kinbody' ORDER BY id", True),
+    ("SELECT * FROM entities", True),
+    ("SELECT * EXCLUDE (mass) FROM entities WHERE z > 0.1", True),
+    ("SELECT COLUMNS('^z') FROM entities", True),
+    ("SELECT count(*) FROM entities", True),
+    ("SELECT count(*), max(force), min(depth) FROM contacts", True),
+    ("SELECT a, b, round(nz, 9) FROM contacts ORDER BY ALL", True),
+    ("SELECT e.name, c.force FROM contacts c JOIN entities e ON c.a = e.id", True),
+    ("SELECT a.name, b.name FROM entities a, entities b WHERE a.z > b.z AND a.x < b.x + 1", True),
+    ("SELECT a.name, b.name FROM entities a LEFT JOIN entities b ON a.z < b.z - 0.2", True),
+    ("SELECT id, name, mass FROM entities JOIN entities b USING (id, name, mass)", True),
+    ("SELECT kind, count(*) AS n, avg(z) FROM entities GROUP BY ALL ORDER BY n, kind", True),
+    ("FROM entities SELECT name, row_number() OVER (ORDER BY z, id) AS place", True),
+    ("WITH high AS (SELECT * FROM entities WHERE z > 0.2) SELECT name FROM high", True),
+    ("WITH entities AS (SELECT 1 AS one) SELECT * FROM entities, contacts LIMIT 1", True),
+    ("SELECT name FROM entities WHERE id IN (SELECT a FROM contacts)", True),
+    ("SELECT name, (SELECT max(z) FROM entities) - z AS below FROM entities", True),
+    ("SELECT name, (SELECT max(z) FROM entities) - z FROM entities", False),
+    ("SELECT id FROM entities UNION ALL SELECT a FROM contacts", True),
+    ("SELECT sim.entities.name FROM sim.entities", False),  # no alias has a schema
+    ("SELECT name FROM entities AS e(tick, seconds, id)", False),
+    ("SELECT #3 FROM entities", False),
+    ("SELECT * FROM entities LIMIT 0", True),  # there is no scan to replace
+    ("SELECT e FROM entities e", True),
+    ("SELECT name, full_name FROM links", False),  # its view reads another one
+    ("SELECT a.name FROM entities a WHERE a.z > (SELECT avg(z) FROM entities WHERE id <> a.id)", False),
+    ("SELECT name FROM entities e, range(2) r(i)", False),
+    ("SELECT vertices FROM geometries", False),
+]  # fmt: skip
+
+
+@pytest.fixture
+def traced(client):
+    """An interpreter with falling boxes, their client, and the statements that ran."""
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+    pybullet.createMultiBody(0, plane, physicsClientId=client)
+    pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+    for number in range(6):
+        add_box(client, number)
+    statements = []
+    with ssduck.Interpreter(tracer=statements.append, recording=None) as ss:
+        ss.add_variable("sim", ssduck.World.attach(client))
+        ss.sql("SELECT force, mass FROM contacts, entities").fetchall()  # ticks have them now
+        yield ss, client, statements
+
+
+def add_box(client, number):
+    box = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.05, 0.05, 0.05], physicsClientId=client
+    )
+    position = [0.04 * number, 0, 0.06 + 0.11 * number]
+    return pybullet.createMultiBody(1, box, basePosition=position, physicsClientId=client)
+
+
+def move(ss, client, steps=7):
+    for _ in range(steps):
+        pybullet.stepSimulation(physicsClientId=client)
+    ss.call_variable("sim").tick()
+
+
+def oracle(ss, sql):
+    """The rows that DuckDB has of copies of the tables, without ssduck."""
+    with duckdb.connect() as own, ss._database.pinned({"contacts", "masses"}):
+        own.execute("CREATE SCHEMA sim; SET search_path = 'main,sim'")
+        for table in TABLES:
+            copy = ss._database.connection.table(f"FROM sim.{table}", None)
+            own.register("copy", copy)
+            own.execute(f"CREATE TABLE sim.{table} AS FROM copy")
+            own.unregister("copy")
+        return own.sql(sql).to_arrow_table()
+
+
+def described(table):
+    return table.column_names, sorted(map(repr, table.to_pylist()))
+
+
+def is_kept(ss):
+    """Whether the plan of the only prepared statement scans no table."""
+    connection = ss._database.connection
+    rows = connection.internal_rows("SELECT name FROM duckdb_prepared_statements()")
+    ((name,),) = rows or (("",),)
+    if not name:
+        return False
+    ((_, plan),) = connection.internal_rows(f'EXPLAIN (FORMAT json) EXECUTE "{name}"')
+    return '"Function"' not in plan
+
+
+@pytest.mark.parametrize(("sql", "kept"), CASES, ids=[case[0] for case in CASES])
+def test_results_are_those_of_copied_tables(traced, sql, kept):
+    ss, client, _ = traced
+    seen = set()
+    for _ in range(RUNS):
+        move(ss, client)
+        found = described(ss.sql(sql).arrow())
+        assert found == described(oracle(ss, sql))
+        seen.add(json.dumps(found))
+    assert is_kept(ss) == kept
+    assert len(seen) == RUNS or not sql.startswith("SELECT * EX")
+
+
+PROGRAMS = [
+    "SELECT id FROM sim WHERE z(this) > 0.3 AS list;",
+    "SELECT id, z FROM sim WHERE above(sim.body_1, this) ORDER BY z;",
+    "SELECT a.id, b.id FROM a=sim, b=sim WHERE above(a.this, b.this) AND z(b.this) > 0.2 AS list;",
+    "SELECT max(z(this)), count(this) FROM sim AS list;",
+]
+
+
+@pytest.mark.parametrize("text", PROGRAMS)
+def test_programs_have_the_values_of_a_new_interpreter(traced, text):
+    ss, client, statements = traced
+    program = ss.compile(text)
+    for run in range(RUNS):
+        move(ss, client)
+        statements.clear()
+        value = ss.eval(program)
+        with ssduck.Interpreter(recording=None) as other:
+            other.add_variable("sim", ssduck.World.attach(client))
+            assert str(value) == str(other.eval(text))
+        if run > RUNS_BEFORE_PLAN:
+            assert [statement.split()[0] for statement in statements] == ["EXECUTE"]
+
+
+def test_another_number_of_contacts_is_no_reason_for_a_new_plan(traced):
+    ss, client, statements = traced
+    counts = set()
+    for run in range(RUNS + 10):
+        move(ss, client)
+        statements.clear()
+        ((count,),) = ss.sql("SELECT count(*) FROM contacts").fetchall()
+        counts.add(count)
+        if run > RUNS_BEFORE_PLAN + 1:  # the first run finds the types of the columns
+            assert len(statements) == 1
+    assert len(counts) > 2
+
+
+def functions(ss):
+    names = "SELECT count(*) FROM duckdb_functions() WHERE function_name LIKE 'ssduck rows%'"
+    ((count,),) = ss._database.connection.internal_rows(names)
+    return count
+
+
+def test_a_new_body_drops_the_plan_and_its_functions(traced):
+    ss, client, _ = traced
+    sql = "SELECT a.name FROM entities a, entities b WHERE a.z > b.z"
+    for bodies in (7, 8, 9):
+        for _ in range(RUNS):
+            found = len(ss.sql(sql))
+            assert found == len(oracle(ss, sql))
+        assert is_kept(ss)
+        assert functions(ss) == 2
+        add_box(client, bodies)
+        ss.call_variable("sim").tick()
+        ss.sql("SELECT 1").fetchall()
+    assert found > 0
+
+
+def test_no_plan_is_kept_of_many_rows(traced, monkeypatch):
+    ss, _, _ = traced
+    monkeypatch.setattr(kept_plans, "MAX_ROWS", 6)  # there are 7
+    for _ in range(RUNS):
+        assert len(ss.sql("SELECT name FROM entities")) == 7
+    assert not is_kept(ss)
+    assert functions(ss) == 0
+
+
+@pytest.mark.parametrize(("maximum", "kept"), [(48, False), (49, True)])
+def test_no_plan_is_kept_of_many_combinations(traced, monkeypatch, maximum, kept):
+    ss, _, _ = traced
+    monkeypatch.setattr(kept_plans, "MAX_COMBINATIONS", maximum)
+    for _ in range(RUNS):
+        ss.sql("SELECT a.name FROM entities a, entities b WHERE a.z > b.z").fetchall()
+    assert is_kept(ss) == kept
+
+
+def test_a_users_table_takes_the_place_of_a_worlds(traced):
+    ss, _, _ = traced
+    sql = "SELECT count(*) FROM entities"
+    for _ in range(RUNS):
+        assert ss.sql(sql).fetchall() == [(7,)]
+    ss.sql("CREATE TABLE entities AS SELECT 1 AS one")
+    for _ in range(RUNS):
+        assert ss.sql(sql).fetchall() == [(1,)]
+    ss.sql("INSERT INTO entities VALUES (2)")
+    assert ss.sql(sql).fetchall() == [(2,)]
