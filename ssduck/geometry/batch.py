@@ -3,7 +3,8 @@
 The broad phase finds the pairs of shapes with overlapping boxes. Many of them are decided by
 spheres: those around the shapes are far apart, or those in the shapes overlap. Support functions
 decide half-spaces, separating axes decide boxes that may collide (Gottschalk, Lin and Manocha,
-OBBTree, 1996), and `ssduck.geometry.proofs.gjk` decides other convex shapes. The convex hull of a
+OBBTree, 1996), and `ssduck.geometry.proofs.gjk` decides other convex shapes, or
+`ssduck.geometry.proofs.proposals` if there are few. The convex hull of a
 mesh shows that the mesh is far from something. Only the pairs that are left are compared one by
 one: pairs that are as near to the bound as rounding errors, and meshes that may collide.
 """
@@ -22,6 +23,7 @@ from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, pair_keys
+from ssduck.geometry.proofs.proposals import decide_by_proposals
 from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
@@ -37,6 +39,8 @@ from ssduck.geometry.tick_shapes import (
 _MIN_BOXES = 8
 # The number of pairs of boxes that the narrow phase compares faster than rules for many pairs.
 _FEW_BOXES = 2
+# The greatest number of pairs for which FCL's proposals are faster than other rules.
+_MAX_PROPOSALS = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +86,16 @@ def matching_pairs(
     among = predicate.candidates(tick) if among is None else comparable_pairs(tick, among)
     bounds = predicate.bounds(tick.table, *among)
     by_cores = partial(_by_cores, kept=None if kept is None else kept.witnesses)
-    rules: tuple[Rule, ...] = _by_spheres, _by_planes, _by_axes, by_cores
+    by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
+    rules: tuple[Rule, ...] = (
+        _by_planes,
+        by_axes,
+        _by_proposals,
+        by_axes,  # a few boxes
+        _by_spheres,
+        by_cores,
+    )
     if predicate.kind != "colliding":  # a distance is not negative
-        rules = _by_spheres, _by_planes, _by_axes_if_sure, by_cores
         is_non_negative = bounds >= 0.0
         among, bounds = (
             (among[0][is_non_negative], among[1][is_non_negative]),
@@ -261,6 +272,25 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
     gaps[(inner_radii[0] <= 0.0) | (inner_radii[1] <= 0.0)] = np.inf
     least = _distances(tick.centres, first, second) - outer_radii
     return Decisions.of_interval(least, gaps, bounds, error)
+
+
+def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
+    """Decides a few convex shapes by proposals of FCL."""
+    decisions = Decisions.none(len(first))
+    if len(first) > _MAX_PROPOSALS:
+        return decisions
+    proposer = tick.table.proposer
+    are_known = proposer.interiors.are_known
+    indices = np.flatnonzero(are_known.take(first) & are_known.take(second))
+    if not len(indices):
+        return decisions
+    first, second = first.take(indices), second.take(indices)
+    proposed = proposer.propose(tick.positions, tick.matrices, first, second)
+    found = decide_by_proposals(
+        tick.placed_cores, proposer.interiors, proposed, first, second, bounds.take(indices)
+    )
+    decisions.decide(indices, found.verdicts, found.room)
+    return decisions
 
 
 def pairs_of_boxes(table: ShapeTable, first: Indices, second: Indices) -> Indices:

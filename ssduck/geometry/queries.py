@@ -48,7 +48,8 @@ class Statistics:
             pairs of a tick are compared at once, the candidate pairs count.
         calls: the number of calls of FCL: one or two for two shapes that are near each other, more
             for meshes that are deep in something, none for pairs that formulas decide, as they do
-            for nearly all pairs that are compared at once.
+            for nearly all pairs that are compared at once. Calls that only propose what formulas
+            then prove do not count.
     """
 
     pairs: int

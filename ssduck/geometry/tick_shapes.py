@@ -14,6 +14,7 @@ from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
+from ssduck.geometry.proofs.proposals import Proposer
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
@@ -123,6 +124,7 @@ class ShapeTable:
         normals = [s.normals[0] if s.type == "plane" and s.is_known else up for s in solids]
         self.normal = np.array(normals).reshape(-1, 3)[solid_indices]
         self.cores = ConvexCores(solids, solid_indices)
+        self.proposer = Proposer(solids, solid_indices)
         self._kept: dict[PairPredicate, KeptPairs] = {}
         self.kept_touching, self.kept_upward = KeptVerdicts(), KeptVerdicts()
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}

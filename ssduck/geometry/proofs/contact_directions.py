@@ -33,7 +33,7 @@ _ROOM = 2e-6
 # Heights of normals that are nearer to the least one are not decided here.
 HEIGHT_ROOM = 1e-9
 # The number of times that triangles are divided, and the greatest number of triangles of a pair.
-_MAX_DIVISIONS = 8
+_MAX_DIVISIONS = 12
 _MAX_TRIANGLES = 96
 # The number of triangles of all pairs that are bounded at a time, so that they stay in the cache.
 _TRIANGLES_AT_ONCE = 1 << 15

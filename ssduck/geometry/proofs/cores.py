@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.solids import Solid
 
 # The number of points that are compared at a time.
@@ -51,6 +52,12 @@ class ConvexCores:
         self.core_ball_radius = np.array(
             [solid.inscribed_radius - solid.radius for solid in solids]
         )[solid_indices]
+        # From the centres to those of the balls in the solids.
+        self.inscribed_offsets = (
+            np.array([np.subtract(solid.inscribed_centre, solid.centre) for solid in solids])
+            .reshape(-1, 3)
+            .T[:, solid_indices]
+        )
         hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _has_corners(solid)}
         sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
         kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
@@ -152,6 +159,31 @@ class PlacedCores:
         in_world += rotations[1::3] * points[1]
         in_world += rotations[2::3] * points[2]
         return in_world
+
+    def support_heights(self, shapes: Indices, directions: Array) -> Array:
+        """Returns the extents (m,) of shapes from their centres, with their radii.
+
+        Args:
+            shapes: (m,), the indices of the shapes.
+            directions: (3, m), unit vectors in the axes of the shapes.
+        """
+        cores = self.cores
+        heights: Array = np.einsum(
+            "cn,cn->n", cores.half_extents.take(shapes, axis=1), np.abs(directions)
+        )
+        heights += cores.radius.take(shapes)
+        if cores.is_swept.take(shapes).any():
+            heights += column_lengths(cores.semi_axes.take(shapes, axis=1) * directions)
+        kinds = cores.kind.take(shapes)
+        for kind, hulls in enumerate(cores.points):
+            selected = np.flatnonzero(kinds == kind)
+            step = max(1, MAX_POINTS // hulls.shape[2])
+            for start in range(0, len(selected), step):
+                some = selected[start : start + step]
+                points = hulls.take(cores.row[shapes[some]], axis=0)
+                products = np.matmul(directions[:, some].T[:, None], points)[:, 0]
+                heights[some] += products.max(axis=1)
+        return heights
 
     def support_points_all_around(self, shapes: Indices, directions: Array) -> Array:
         """Returns the support points (3, m, n) of cores, relative to their centres, in world axes.
