@@ -6,9 +6,10 @@ are shared, not copied. A record in a file is not mirrored: its own store has to
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
+from typing import NoReturn
 
 from ssduck.database.binding import WorldHistory
 from ssduck.errors import UnsupportedError
@@ -19,11 +20,14 @@ from ssduck.recording.replay.mirrored_world import MirroredWorld
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.stores.memory import MemoryStore
+from ssduck.world.entities import Sensor
 from ssduck.world.layout import EntityInfo
 from ssduck.world.world import World
 
 # The schema of the models of the entities in a mirror.
 _SCHEMA = "mirrored"
+# The table of what sensors perceive.
+_SENSINGS = "sensings"
 
 
 def history_of(ss: Interpreter, world: World) -> WorldHistory | None:
@@ -36,6 +40,63 @@ def listen_to_triggers(ss: Interpreter, listener: Callable[[str], object]) -> Ca
     listeners = ss._triggers.listeners  # noqa: SLF001  # one package
     listeners.append(listener)
     return partial(listeners.remove, listener)
+
+
+class _LiveCopy(MirroredWorld):
+    """A copy of the last tick of a live world that also has what its sensors perceive there.
+
+    Rays are cast in the live world, and only for a program that asks for them.
+
+    Args:
+        world: the live world.
+        name: the name of the copy.
+        history: the copy of its recorded ticks; None if there is none.
+    """
+
+    _has_sensings = False
+
+    def __init__(self, world: World, name: str, history: _HistoryCopy | None) -> None:
+        self._original = world
+        store, record = (None, None) if history is None else (history.store, history.record)
+        super().__init__(world, name, store, record)
+
+    @property
+    def is_up_to_date(self) -> bool:
+        """Whether the last tick of the world is this one, with the same sensors on."""
+        original = self._original
+        return self.tick_number == original.tick_number and _switches(self) == _switches(original)
+
+    def update(self, world: World) -> None:
+        """Copies the last tick of the world."""
+        super().update(world)
+        self._has_sensings = False
+
+    def request_tables(self, tables: Iterable[str]) -> None:
+        """Ensures that the tick includes tables; for sensors, the last tick is copied again."""
+        requested = frozenset(tables)
+        if _SENSINGS in requested and not self._has_sensings:
+            with self._original.lock:
+                self._original.request_tables((_SENSINGS,))
+                self.update(self._original)
+            self._has_sensings = True
+        super().request_tables(requested - {_SENSINGS})
+
+    def reading(self, sensor: Sensor, *, picture: bool = False) -> NoReturn:  # noqa: ARG002
+        """Raises `UnsupportedError`: a copy has no rays and no pictures."""
+        raise UnsupportedError(
+            f"the reading of {sensor.name!r} is not in a copy of a tick: read it in the world "
+            "itself, or ask for isSensing, sensingAmount or the table sensings"
+        )
+
+
+def _switches(world: World) -> dict[int, bool]:
+    """Returns which sensors are switched on, by their ids."""
+    snapshot = world.snapshot
+    return {
+        info.id: snapshot.sensing.is_on(info.id)
+        for info in snapshot.entities
+        if info.sensor is not None
+    }
 
 
 class Mirror:
@@ -74,11 +135,10 @@ class Mirror:
             self.interpreter.close()
             raise
 
-    def _copied_world(self, name: str, *, is_past: bool) -> MirroredWorld | ReplayedWorld:
+    def _copied_world(self, name: str, *, is_past: bool) -> _LiveCopy | ReplayedWorld:
         copy = self._copy
         if not is_past:
-            store, record = (None, None) if copy is None else (copy.store, copy.record)
-            return MirroredWorld(self.original, name, store, record)
+            return _LiveCopy(self.original, name, copy)
         if copy is None or not len(copy.ticks):
             raise UnsupportedError(
                 f"the past of {name!r} is not in memory: record it there, or open its record"
@@ -95,7 +155,7 @@ class Mirror:
         original, world = self.original, self.world
         with original.lock:
             self._update_history()
-            if isinstance(world, MirroredWorld) and world.tick_number != original.tick_number:
+            if isinstance(world, _LiveCopy) and not world.is_up_to_date:
                 world.update(original)
 
     def _update_history(self) -> None:

@@ -59,13 +59,12 @@ def what_if_tick(
 def copied_tick(snapshot: Snapshot) -> tuple[StaticSimulator, Snapshot]:
     """Returns a static simulator of a tick as it is, and a snapshot to take from it.
 
-    The copy has the contacts, and is of the same run.
+    The copy has the contacts, what sensors perceive if that was requested, and is of the same run.
 
     Args:
         snapshot: the tick; the tables of contacts and, if a body has several links, of links and
             joints must have been requested.
     """
-    unavailable = {"sensings": "sensors perceive nothing in a copy of a tick: ask the world itself"}
     simulator = StaticSimulator(
         time=snapshot.time,
         link_poses={group.bodies: poses for group, poses in snapshot.body_groups},
@@ -74,7 +73,7 @@ def copied_tick(snapshot: Snapshot) -> tuple[StaticSimulator, Snapshot]:
         hidden=snapshot.hidden,
         description="a copy of a tick",
     )
-    return simulator, snapshot.clone(unavailable, snapshot.run)
+    return simulator, snapshot.clone({}, snapshot.run)
 
 
 def _moved(
