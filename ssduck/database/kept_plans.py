@@ -173,9 +173,8 @@ class KeptPlans:
             columns = _read_of(source, read)
             function = f"ssduck rows {next(_numbers)}"
             rows = _CurrentRows(source.table, [column.name for column in columns])
-            options = {"type": "arrow", "side_effects": True}
             self._connection.register_function(
-                function, rows, ["INTEGER"], _list_type(columns), **options
+                function, rows, ["INTEGER"], _list_type(columns), type="arrow", side_effects=True
             )
             self._functions[name].append(function)
             text = text.replace(query.mark(number), f"({_rows_of(function, columns, source)})")
