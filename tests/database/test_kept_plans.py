@@ -139,6 +139,13 @@ def test_programs_have_the_values_of_a_new_interpreter(traced, text):
             assert [statement.split()[0] for statement in statements] == ["EXECUTE"]
 
 
+def test_the_time_of_a_statement_is_that_of_its_run(traced):
+    ss, _, _ = traced
+    times = [ss.sql("SELECT now() AS t FROM entities LIMIT 1").fetchall() for _ in range(RUNS)]
+    assert sorted(times) == times
+    assert len({time for ((time,),) in times}) == RUNS
+
+
 def test_another_number_of_contacts_is_no_reason_for_a_new_plan(traced):
     ss, client, statements = traced
     counts = set()

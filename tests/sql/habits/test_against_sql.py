@@ -9,6 +9,7 @@ import duckdb
 import pytest
 
 import ssduck
+from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.errors import ProgramWarning, SelectScriptError
 from ssduck.interpreter import query_runner
 from tests.sql.habits.test_queries import DATA
@@ -74,6 +75,26 @@ def rows_of(ss, text):
 def rows_of_sql(table, text):
     text = re.sub(r"(?i)\bsum\(", "total(", text)
     return [tuple(map(comparable, row)) for row in table.execute(text).fetchall()]
+
+
+def test_random_queries_give_the_same_at_each_run(world, monkeypatch):
+    """The first runs are DuckDB's own, the last ones have plans that are kept."""
+    monkeypatch.setattr(query_runner, "FEW_ROWS", 0)
+    answered = 0
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("room", world)
+        for seed in range(generated(QUERIES)):
+            query = sql_query(seeded(5000 + seed))
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ProgramWarning)
+                try:
+                    runs = [rows_of(ss, query.text) for _ in range(RUNS_BEFORE_PLAN + 2)]
+                except SelectScriptError:
+                    continue
+            answered += 1
+            ordered = runs if query.is_ordered else [sorted(rows) for rows in runs]
+            assert ordered == [ordered[0]] * len(runs), query.text
+    assert answered >= ANSWERED
 
 
 @pytest.mark.slow
