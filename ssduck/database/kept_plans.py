@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from itertools import count
 from math import prod
@@ -21,9 +22,10 @@ import pyarrow as pa
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection, execution_of
+from ssduck.database.schemas import part_rows
 from ssduck.errors import SqlError
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.schema import Column, Table
+from ssduck.schema import TABLES, Column, Table
 from ssduck.world.live_tables import LiveTable
 
 # Beyond this number of rows, or of combinations of rows, planning is cheap in comparison, and what
@@ -35,6 +37,10 @@ _SCAN = "PYTHON_ARROW_SCAN"
 _ROW = "ssduck row"
 # The beginning of a mark, which no other part of a text may have.
 MARK = "ssduck source"
+# What the views of links and sites need of their own rows, and of those of the entities.
+_OF_PARTS = frozenset(("tick", "entity", "link", "name", "region"))
+_OF_ENTITIES = frozenset(("tick", "id", "name", "kind", "enabled", "visible", "run"))
+_OF_SITES = frozenset(column.name for column in TABLES["links"].columns if column.is_of_sites)
 _WORD = re.compile(r"\w+")
 
 _numbers = count(1)
@@ -48,11 +54,15 @@ class RowSource:
         table: returns the table that has them at present.
         columns: its columns.
         second_names: further names of columns, by the column.
+        part: the table of links or sites whose view it is; None for another table.
+        entities: the entities to which these belong; None for another table.
     """
 
     table: Callable[[], LiveTable]
     columns: Sequence[Column]
     second_names: Mapping[str, str]
+    part: Table | None = None
+    entities: RowSource | None = None
 
 
 @dataclass(frozen=True)
@@ -76,17 +86,18 @@ class KeptQuery:
 
 
 def live_source(bound: BoundWorld, table: Table) -> RowSource | None:
-    """Returns the rows of a world's table at the current tick; None if its view has others."""
+    """Returns the rows of a world's table at the current tick; None if they are not there."""
     world = bound.reference()
-    if world is None or world.is_final or table.view_columns:
-        return None
-    if table.source in world.snapshot.unavailable:
+    if world is None or world.is_final or table.source in world.snapshot.unavailable:
         return None
 
     def current() -> LiveTable:
         return bound.world.snapshot.tables[table.source]
 
-    return RowSource(current, table.columns, table.second_names)
+    if not table.view_columns:
+        return RowSource(current, table.columns, table.second_names)
+    entities = live_source(bound, TABLES["entities"])
+    return RowSource(current, table.columns, {}, table, entities)
 
 
 def parameter_source(row: LiveTable) -> RowSource:
@@ -126,7 +137,7 @@ class KeptPlans:
         return is_kept
 
     def _prepare(self, name: str, sql: str, query: KeptQuery) -> bool:
-        read = self._read_columns(sql)
+        read = self._read_columns(sql, query)
         if read is None:
             return False
         text = self._without_scans(name, query, read)
@@ -143,13 +154,13 @@ class KeptPlans:
         for function in self._functions.pop(name, ()):
             self._connection.remove_function(function)
 
-    def _read_columns(self, sql: str) -> set[str] | None:
+    def _read_columns(self, sql: str, query: KeptQuery) -> set[str] | None:
         """Returns the columns that a query may need of a source; None if no plan is worth it."""
+        sizes = [max(1, source.table().count) for source in query.sources]
+        if max(sizes, default=1) > MAX_ROWS or prod(sizes) > MAX_COMBINATIONS:
+            return None
         scans = [one["extra_info"] for one in self._operators(sql) if _is_scan(one)]
         if any(info["Function"] != _SCAN for info in scans):
-            return None
-        sizes = [max(1, int(info["Estimated Cardinality"])) for info in scans]
-        if max(sizes, default=1) > MAX_ROWS or prod(sizes) > MAX_COMBINATIONS:
             return None
         read = set(_WORD.findall(sql))  # a name may be needed, though no value is
         for info in scans:
@@ -170,15 +181,25 @@ class KeptPlans:
         """Returns a query with lists of rows in place of its tables."""
         text = query.text
         for number, source in enumerate(query.sources):
-            columns = _read_of(source, read)
-            function = f"ssduck rows {next(_numbers)}"
-            rows = _CurrentRows(source.table, [column.name for column in columns])
-            self._connection.register_function(
-                function, rows, ["INTEGER"], _list_type(columns), type="arrow", side_effects=True
-            )
-            self._functions[name].append(function)
-            text = text.replace(query.mark(number), f"({_rows_of(function, columns, source)})")
+            rows = self._rows(name, source, read)
+            if source.part is not None and source.entities is not None:
+                entities = f"({self._rows(name, source.entities, _OF_ENTITIES)})"
+                hidden = () if source.part.part_of else _OF_SITES
+                listed = [c.name for c in _read_of(source, read) if c.name not in hidden]
+                rows = part_rows(source.part, rows, entities, ", ".join(map(quoted, listed)))
+            text = text.replace(query.mark(number), f"({rows})")
         return text
+
+    def _rows(self, name: str, source: RowSource, read: AbstractSet[str]) -> str:
+        """Returns the query of the rows of a new function that has those of a source."""
+        columns = _read_of(source, read)
+        function = f"ssduck rows {next(_numbers)}"
+        rows = _CurrentRows(source.table, [column.name for column in columns])
+        self._connection.register_function(
+            function, rows, ["INTEGER"], _list_type(columns), type="arrow", side_effects=True
+        )
+        self._functions[name].append(function)
+        return _rows_of(function, columns, source)
 
     def _are_same(self, sql: str, other: str) -> bool:
         """Checks whether two queries have the same columns."""
@@ -227,9 +248,10 @@ def _array_of(column: pa.ChunkedArray) -> pa.Array:
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
-def _read_of(source: RowSource, read: set[str]) -> list[Column]:
+def _read_of(source: RowSource, read: AbstractSet[str]) -> list[Column]:
     """Returns the columns of a source that a query reads, or one that is there to be counted."""
-    columns = [column for column in source.columns if column.name in read]
+    needed = read if source.part is None else read | _OF_PARTS
+    columns = [column for column in source.columns if column.name in needed]
     return columns or [column for column in source.columns if column.type == "integer"][:1]
 
 

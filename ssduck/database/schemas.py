@@ -289,20 +289,32 @@ def _with_view_columns(table: Table, rows: str, schema: str, entities: str = "en
         entities: the view of the entities of the same ticks.
     """
     if table.view_columns:
-        place = f"{quoted(schema)}.{quoted(entities)}"
-        added = _link_columns(place, "site" if table.part_of else "link")
-        columns = ", ".join(f"{value} AS {quoted(name)}" for name, value in added.items())
-        listed, condition = "*", "region IS NOT NULL"
+        place, listed = f"{quoted(schema)}.{quoted(entities)}", "*"
         if not table.part_of:
             hidden = ", ".join(column.name for column in table.columns if column.is_of_sites)
-            listed, condition = f"* EXCLUDE ({hidden})", "region IS NULL"
-        return f"SELECT {listed}, {columns} FROM ({rows}) AS rows WHERE {condition}"  # noqa: S608
+            listed = f"* EXCLUDE ({hidden})"
+        return part_rows(table, rows, place, listed)
     if not table.second_names:
         return rows
     columns = ", ".join(
         f"{quoted(name)} AS {quoted(second)}" for name, second in table.second_names.items()
     )
     return f"SELECT *, {columns} FROM ({rows}) AS rows"  # noqa: S608
+
+
+def part_rows(table: Table, rows: str, entities: str, listed: str) -> str:
+    """Returns the SELECT of the view of links or sites.
+
+    Args:
+        table: the table of links or of sites.
+        rows: the rows of both.
+        entities: the rows of the entities of the same ticks, as a name or a query in brackets.
+        listed: the columns of the rows that the view has.
+    """
+    added = _link_columns(entities, "site" if table.part_of else "link")
+    columns = ", ".join(f"{value} AS {quoted(name)}" for name, value in added.items())
+    condition = "region IS NOT NULL" if table.part_of else "region IS NULL"
+    return f"SELECT {listed}, {columns} FROM ({rows}) AS rows WHERE {condition}"  # noqa: S608
 
 
 def _link_columns(entities: str, kind: str) -> dict[str, str]:
