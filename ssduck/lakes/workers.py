@@ -12,6 +12,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -34,7 +35,7 @@ from ssduck.recording.stores.episode_batch import (
     DamagedEpisodeError,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.parquet_layout import FolderRun, part_name
 from ssduck.schema import MODELS, RECORDABLE
 
 # The answer as a text of JSON, and the error: one of them is None.
@@ -122,6 +123,9 @@ class _Reader:
             if folder in folders:
                 place = f"{root}/{file.name}"
                 files[folders[folder]].append(BatchedFile(place, file.checksum))
+        names = [[Path(file.path).name for file in files[table]] for table in self._tables]
+        if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
+            raise RecordError(f"{entry.path} has other files than complete parts")
         parts = [
             pq.ParquetFile(pa.BufferReader(file.content())).read(
                 columns=["tick", "time", "wall_time"], use_threads=False

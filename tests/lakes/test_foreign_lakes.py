@@ -123,6 +123,25 @@ def test_a_forged_manifest_changes_no_answer_and_names_nothing_outside(folder, v
     assert ssduck.lake(folder).select("seen")["episode"].to_pylist() == [1]
 
 
+ROWS = "count(SELECT id FROM sim{} AS list);"
+
+
+def test_a_file_beside_the_parts_is_not_read(folder):
+    wanted = ssduck.lake(folder).ask(ROWS, processes=1)
+    part = folder / ENTITIES / "part-000000.parquet"
+    (part.parent / "more.parquet").write_bytes(part.read_bytes())
+    for _ in range(2):  # without an entry in the manifest, and with one
+        assert ssduck.lake(folder).ask(ROWS, processes=1) == wanted
+
+
+def test_a_file_that_a_manifest_lists_twice_is_read_once(folder):
+    wanted = ssduck.lake(folder).ask(ROWS, processes=1)
+    row = pq.read_table(folder / FILE).to_pylist()[1]
+    again = [file for file in row["files"] if file["name"].startswith(ENTITIES)]
+    forged(folder, files=row["files"] + again)
+    assert ssduck.lake(folder).ask(ROWS, processes=1) == wanted
+
+
 @pytest.mark.parametrize("name", ["row", "ROW", "ssduck row", "Episode", 'a" FROM b; --'])
 def test_a_tag_of_any_name_selects_no_other_episodes(folder, name):
     ssduck.lake(folder).set_tags({name: 0}, "episode = 2")
