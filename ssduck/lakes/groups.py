@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -42,13 +43,16 @@ class _ModelPart:
         """Checks whether another part has the same rows, but for the number of the run."""
         if self.data == other.data and _are_read_alike(self.file, other.file):
             return True
-        return bool(self.rows.equals(other.rows))
+        return bool(_without_run(self.rows).equals(_without_run(other.rows)))
 
-    @property
+    @cached_property
     def rows(self) -> pa.Table:
-        """The rows, without the number of the run."""
-        rows = self.file.read(use_threads=False).replace_schema_metadata()
-        return rows.drop_columns([name for name in rows.column_names if name == "run"])
+        """The rows."""
+        return self.file.read(use_threads=False).replace_schema_metadata()
+
+
+def _without_run(rows: pa.Table) -> pa.Table:
+    return rows.drop_columns(["run"]) if "run" in rows.column_names else rows
 
 
 def _are_read_alike(a: pq.ParquetFile, b: pq.ParquetFile) -> bool:
@@ -108,7 +112,7 @@ class EpisodeGroup:
             others = self._parts[table]
             if len(own) != len(others) or not all(map(_ModelPart.is_like, own, others)):
                 raise RecordError(f"{run.place(f'models/{table}')} is another than its group has")
-        run_of({"entities": pa.concat_tables([p.file.read(["run"]) for p in parts["entities"]])})
+        run_of({"entities": pa.concat_tables([part.rows for part in parts["entities"]])})
         if not np.array_equal(_present(run, entry), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         self._members[entry.key] = entry.files

@@ -3,16 +3,22 @@
 import json
 import os
 
+import mujoco
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
+from ssduck.lakes.engines import answer_locally
+from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import SCHEMA
+from ssduck.lakes.questions import ProgramQuestion
+from ssduck.lakes.workers import forget_readers
 from ssduck.recording.stores.checksums import write_parquet
 from tests.lakes.conftest import EPISODES
+from tests.support.lake_questions import answer_of
 
 PROGRAM = "count(SELECT id FROM sim AS list);"
 FILE = f"{MANIFEST}.parquet"
@@ -162,3 +168,82 @@ def test_steps_that_are_no_file_are_not_scored(folder, change):
     change(folder)
     rows = ssduck.lake(folder).score("z(sim.cup) > 9", processes=1).to_pylist()
     assert [row["episode"] for row in rows if row["error"]] == [1]
+
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <body name="table" pos="0 0 .2"><geom type="box" size=".6 .6 .2"/></body>
+    <body name="{cup}" pos="0 0 .5"><freejoint/><geom type="sphere" size="{size}"/></body>
+    {more}
+  </worldbody>
+</mujoco>
+"""
+BALL = '<body name="ball" pos="0 .3 .6"><freejoint/><geom type="sphere" size=".02"/></body>'
+# Episodes that a forged manifest has as of the group of the first: other words of the model, the
+# name of the world, the number of its steps and its recording.
+FORGERIES = {
+    "the same": {},
+    "another shape": {"size": 0.03},
+    "another name": {"cup": "mug"},
+    "more entities": {"more": BALL},
+    "another world": {"name": "lab"},
+    "other tables": {"tables": ("links",)},
+    "other ticks": {"every": 3},
+    "recorded entities": {"entities": ("cup",)},
+}
+QUESTIONS = (
+    "least(clearance(sim.table, sim.cup));",
+    "holds(near(sim.table, sim.cup, 0.04));",
+    "holds(z(sim.cup) > 0.48);",
+    "count(SELECT id FROM sim AS list);",
+    "SELECT tick(this) FROM contacts(sim{}) AS list;",
+)
+
+
+def record(folder, *, cup="cup", size=0.05, more="", name="sim", **recording):
+    model = mujoco.MjModel.from_xml_string(MODEL.format(cup=cup, size=size, more=more))
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable(name, ssduck.World.attach(model, data))
+        with ss.record_to(folder, recording=ssduck.Recording(**recording)):
+            for _ in range(20):
+                mujoco.mj_step(model, data, 5)
+                world.step()
+
+
+def by_themselves(entry):
+    """The answers of an episode that is opened by itself."""
+    with ssduck.open(entry.path, entry.world, entry.episode) as ss:
+        return [answer_of(ss, program) for program in QUESTIONS]
+
+
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_forged_groups_change_no_answer(tmp_path, forgery):
+    record(tmp_path / "a")
+    record(tmp_path / "b", **FORGERIES[forgery])
+    file = tmp_path / FILE
+    ssduck.lake(tmp_path)
+    rows = pq.read_table(file).to_pylist()
+    groups = {row["group"] for row in rows}
+    assert len(groups) == (1 if forgery == "the same" else 2)
+    for row in rows:
+        row["group"] = "forged"
+    write_parquet(pa.Table.from_pylist(rows, schema=SCHEMA), file)
+    lake = ssduck.lake(tmp_path)
+    assert {entry.group for entry in lake.entries} == {"forged"}
+    entries = lake.entries
+    expected = [by_themselves(entry) for entry in entries]
+    for step in (1, -1):  # either is the first of the group
+        forget_readers()
+        for program, answers in zip(QUESTIONS, zip(*expected[::step], strict=True), strict=True):
+            asked = answer_locally(ProgramQuestion(program), [entries[::step]], 1)
+            assert list(asked) == [(0, list(answers))], program
+
+
+def test_episodes_with_the_same_models_are_of_one_group(recorded):
+    first, *others = ssduck.lake(recorded).entries
+    group = EpisodeGroup(first)
+    for _ in range(2):
+        for entry in others:
+            group.check(entry)
