@@ -7,6 +7,8 @@ against a forger.
 
 from __future__ import annotations
 
+import base64
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,10 +23,14 @@ from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import run_of
-from ssduck.recording.stores.checksums import content_problem, without_footer
+from ssduck.recording.stores.checksums import content_problem, without_checksums
 from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_name
 from ssduck.schema import MODELS
+
+
+# The Arrow schema in a footer, in base64: it begins with four bytes of ones.
+_SCHEMA = re.compile(rb"ARROW:schema.{1,6}?(/////[A-Za-z0-9+/]+=*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -32,38 +38,42 @@ class _ModelPart:
     """A part of a model.
 
     Attributes:
-        data: the bytes of the file before its footer.
-        file: the file, in memory.
+        content: the bytes of the file.
+        label: its label, which names its episode.
     """
 
-    data: bytes
-    file: pq.ParquetFile
+    content: bytes
+    label: bytes
 
     def is_like(self, other: _ModelPart) -> bool:
         """Checks whether another part has the same rows, but for the number of the run."""
-        if self.data == other.data and _are_read_alike(self.file, other.file):
+        if self._common == other._common:
             return True
         return bool(_without_run(self.rows).equals(_without_run(other.rows)))
 
     @cached_property
+    def _common(self) -> tuple[bytes, pa.Schema | None]:
+        """What two files have in common if they differ by their labels only.
+
+        That is the bytes without the labels and the checksums, which were checked, and the columns:
+        the bytes of the schema have the label, too.
+        """
+        plain = without_checksums(self.content).replace(self.label, b"")
+        match = _SCHEMA.search(plain)
+        if match is None:
+            return plain, None
+        schema = pa.ipc.read_schema(pa.py_buffer(base64.b64decode(match[1])))
+        return plain[: match.start(1)] + plain[match.end(1) :], schema.remove_metadata()
+
+    @cached_property
     def rows(self) -> pa.Table:
         """The rows."""
-        return self.file.read(use_threads=False).replace_schema_metadata()
+        rows = pq.ParquetFile(pa.BufferReader(self.content)).read(use_threads=False)
+        return rows.replace_schema_metadata()
 
 
 def _without_run(rows: pa.Table) -> pa.Table:
     return rows.drop_columns(["run"]) if "run" in rows.column_names else rows
-
-
-def _are_read_alike(a: pq.ParquetFile, b: pq.ParquetFile) -> bool:
-    """Checks whether the same bytes before the footers of two files are the same rows."""
-    count = a.metadata.num_row_groups
-    return (
-        count == b.metadata.num_row_groups
-        and a.schema_arrow.equals(b.schema_arrow)
-        and a.schema.equals(b.schema)
-        and all(a.metadata.row_group(n).equals(b.metadata.row_group(n)) for n in range(count))
-    )
 
 
 class EpisodeGroup:
@@ -161,8 +171,7 @@ def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_Mode
             problem = content_problem(content, has_checksums=True)
             if problem is not None or label is None or label not in content:
                 raise RecordError(f"{file.path} {problem or 'is another part'}")
-            parquet = pq.ParquetFile(pa.BufferReader(content))
-            parts[model].append(_ModelPart(without_footer(content), parquet))
+            parts[model].append(_ModelPart(content, label))
     return parts
 
 

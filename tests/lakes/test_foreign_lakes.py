@@ -13,7 +13,7 @@ from ssduck.errors import ArgumentError
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.lake import MANIFEST
-from ssduck.lakes.manifest import SCHEMA
+from ssduck.lakes.manifest import SCHEMA, read_manifest
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.lakes.workers import forget_readers
 from ssduck.recording.stores.checksums import write_parquet
@@ -247,3 +247,15 @@ def test_episodes_with_the_same_models_are_of_one_group(recorded):
     for _ in range(2):
         for entry in others:
             group.check(entry)
+
+
+def test_a_manifest_of_too_many_values_is_read_anew(folder, monkeypatch):
+    ssduck.lake(folder)
+    count = sum(
+        group.column(n).num_values
+        for group in [pq.read_metadata(folder / FILE).row_group(0)]
+        for n in range(group.num_columns)
+    )
+    for most, entries in ((count, EPISODES), (count - 1, 0)):
+        monkeypatch.setattr("ssduck.lakes.manifest.MAX_VALUES", most)
+        assert len(read_manifest(folder / FILE)) == entries

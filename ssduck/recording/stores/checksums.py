@@ -152,9 +152,13 @@ def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     return problem
 
 
-def without_footer(content: bytes) -> bytes:
-    """Returns the bytes of a Parquet file before its footer."""
-    return content[: -int.from_bytes(content[-_TAIL:-4], "little") - _TAIL]
+def without_checksums(content: bytes) -> bytes:
+    """Returns the bytes of a Parquet file without the checksums in its footer."""
+    match = _last(_FOOTER_SUMS, content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :])
+    if match is None:
+        return content
+    start = len(content) - len(match.string)
+    return content[: start + match.start()] + content[start + match.end() :]
 
 
 def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[bytes] | None:
