@@ -28,7 +28,6 @@ from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_name
 from ssduck.schema import MODELS
 
-
 # The Arrow schema in a footer, in base64: it begins with four bytes of ones.
 _SCHEMA = re.compile(rb"ARROW:schema.{1,6}?(/////[A-Za-z0-9+/]+=*)", re.DOTALL)
 

@@ -201,8 +201,9 @@ def _below(path: str, base: Path) -> str:
 def read_manifest(file: Path) -> list[EpisodeEntry]:
     """Returns the entries of a manifest; none if it is missing, damaged or of another version.
 
-    One with more than `MAX_VALUES` values is taken for damaged. It may come from a stranger, with the
-    records: it is not read through a link or from a pipe, and rows of no such records are left out.
+    One of more than `MAX_VALUES` values is taken for damaged. It may come from a stranger, with
+    the records: it is not read through a link or from a pipe, and rows of no such records are left
+    out.
     """
     try:
         if not isinstance(file, ObjectPath) and (file.is_symlink() or not file.is_file()):
