@@ -15,10 +15,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores.stored_columns import MAX_VALUES
 from ssduck.recording.tags import Tag, are_tags
 
 VERSION = 1
@@ -199,8 +201,9 @@ def _below(path: str, base: Path) -> str:
 def read_manifest(file: Path) -> list[EpisodeEntry]:
     """Returns the entries of a manifest; none if it is missing, damaged or of another version.
 
-    It may come from a stranger, with the records: it is not read through a link or from a pipe, and
-    rows of no such records are left out.
+    One of more than `MAX_VALUES` values is taken for damaged. It may come from a stranger, with
+    the records: it is not read through a link or from a pipe, and rows of no such records are left
+    out.
     """
     try:
         if not isinstance(file, ObjectPath) and (file.is_symlink() or not file.is_file()):
@@ -209,14 +212,22 @@ def read_manifest(file: Path) -> list[EpisodeEntry]:
         metadata = content.schema_arrow.metadata or {}
         if metadata.get(_LABEL) != str(VERSION).encode():
             return []
-        rows = content.read()
-        if rows.schema.remove_metadata() != SCHEMA.remove_metadata():
+        if content.schema_arrow.remove_metadata() != SCHEMA.remove_metadata():
             return []
-        entries = filter(_is_possible, entries_of(rows))
+        if _value_count(content.metadata) > MAX_VALUES:
+            return []
+        entries = filter(_is_possible, entries_of(content.read()))
         return [replace(e, path=str(file.parent / e.path)) for e in entries]
     # A RecordError is an OSError.
     except (OSError, pa.ArrowException, ValueError, TypeError, RecursionError):
         return []
+
+
+def _value_count(metadata: pq.FileMetaData) -> int:
+    """Returns the number of values of the rows and their files, as a manifest claims."""
+    groups = map(metadata.row_group, range(metadata.num_row_groups))
+    nested: int = sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
+    return max(nested, metadata.num_rows)
 
 
 def _is_possible(entry: EpisodeEntry) -> bool:

@@ -1,8 +1,9 @@
 """Answers a question for some episodes: what each process of an engine does.
 
-Episodes of the same group are one record (`ssduck.interpreter.episode_batches`). Whatever fails
-there, a changed file as well as a program that has no value, is asked again of the episode by
-itself, as `ssduck.open` does: its answer or its error is the result.
+Episodes of the same group are one record (`ssduck.interpreter.episode_batches`), if their files
+prove that they are of the group (`ssduck.lakes.groups`). Whatever fails there, a changed file as
+well as a program that has no value, is asked again of the episode by itself, as `ssduck.open` does:
+its answer or its error is the result.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -21,21 +23,20 @@ import pyarrow.parquet as pq
 from ssduck.errors import ProgramWarning, RecordError, SelectScriptError
 from ssduck.interpreter.episode_batches import BatchInterpreter
 from ssduck.interpreter.opening import open_record
+from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.questions import Answering, Question, to_text
 from ssduck.limits import Limits
-from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import run_of
 from ssduck.recording.stores.episode_batch import (
     BatchedEpisode,
     BatchedFile,
     DamagedEpisodeError,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.schema import MODELS, RECORDABLE
+from ssduck.recording.stores.parquet_layout import part_name
+from ssduck.schema import RECORDABLE
 
 # The answer as a text of JSON, and the error: one of them is None.
 Answer: TypeAlias = tuple[str | None, str | None]
@@ -55,11 +56,8 @@ class _Reader:
     """
 
     def __init__(self, entry: EpisodeEntry, limits: Limits | None) -> None:
-        run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
-        models = {table: run.read(f"models/{table}") for table in MODELS}
-        check_models(models, lambda table: str(run.place(f"models/{table}")))
-        number = run_of(models)
-        assert number is not None
+        self._group = EpisodeGroup(entry)
+        run = self._group.run
         # The manifest may come from a stranger; what the record itself says was checked.
         self._tables = tuple(run.tables)
         tables = [table for table in self._tables if table in RECORDABLE]
@@ -67,8 +65,8 @@ class _Reader:
             entry.world,
             Recording(**{**run.recording, "tables": tables}),
             self._tables,
-            models,
-            number,
+            self._group.models,
+            self._group.number,
             limits,
             entry.path,
         )
@@ -122,6 +120,9 @@ class _Reader:
             if folder in folders:
                 place = f"{root}/{file.name}"
                 files[folders[folder]].append(BatchedFile(place, file.checksum))
+        names = [[Path(file.path).name for file in files[table]] for table in self._tables]
+        if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
+            raise RecordError(f"{entry.path} has other files than complete parts")
         parts = [
             pq.ParquetFile(pa.BufferReader(file.content())).read(
                 columns=["tick", "time", "wall_time"], use_threads=False
@@ -133,6 +134,7 @@ class _Reader:
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
         if not len(ticks) or not ascend or len(ticks) != entry.ticks:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
+        self._group.check(entry)
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
         return BatchedEpisode(offset, rows, files)

@@ -118,7 +118,8 @@ def is_camera(value: Any) -> bool:
         isinstance(point, list) and len(point) == 3 and all(map(_is_finite, point))
         for point in (eye, target)
     )
-    return points and eye != target and isinstance(fov, int | float) and 0.0 < fov < 180.0
+    is_angle = isinstance(fov, int | float) and not isinstance(fov, bool) and 0.0 < fov < 180.0
+    return points and eye != target and is_angle
 
 
 def camera_of(description: Mapping[str, Any]) -> Camera:

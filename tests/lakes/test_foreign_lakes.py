@@ -3,16 +3,22 @@
 import json
 import os
 
+import mujoco
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError
+from ssduck.lakes.engines import answer_locally
+from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.lake import MANIFEST
-from ssduck.lakes.manifest import SCHEMA
+from ssduck.lakes.manifest import SCHEMA, read_manifest
+from ssduck.lakes.questions import ProgramQuestion
+from ssduck.lakes.workers import forget_readers
 from ssduck.recording.stores.checksums import write_parquet
 from tests.lakes.conftest import EPISODES
+from tests.support.lake_questions import answer_of
 
 PROGRAM = "count(SELECT id FROM sim AS list);"
 FILE = f"{MANIFEST}.parquet"
@@ -123,6 +129,25 @@ def test_a_forged_manifest_changes_no_answer_and_names_nothing_outside(folder, v
     assert ssduck.lake(folder).select("seen")["episode"].to_pylist() == [1]
 
 
+ROWS = "count(SELECT id FROM sim{} AS list);"
+
+
+def test_a_file_beside_the_parts_is_not_read(folder):
+    wanted = ssduck.lake(folder).ask(ROWS, processes=1)
+    part = folder / ENTITIES / "part-000000.parquet"
+    (part.parent / "more.parquet").write_bytes(part.read_bytes())
+    for _ in range(2):  # without an entry in the manifest, and with one
+        assert ssduck.lake(folder).ask(ROWS, processes=1) == wanted
+
+
+def test_a_file_that_a_manifest_lists_twice_is_read_once(folder):
+    wanted = ssduck.lake(folder).ask(ROWS, processes=1)
+    row = pq.read_table(folder / FILE).to_pylist()[1]
+    again = [file for file in row["files"] if file["name"].startswith(ENTITIES)]
+    forged(folder, files=row["files"] + again)
+    assert ssduck.lake(folder).ask(ROWS, processes=1) == wanted
+
+
 @pytest.mark.parametrize("name", ["row", "ROW", "ssduck row", "Episode", 'a" FROM b; --'])
 def test_a_tag_of_any_name_selects_no_other_episodes(folder, name):
     ssduck.lake(folder).set_tags({name: 0}, "episode = 2")
@@ -143,3 +168,94 @@ def test_steps_that_are_no_file_are_not_scored(folder, change):
     change(folder)
     rows = ssduck.lake(folder).score("z(sim.cup) > 9", processes=1).to_pylist()
     assert [row["episode"] for row in rows if row["error"]] == [1]
+
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <body name="table" pos="0 0 .2"><geom type="box" size=".6 .6 .2"/></body>
+    <body name="{cup}" pos="0 0 .5"><freejoint/><geom type="sphere" size="{size}"/></body>
+    {more}
+  </worldbody>
+</mujoco>
+"""
+BALL = '<body name="ball" pos="0 .3 .6"><freejoint/><geom type="sphere" size=".02"/></body>'
+# Episodes that a forged manifest has as of the group of the first: other words of the model, the
+# name of the world, the number of its steps and its recording.
+FORGERIES = {
+    "the same": {},
+    "another shape": {"size": 0.03},
+    "another name": {"cup": "mug"},
+    "more entities": {"more": BALL},
+    "another world": {"name": "lab"},
+    "other tables": {"tables": ("links",)},
+    "other ticks": {"every": 3},
+    "recorded entities": {"entities": ("cup",)},
+}
+QUESTIONS = (
+    "least(clearance(sim.table, sim.cup));",
+    "holds(near(sim.table, sim.cup, 0.04));",
+    "holds(z(sim.cup) > 0.48);",
+    "count(SELECT id FROM sim AS list);",
+    "SELECT tick(this) FROM contacts(sim{}) AS list;",
+)
+
+
+def record(folder, *, cup="cup", size=0.05, more="", name="sim", **recording):
+    model = mujoco.MjModel.from_xml_string(MODEL.format(cup=cup, size=size, more=more))
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable(name, ssduck.World.attach(model, data))
+        with ss.record_to(folder, recording=ssduck.Recording(**recording)):
+            for _ in range(20):
+                mujoco.mj_step(model, data, 5)
+                world.step()
+
+
+def by_themselves(entry):
+    """The answers of an episode that is opened by itself."""
+    with ssduck.open(entry.path, entry.world, entry.episode) as ss:
+        return [answer_of(ss, program) for program in QUESTIONS]
+
+
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_forged_groups_change_no_answer(tmp_path, forgery):
+    record(tmp_path / "a")
+    record(tmp_path / "b", **FORGERIES[forgery])
+    file = tmp_path / FILE
+    ssduck.lake(tmp_path)
+    rows = pq.read_table(file).to_pylist()
+    groups = {row["group"] for row in rows}
+    assert len(groups) == (1 if forgery == "the same" else 2)
+    for row in rows:
+        row["group"] = "forged"
+    write_parquet(pa.Table.from_pylist(rows, schema=SCHEMA), file)
+    lake = ssduck.lake(tmp_path)
+    assert {entry.group for entry in lake.entries} == {"forged"}
+    entries = lake.entries
+    expected = [by_themselves(entry) for entry in entries]
+    for step in (1, -1):  # either is the first of the group
+        forget_readers()
+        for program, answers in zip(QUESTIONS, zip(*expected[::step], strict=True), strict=True):
+            asked = answer_locally(ProgramQuestion(program), [entries[::step]], 1)
+            assert list(asked) == [(0, list(answers))], program
+
+
+def test_episodes_with_the_same_models_are_of_one_group(recorded):
+    first, *others = ssduck.lake(recorded).entries
+    group = EpisodeGroup(first)
+    for _ in range(2):
+        for entry in others:
+            group.check(entry)
+
+
+def test_a_manifest_of_too_many_values_is_read_anew(folder, monkeypatch):
+    ssduck.lake(folder)
+    count = sum(
+        group.column(n).num_values
+        for group in [pq.read_metadata(folder / FILE).row_group(0)]
+        for n in range(group.num_columns)
+    )
+    for most, entries in ((count, EPISODES), (count - 1, 0)):
+        monkeypatch.setattr("ssduck.lakes.manifest.MAX_VALUES", most)
+        assert len(read_manifest(folder / FILE)) == entries

@@ -124,6 +124,7 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
             [], {}, {"eye": [0, 0, 0], "target": [1, 0, 0]},
             {"eye": [0, 0, 0], "target": [0, 0, 0], "fov": 50}, {"eye": [0, 0], "target": [1, 0, 0], "fov": 50},
             {"eye": [0, 0, 0], "target": [1, 0, 0], "fov": 180},
+            {"eye": [0, 0, 0], "target": [1, 0, 0], "fov": True},
             {"eye": [0, 0, "1"], "target": [1, 0, 0], "fov": 50},
         )
     ),

@@ -122,7 +122,7 @@ def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
     Raises:
         OSError: the file cannot be read.
     """
-    return _problem(file.read_bytes(), has_checksums=has_checksums)
+    return content_problem(file.read_bytes(), has_checksums=has_checksums)
 
 
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
@@ -133,13 +133,13 @@ def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
         OSError: it cannot be read.
     """
     content = file.read_bytes()
-    problem = _problem(content, has_checksums=has_checksums)
+    problem = content_problem(content, has_checksums=has_checksums)
     if problem is not None:
         raise RecordError(f"{file} {problem}")
     return pq.ParquetFile(pa.BufferReader(content))
 
 
-def _problem(content: bytes, *, has_checksums: bool) -> str | None:
+def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     """Returns what is wrong with the content of a Parquet file; None for nothing."""
     length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
     is_complete = len(content) >= length + len(_MAGIC) and content[-4:] == _MAGIC
@@ -150,6 +150,15 @@ def _problem(content: bytes, *, has_checksums: bool) -> str | None:
         data = memoryview(content)[:-length]
         problem = None if match.group(1) == _hex(zlib.crc32(data)) else WRONG_CHECKSUM
     return problem
+
+
+def without_checksums(content: bytes) -> bytes:
+    """Returns the bytes of a Parquet file without the checksums in its footer."""
+    match = _last(_FOOTER_SUMS, content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :])
+    if match is None:
+        return content
+    start = len(content) - len(match.string)
+    return content[: start + match.start()] + content[start + match.end() :]
 
 
 def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[bytes] | None:

@@ -297,8 +297,10 @@ def _rows(content: bytes, types: pa.Schema, offset: int, first: int, last: int) 
         last: the last of them.
     """
     part = pq.ParquetFile(pa.BufferReader(content))
-    rows = part.read(columns=types.names, use_threads=False).select(types.names)
-    return _moved(rows, types, offset, first, last)
+    rows = part.read(columns=types.names, use_threads=False)
+    if not set(types.names) <= set(rows.column_names):
+        raise RecordError("a part of an older record is read by itself")
+    return _moved(rows.select(types.names), types, offset, first, last)
 
 
 def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:

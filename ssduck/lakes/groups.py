@@ -1,0 +1,183 @@
+"""Checks that episodes are of one group, so that one of them may stand for the models of all.
+
+A manifest says which are, and may come from a stranger. So the files of each episode are compared
+with those of the first of its group: byte for byte, or by their rows, as checksums prove nothing
+against a forger.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.errors import RecordError
+from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.recording.model_checks import check_models
+from ssduck.recording.paths import expand_path
+from ssduck.recording.static_tables import run_of
+from ssduck.recording.stores.checksums import content_problem, without_checksums
+from ssduck.recording.stores.episode_batch import BatchedFile
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_name
+from ssduck.schema import MODELS
+
+# The Arrow schema in a footer, in base64: it begins with four bytes of ones.
+_SCHEMA = re.compile(rb"ARROW:schema.{1,6}?(/////[A-Za-z0-9+/]+=*)", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class _ModelPart:
+    """A part of a model.
+
+    Attributes:
+        content: the bytes of the file.
+        label: its label, which names its episode.
+    """
+
+    content: bytes
+    label: bytes
+
+    def is_like(self, other: _ModelPart) -> bool:
+        """Checks whether another part has the same rows, but for the number of the run."""
+        if self._common == other._common:
+            return True
+        return bool(_without_run(self.rows).equals(_without_run(other.rows)))
+
+    @cached_property
+    def _common(self) -> tuple[bytes, pa.Schema | None]:
+        """What two files have in common if they differ by their labels only.
+
+        That is the bytes without the labels and the checksums, which were checked, and the columns:
+        the bytes of the schema have the label, too.
+        """
+        plain = without_checksums(self.content).replace(self.label, b"")
+        match = _SCHEMA.search(plain)
+        if match is None:
+            return plain, None
+        schema = pa.ipc.read_schema(pa.py_buffer(base64.b64decode(match[1])))
+        return plain[: match.start(1)] + plain[match.end(1) :], schema.remove_metadata()
+
+    @cached_property
+    def rows(self) -> pa.Table:
+        """The rows."""
+        rows = pq.ParquetFile(pa.BufferReader(self.content)).read(use_threads=False)
+        return rows.replace_schema_metadata()
+
+
+def _without_run(rows: pa.Table) -> pa.Table:
+    return rows.drop_columns(["run"]) if "run" in rows.column_names else rows
+
+
+class EpisodeGroup:
+    """The episodes with the models, tables and entities of one of them.
+
+    Args:
+        entry: the episode.
+
+    Attributes:
+        run: the episode.
+        models: the rows of each model.
+        number: the number of its run.
+
+    Raises:
+        RecordError: its models cannot be read, or it cannot be asked together with others.
+    """
+
+    def __init__(self, entry: EpisodeEntry) -> None:
+        self.run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
+        self._described = _described(self.run, entry)
+        self.models = {table: self.run.read(f"models/{table}") for table in MODELS}
+        check_models(self.models, lambda table: str(self.run.place(f"models/{table}")))
+        number = run_of(self.models)
+        if number is None:
+            raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
+        self.number = number
+        self._parts = _model_parts(self.run, entry)
+        self._present = _present(self.run, entry)
+        # The files of the episodes that were found to be of the group, by their keys.
+        self._members: dict[tuple[str, str, int], tuple[FileEntry, ...]] = {}
+
+    def check(self, entry: EpisodeEntry) -> None:
+        """Checks that an episode is of the group.
+
+        Raises:
+            RecordError: it is not, or a file of it is damaged.
+            OSError: a file cannot be read.
+        """
+        if self._members.get(entry.key) == entry.files:
+            return
+        run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
+        if _described(run, entry) != self._described:
+            raise RecordError(f"{run.about_file} describes another recording than its group has")
+        parts = _model_parts(run, entry)
+        for table, own in parts.items():
+            others = self._parts[table]
+            if len(own) != len(others) or not all(map(_ModelPart.is_like, own, others)):
+                raise RecordError(f"{run.place(f'models/{table}')} is another than its group has")
+        run_of({"entities": pa.concat_tables([part.rows for part in parts["entities"]])})
+        if not np.array_equal(_present(run, entry), self._present):
+            raise RecordError(f"{run.place('entities')} has other entities than its group has")
+        self._members[entry.key] = entry.files
+
+
+def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
+    """Returns what the description of an episode has in common with others of its group.
+
+    Raises:
+        RecordError: the episode cannot be asked together with others.
+    """
+    has_log = any(file.name.startswith(f"{LOG}/") for file in entry.files)
+    if has_log or run.removed_parts or not run.has_checksums:
+        raise RecordError(f"{run.about_file} is of an episode that is asked by itself")
+    return run.world, run.tables, run.recording
+
+
+def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFile]:
+    """Returns the files of a table or a model, in the order of their parts.
+
+    Raises:
+        RecordError: there are none, or others than complete parts.
+    """
+    folder = run.place(table)
+    prefix = f"{table}/world={run.world}/episode={run.number}/"
+    sums = {file.name: file.checksum for file in entry.files if file.name.startswith(prefix)}
+    names = [f"{prefix}{part_name(number)}" for number in range(len(sums))]
+    if not names or sorted(sums) != names:
+        raise RecordError(f"{folder} has other files than complete parts")
+    return [BatchedFile(str(run.path / name), sums[name]) for name in names]
+
+
+def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_ModelPart]]:
+    """Returns the parts of each model, checked.
+
+    Raises:
+        RecordError: a file is damaged, or of another part.
+        OSError: a file cannot be read.
+    """
+    parts: dict[str, list[_ModelPart]] = {}
+    for model in MODELS:
+        table = f"models/{model}"
+        parts[model] = []
+        for number, file in enumerate(_files_of(run, entry, table)):
+            content, label = file.content(), run.label(table, number)
+            problem = content_problem(content, has_checksums=True)
+            if problem is not None or label is None or label not in content:
+                raise RecordError(f"{file.path} {problem or 'is another part'}")
+            parts[model].append(_ModelPart(content, label))
+    return parts
+
+
+def _present(run: FolderRun, entry: EpisodeEntry) -> npt.NDArray[np.int64]:
+    """Returns the ids of the entities at the last tick, ascending."""
+    content = _files_of(run, entry, "entities")[-1].content()
+    part = pq.ParquetFile(pa.BufferReader(content)).read(["tick", "id"], use_threads=False)
+    ticks = part["tick"].to_numpy()
+    present: npt.NDArray[np.int64] = np.sort(part["id"].to_numpy()[ticks == ticks.max(initial=0)])
+    return present
