@@ -28,6 +28,7 @@ EngineName: TypeAlias = Literal["local", "ray", "spark"]
 Batch: TypeAlias = Sequence[EpisodeEntry]
 # Yields the index of each batch with its answers, in any order.
 Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
+Answerer: TypeAlias = Callable[[Question, Sequence[Batch]], Answers]
 # How often Ray, or Spark on this machine, starts a task again whose process was killed.
 RETRIES = 3
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
@@ -164,7 +165,7 @@ def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
 
 def engine_of(
     name: str, *, processes: int | None, options: dict[str, Any] | None, session: Any
-) -> Callable[[Question, Sequence[Batch]], Answers]:
+) -> Answerer:
     """Returns the function of an engine that answers batches.
 
     Raises:

@@ -105,12 +105,15 @@ def test_where_selects(recorded):
 
 def test_mistakes_are_errors_at_once(recorded):
     lake = ssduck.lake(recorded)
-    with pytest.raises(ParseError):
-        lake.ask("SELECT FROM;")
-    with pytest.raises(ArgumentError, match="there is no engine 'dusk'"):
-        lake.ask("1;", engine="dusk")
-    with pytest.raises(ArgumentError, match="batch"):
-        lake.ask("1;", batch=0)
+    for ask in (lake.ask, lake.stream):  # a stream tells of them before its first table
+        with pytest.raises(ParseError):
+            ask("SELECT FROM;")
+        with pytest.raises(ArgumentError, match="there is no engine 'dusk'"):
+            ask("1;", engine="dusk")
+        with pytest.raises(ArgumentError, match="batch"):
+            ask("1;", batch=0)
+        with pytest.raises(ArgumentError, match="where"):
+            ask("1;", where="SELECT")
 
 
 def row(text, error=None):
