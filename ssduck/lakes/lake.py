@@ -22,6 +22,7 @@ from ssduck.gym.terms import Reward, Terms
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
 from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
+from ssduck.lakes.pool import pools
 from ssduck.lakes.progress import shown_progress
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
 from ssduck.lakes.scan import (
@@ -42,8 +43,6 @@ from ssduck.recording.tags import Tag, checked_tags
 MANIFEST = "ssduck-manifest"
 # The number of episodes that are asked together, at most.
 BATCH = 100
-# To start a process takes as long as to ask so many episodes.
-FEW = 50
 _FILE_SCHEME = "file://"
 _INTERNAL = ("group", "tags", "files", "error")
 
@@ -209,7 +208,7 @@ class Lake:
             engine: `"local"`: processes of this machine; `"ray"`; `"spark"`.
             limits: the limits of the program; `Limits.strict()` for programs from elsewhere.
             processes: the number of processes of this machine; by default one for each core, and
-                fewer for few episodes.
+                fewer for few episodes. They are kept for some minutes, for further questions.
             batch: the number of episodes that are asked together, by default at most 100.
             resume: a folder that keeps the answers of finished batches, so that the same question
                 goes on from there when it is asked again; None to keep nothing.
@@ -317,8 +316,7 @@ class Lake:
             )
         entries = self._selected(where)
         if engine == "local" and engines["processes"] is None:
-            most = max(1, len(entries) // FEW)
-            engines["processes"] = min(os.cpu_count() or 1, most)
+            engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)
         batches = _batches(entries, batch, engines["processes"] or os.cpu_count() or 1)
         kept = KeptAnswers(None if resume is None else expand_path(resume), question)

@@ -22,6 +22,7 @@ from ssduck.errors import ProgramWarning, RecordError, SelectScriptError
 from ssduck.interpreter.episode_batches import BatchInterpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, to_text
 from ssduck.limits import Limits
 from ssduck.recording.model_checks import check_models
@@ -214,7 +215,8 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
 
 
 def forget_readers() -> None:
-    """Closes what this process keeps of groups of episodes."""
+    """Closes what this process keeps of groups of episodes, and the processes that it keeps."""
+    pools.close()
     with _lock:
         while _readers:
             _readers.popitem()[1].close()
