@@ -79,14 +79,14 @@ class _Reader:
     def answers(self, question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
         """Returns the answers of episodes; None for those to be asked by themselves."""
         batched, answers = self._load(entries), [None] * len(entries)
-        reads_present = question.reads_present
+        reads_present, key = question.reads_present, question.key
         results: list[Answer | None] = list(answers)
         for place, index in enumerate(batched):
             try:
                 with self._batch.episode(place, is_present_read=reads_present) as interpreter:
                     interpreter.strict = question.is_strict
-                    if self._answering is None or self._answering[0] != question.key:
-                        self._answering = question.key, question.answering(interpreter)
+                    if self._answering is None or self._answering[0] != key:
+                        self._answering = key, question.answering(interpreter)
                     value = self._answering[1](interpreter, entries[index])
                     results[index] = to_text(value), None
             except (SelectScriptError, OSError, pa.ArrowException):
