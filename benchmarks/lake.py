@@ -136,6 +136,7 @@ def _engines(lake: Lake) -> Iterator[tuple[str, ...]]:
         except UnsupportedError as error:
             yield "three parts", way, "", "", error.message
             continue
+        # The processes of this machine are kept, as the workers of the others are.
         whole = _timed(partial(lake.ask, THREE, **arguments))
         walls[way] = whole[1]
         base = {"one process": "one process", "two processes": "one process"}

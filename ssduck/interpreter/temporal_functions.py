@@ -109,7 +109,7 @@ class TickSeries:
         Of several ticks of the same time, the last one replaces the others.
         """
         rows = self._run(past)
-        ticks, times = past.ticks, past.times
+        ticks, times = past.ticks_and_times
         if [row[0] for row in rows] == ticks and len(set(times)) == len(times):
             return times, [row[2] for row in rows]
         values = {row[0]: row[2] for row in rows}

@@ -7,12 +7,11 @@ answers that were kept are there when the question is asked again.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import pickle
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Literal, TypeAlias
@@ -21,6 +20,7 @@ import pyarrow as pa
 
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
 from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
+from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Question
 from ssduck.lakes.workers import Answer, answer_episodes
 
@@ -28,6 +28,7 @@ EngineName: TypeAlias = Literal["local", "ray", "spark"]
 Batch: TypeAlias = Sequence[EpisodeEntry]
 # Yields the index of each batch with its answers, in any order.
 Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
+Answerer: TypeAlias = Callable[[Question, Sequence[Batch]], Answers]
 # How often Ray, or Spark on this machine, starts a task again whose process was killed.
 RETRIES = 3
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
@@ -39,37 +40,57 @@ _RESULTS = "batch int, place int, answer string, error string"
 def answer_locally(question: Question, batches: Sequence[Batch], processes: int) -> Answers:
     """Answers batches in this process, or in several processes of this machine.
 
+    The processes are kept for the next question. If one that was kept is killed, new processes
+    answer the rest.
+
     Raises:
         EvaluationError: one of the processes was killed.
     """
+    rest = dict(enumerate(batches))
     if processes == 1:
-        for index, batch in enumerate(batches):
+        for index, batch in rest.items():
             yield index, answer_episodes(question, batch)
         return
-    # A forked process lacks the threads of DuckDB.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        pending: deque[tuple[int, Future[list[Answer]]]] = deque()
-        waiting = iter(enumerate(batches))
+    is_first = True
+    while rest:
+        pool, is_kept = pools.take(processes)
         try:
-            while True:
-                # The answers of a few batches wait in memory, and not those of all.
-                for index, batch in waiting:
-                    pending.append((index, pool.submit(answer_episodes, question, batch)))
-                    if len(pending) > 2 * processes:
-                        break
-                if not pending:
-                    return
-                index, future = pending.popleft()
-                yield index, future.result()
+            for index, answers in _answers_of_pool(pool, question, dict(rest), processes):
+                del rest[index]
+                yield index, answers
         except BrokenProcessPool as error:
-            raise EvaluationError(
-                "a process was killed, by the system for lack of memory, say; what was answered is "
-                "kept if `resume` names a folder: ask again to go on, with fewer processes or "
-                "smaller batches"
-            ) from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            if not is_kept or not is_first:
+                raise EvaluationError(
+                    "a process was killed, by the system for lack of memory, say; what was "
+                    "answered is kept if `resume` names a folder: ask again to go on, with fewer "
+                    "processes or smaller batches"
+                ) from error
+            is_first = False
+
+
+def _answers_of_pool(
+    pool: ProcessPoolExecutor, question: Question, batches: Mapping[int, Batch], processes: int
+) -> Answers:
+    """Yields the answers of processes, which are kept unless some are still at work."""
+    pending: deque[tuple[int, Future[list[Answer]]]] = deque()
+    waiting = iter(batches.items())
+    unanswered = len(batches)
+    try:
+        while unanswered:
+            # The answers of a few batches wait in memory, and not those of all.
+            for index, batch in waiting:
+                pending.append((index, pool.submit(answer_episodes, question, batch)))
+                if len(pending) > 2 * processes:
+                    break
+            index, future = pending.popleft()
+            answers = future.result()
+            unanswered -= 1
+            yield index, answers
+    finally:
+        if unanswered:
+            pool.shutdown(cancel_futures=True)
+        else:
+            pools.keep(pool, processes)
 
 
 def answer_on_ray(
@@ -164,7 +185,7 @@ def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
 
 def engine_of(
     name: str, *, processes: int | None, options: dict[str, Any] | None, session: Any
-) -> Callable[[Question, Sequence[Batch]], Answers]:
+) -> Answerer:
     """Returns the function of an engine that answers batches.
 
     Raises:

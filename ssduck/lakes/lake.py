@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,9 @@ from ssduck.database.database import Database
 from ssduck.errors import ArgumentError, RecordError, SqlError
 from ssduck.gym.terms import Reward, Terms
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
-from ssduck.lakes.engines import EngineName, engine_of
+from ssduck.lakes.engines import Answerer, EngineName, engine_of
 from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
+from ssduck.lakes.pool import pools
 from ssduck.lakes.progress import shown_progress
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
 from ssduck.lakes.scan import (
@@ -41,8 +43,6 @@ from ssduck.recording.tags import Tag, checked_tags
 MANIFEST = "ssduck-manifest"
 # The number of episodes that are asked together, at most.
 BATCH = 100
-# To start a process takes as long as to ask so many episodes.
-FEW = 50
 _FILE_SCHEME = "file://"
 _INTERNAL = ("group", "tags", "files", "error")
 
@@ -208,7 +208,7 @@ class Lake:
             engine: `"local"`: processes of this machine; `"ray"`; `"spark"`.
             limits: the limits of the program; `Limits.strict()` for programs from elsewhere.
             processes: the number of processes of this machine; by default one for each core, and
-                fewer for few episodes.
+                fewer for few episodes. They are kept for some minutes, for further questions.
             batch: the number of episodes that are asked together, by default at most 100.
             resume: a folder that keeps the answers of finished batches, so that the same question
                 goes on from there when it is asked again; None to keep nothing.
@@ -247,23 +247,17 @@ class Lake:
         options: Mapping[str, Any] | None = None,
         session: Any = None,
     ) -> Iterator[pa.Table]:
-        """Yields the same answers batch by batch, in the same order, as soon as they are there.
+        """Returns an iterator of the same answers, batch by batch, as soon as they are there.
 
-        The arguments and the errors are those of `ask`. Each table has the types of its own
+        The arguments and the errors are those of `ask`; wrong arguments are told at once, before
+        the first table. Each table has the types of its own
         answers.
         """
         question = ProgramQuestion(program, limits)
         question.check()
         engines = {"processes": processes, "options": options, "session": session}
-        pending: list[AnsweredEpisode] = []
-        size = batch or BATCH
-        for one in self._answered(question, where, engine, batch, resume, progress, engines):
-            pending.append(one)
-            if len(pending) == size:
-                yield answer_table(pending)
-                pending = []
-        if pending:
-            yield answer_table(pending)
+        answered = self._answered(question, where, engine, batch, resume, progress, engines)
+        return _tables(answered, batch or BATCH)
 
     def score(
         self,
@@ -309,7 +303,10 @@ class Lake:
         progress: bool,
         engines: dict[str, Any],
     ) -> Iterator[AnsweredEpisode]:
-        """Yields the answers of the selected episodes, in order."""
+        """Returns the answers of the selected episodes, in order, which are asked one by one.
+
+        The arguments are checked at once.
+        """
         progress = validation.boolean(progress, "ask: progress")
         if batch is not None:
             batch = validation.integer(batch, "ask: batch", minimum=1)
@@ -319,29 +316,11 @@ class Lake:
             )
         entries = self._selected(where)
         if engine == "local" and engines["processes"] is None:
-            most = max(1, len(entries) // FEW)
-            engines["processes"] = min(os.cpu_count() or 1, most)
+            engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)
         batches = _batches(entries, batch, engines["processes"] or os.cpu_count() or 1)
         kept = KeptAnswers(None if resume is None else expand_path(resume), question)
-        known = [kept.read(entries) for entries in batches]
-        open_batches = [index for index, answers in enumerate(known) if answers is None]
-        ready = {index: answers for index, answers in enumerate(known) if answers is not None}
-        following = 0
-        with shown_progress(len(entries), shown=progress) as advance:
-            advance(sum(map(len, ready.values())))
-            results = answer(question, [batches[index] for index in open_batches])
-            while following < len(batches):
-                if following in ready:
-                    pairs = zip(batches[following], ready.pop(following), strict=True)
-                    yield from (AnsweredEpisode(entry, *one) for entry, one in pairs)
-                    following += 1
-                    continue
-                place, answers = next(results)
-                index = open_batches[place]
-                kept.write(batches[index], answers)
-                ready[index] = answers
-                advance(len(answers))
+        return _in_order(question, batches, answer, kept, progress)
 
     # -- tags -------------------------------------------------------------------------------
 
@@ -461,6 +440,40 @@ def _single_value(value: Any) -> Any:
     while isinstance(value, list | dict) and len(value) == 1:
         value = value[0] if isinstance(value, list) else next(iter(value.values()))
     return value
+
+
+def _in_order(
+    question: Question,
+    batches: Sequence[Sequence[EpisodeEntry]],
+    answer: Answerer,
+    kept: KeptAnswers,
+    progress: bool,
+) -> Iterator[AnsweredEpisode]:
+    """Yields the answers of batches in order; those that are kept are not asked again."""
+    known = [kept.read(entries) for entries in batches]
+    open_batches = [index for index, answers in enumerate(known) if answers is None]
+    ready = {index: answers for index, answers in enumerate(known) if answers is not None}
+    following = 0
+    with shown_progress(sum(map(len, batches)), shown=progress) as advance:
+        advance(sum(map(len, ready.values())))
+        results = answer(question, [batches[index] for index in open_batches])
+        while following < len(batches):
+            if following in ready:
+                pairs = zip(batches[following], ready.pop(following), strict=True)
+                yield from (AnsweredEpisode(entry, *one) for entry, one in pairs)
+                following += 1
+                continue
+            place, answers = next(results)
+            index = open_batches[place]
+            kept.write(batches[index], answers)
+            ready[index] = answers
+            advance(len(answers))
+
+
+def _tables(answered: Iterator[AnsweredEpisode], size: int) -> Iterator[pa.Table]:
+    """Yields tables of so many answers each; of fewer at the end."""
+    while pending := list(islice(answered, size)):
+        yield answer_table(pending)
 
 
 def _batches(

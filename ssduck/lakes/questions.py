@@ -176,10 +176,10 @@ def plain(value: Any) -> Any:
         case RowsOfColumns():
             columns = value.columns
             return [dict(zip(columns, map(plain, row), strict=True)) for row in value]
-        case Mapping():
-            return {str(plain(key)): plain(element) for key, element in value.items()}
         case list() | tuple():
             return [plain(element) for element in value]
+        case Mapping():
+            return {str(plain(key)): plain(element) for key, element in value.items()}
     raise ArgumentError(
         f"the answer is {short_repr(value)}: ask for numbers, texts, lists or records"
     )

@@ -25,6 +25,7 @@ from ssduck.interpreter.episode_batches import BatchInterpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, to_text
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
@@ -76,14 +77,14 @@ class _Reader:
     def answers(self, question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
         """Returns the answers of episodes; None for those to be asked by themselves."""
         batched, answers = self._load(entries), [None] * len(entries)
-        reads_present = question.reads_present
+        reads_present, key = question.reads_present, question.key
         results: list[Answer | None] = list(answers)
         for place, index in enumerate(batched):
             try:
                 with self._batch.episode(place, is_present_read=reads_present) as interpreter:
                     interpreter.strict = question.is_strict
-                    if self._answering is None or self._answering[0] != question.key:
-                        self._answering = question.key, question.answering(interpreter)
+                    if self._answering is None or self._answering[0] != key:
+                        self._answering = key, question.answering(interpreter)
                     value = self._answering[1](interpreter, entries[index])
                     results[index] = to_text(value), None
             except (SelectScriptError, OSError, pa.ArrowException):
@@ -216,7 +217,8 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
 
 
 def forget_readers() -> None:
-    """Closes what this process keeps of groups of episodes."""
+    """Closes what this process keeps of groups of episodes, and the processes that it keeps."""
+    pools.close()
     with _lock:
         while _readers:
             _readers.popitem()[1].close()

@@ -2,6 +2,9 @@
 
 import json
 import math
+import multiprocessing
+import os
+import signal
 from concurrent.futures import ThreadPoolExecutor
 
 import pyarrow as pa
@@ -12,7 +15,9 @@ from ssduck.errors import ArgumentError, ParseError
 from ssduck.lakes.answers import AnsweredEpisode, answer_table
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import ProgramQuestion
+from ssduck.lakes.workers import forget_readers
 from tests.lakes.conftest import EPISODES
 from tests.support.command_line import write_scene
 from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
@@ -64,6 +69,47 @@ def test_processes_stream_and_resume(recorded, tmp_path):
     assert len(list(kept.iterdir())) == math.ceil(EPISODES / 2)
 
 
+def children():
+    return {process.pid for process in multiprocessing.active_children()}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
+def test_processes_are_kept_until_one_is_killed(recorded):
+    forget_readers()
+    lake, others = ssduck.lake(recorded), children()
+    program = PROGRAMS["last tick"]
+    whole = lake.ask(program, processes=1)
+    assert lake.ask(program, batch=1, processes=2).equals(whole)
+    first = children() - others
+    assert len(first) == 2
+    assert lake.ask(program, batch=1, processes=2).equals(whole)
+    assert children() - others == first
+    os.kill(min(first), signal.SIGKILL)
+    assert lake.ask(program, batch=1, processes=2).equals(whole)
+    second = children() - others
+    assert len(second) == 2
+    assert not first & second
+    forget_readers()
+    assert children() == others
+
+
+@pytest.mark.parametrize(("episodes", "kept", "expected"), [
+    (0, None, 1), (279, None, 1), (280, None, 2), (559, None, 3), (560, None, 4), (9999, None, 4),
+    (49, 2, 1), (50, 2, 2), (560, 2, 4), (200, 5, 1),
+])  # fmt: skip
+def test_processes_are_as_many_as_gain(monkeypatch, episodes, kept, expected):
+    monkeypatch.setattr("os.cpu_count", lambda: 4)
+    forget_readers()
+    if kept is not None:
+        pool, is_warm = pools.take(kept)  # it starts none before its first task
+        assert not is_warm
+        pools.keep(pool, kept)
+    assert pools.default_count(episodes) == expected
+    monkeypatch.setenv("SSDUCK_TEST", "the kept processes were started without it")
+    assert pools.default_count(episodes) == (expected if kept is None else max(1, episodes // 140))
+    forget_readers()
+
+
 def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch):
     lake, program = ssduck.lake(recorded), PROGRAMS["last tick"]
     whole = lake.ask(program, processes=1, resume=tmp_path)
@@ -105,12 +151,15 @@ def test_where_selects(recorded):
 
 def test_mistakes_are_errors_at_once(recorded):
     lake = ssduck.lake(recorded)
-    with pytest.raises(ParseError):
-        lake.ask("SELECT FROM;")
-    with pytest.raises(ArgumentError, match="there is no engine 'dusk'"):
-        lake.ask("1;", engine="dusk")
-    with pytest.raises(ArgumentError, match="batch"):
-        lake.ask("1;", batch=0)
+    for ask in (lake.ask, lake.stream):  # a stream tells of them before its first table
+        with pytest.raises(ParseError):
+            ask("SELECT FROM;")
+        with pytest.raises(ArgumentError, match="there is no engine 'dusk'"):
+            ask("1;", engine="dusk")
+        with pytest.raises(ArgumentError, match="batch"):
+            ask("1;", batch=0)
+        with pytest.raises(ArgumentError, match="where"):
+            ask("1;", where="SELECT")
 
 
 def row(text, error=None):

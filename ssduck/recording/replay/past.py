@@ -93,15 +93,16 @@ class Past:
     @property
     def ticks(self) -> list[int]:
         """The numbers of the ticks."""
-        return self._selected_ticks[0]
+        return self.ticks_and_times[0]
 
     @property
     def times(self) -> list[float]:
         """The simulated time of each tick, s."""
-        return self._selected_ticks[1]
+        return self.ticks_and_times[1]
 
     @property
-    def _selected_ticks(self) -> tuple[list[int], list[float]]:
+    def ticks_and_times(self) -> tuple[list[int], list[float]]:
+        """The numbers of the ticks, and the simulated time of each, s."""
         with self.record.world.lock:
             self.check()
             numbers = self.record.ticks.numbers

@@ -200,10 +200,10 @@ class EpisodeBatch(TickArchive):
         """Sets the files of a table that SQL reads, and the offsets of their ticks."""
         shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
         paths = [(_pattern(f.path), e.offset) for e in shown for f in e.files[table]]
-        files = ", ".join(_text(path) for path, _ in paths)
+        files = exp.Array(expressions=[exp.Literal.string(path) for path, _ in paths]).sql("duckdb")
         offsets = ", ".join(str(int(offset)) for _, offset in paths)
         names = [quoted(name) for name in _variables(table)]
-        self._run_statement(f"SET VARIABLE {names[0]} = [{files}]::VARCHAR[]")
+        self._run_statement(f"SET VARIABLE {names[0]} = {files}::VARCHAR[]")
         self._run_statement(f"SET VARIABLE {names[1]} = [{offsets}]::BIGINT[]")
 
     def models(self) -> dict[str, str]:
