@@ -23,7 +23,8 @@ def read_contacts(model: Any, data: Any) -> ContactPoints:
     contact = data.contact
     geoms = contact.geom
     forces = _forces(model, data, contact)
-    is_kept = (geoms >= 0).all(axis=1) & ((contact.dist <= 0.0) | (forces[:, 0] > 0.0))
+    are_geoms = (geoms[:, 0] >= 0) & (geoms[:, 1] >= 0)
+    is_kept = are_geoms & ((contact.dist <= 0.0) | (forces[:, 0] > 0.0))
     if not is_kept.any():
         return ContactPoints.none()
     frames, distances, middles = contact.frame, contact.dist, contact.pos
@@ -34,10 +35,13 @@ def read_contacts(model: Any, data: Any) -> ContactPoints:
     numbers = model.geom_bodyid[geoms].astype(np.intp)
     roots = model.body_rootid[numbers].astype(np.intp)
     half = 0.5 * depths[:, None] * frames[:, 0]
+    points = np.zeros((len(depths), 2, 3))
+    np.add(middles, half, out=points[:, 0])
+    np.subtract(middles, half, out=points[:, 1])
     return ContactPoints(
         bodies=roots,
         links=numbers - roots,
-        points=np.stack((middles + half, middles - half), axis=1),
+        points=points,
         normals=-frames[:, 0],
         depths=depths,
         forces=forces[:, 0],
