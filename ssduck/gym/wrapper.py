@@ -145,18 +145,19 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._steps is None:
             raise ArgumentError("step: call reset first")
+        simulation = self._simulation
         if self._client is None:
-            self._simulation.tick()
+            simulation.tick()
         else:
             steps = len(self._steps.times)
             time = None if self._step_time is None else steps * self._step_time
-            self._simulation.tick(time=time)
+            simulation.tick(time=time)
         values = self._set_variables()
         judgement = self._judge.judgement()
         if judgement.reward is not None:
             reward = judgement.reward
         terminated = bool(terminated or judgement.stop)
-        self._steps.add_tick(self._simulation.time, values)
+        self._steps.add_tick(simulation.time, values)
         self._steps.rewards.append(float(reward))
         self._steps.success = judgement.success
         self._is_saved = False

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 
 from ssduck import validation
 from ssduck.database.database import Database
+from ssduck.database.pinning import PinnedWorlds
 from ssduck.errors import (
     ArgumentError,
     EvaluationError,
@@ -25,6 +26,7 @@ from ssduck.interpreter.linter import Linter
 from ssduck.interpreter.namespace import Namespace
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, TemporalEvaluator
+from ssduck.language.analysis import variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import Frame
@@ -43,6 +45,9 @@ from ssduck.sql.translator import unknown_function
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link
 from ssduck.world.world import World
+
+# The types of values that are neither worlds nor contain any.
+_PLAIN = frozenset((type(None), bool, int, float, str))
 
 
 class Execution(Namespace):
@@ -84,6 +89,11 @@ class Execution(Namespace):
         self._program_texts: list[str] = []
         self._stamp: tuple[object, ...] = ()
         self._override_cache: WeakKeyDictionary[Program, Program] = WeakKeyDictionary()
+        # What gives the variables of a node their meaning, the tables that it reads, and whether
+        # it may read any world.
+        self._reads: WeakKeyDictionary[Node, tuple[list[object], frozenset[str], bool]] = (
+            WeakKeyDictionary()
+        )
         self._reader = SqlReader(self)
 
     @contextmanager
@@ -333,20 +343,43 @@ class Execution(Namespace):
         """The use of the running program's limits."""
         return self.database.connection.meter
 
-    @contextmanager
-    def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> Iterator[None]:
+    def worlds_pinned(self, *nodes: Node, is_settled: bool = True) -> PinnedWorlds:
         """Pins all worlds at their tick, and reads the tables of relations.
 
         Args:
             *nodes: what is evaluated meanwhile.
             is_settled: whether DuckDB may read the tables.
         """
-        tables = frozenset().union(*map(self.tables_read, nodes))
+        if len(nodes) == 1 and (known := self._reads_again(nodes[0])) is not None:
+            return self.database.pinned(*known, is_settled=is_settled)
+        tables: frozenset[str] = frozenset().union(*map(self.tables_read, nodes))
         # Which worlds are read matters for their tables, and for stale ticks of users' clients.
         is_relevant = tables or self.database.has_attached_world
         worlds = self.worlds_of(nodes) if is_relevant else ()
-        with self.database.pinned(tables, worlds, is_settled=is_settled):
-            yield
+        return self.database.pinned(tables, worlds, is_settled=is_settled)
+
+    def _reads_again(self, node: Node) -> tuple[frozenset[str], list[World] | None] | None:
+        """Returns the tables and the worlds that a node reads, as `worlds_pinned` finds them.
+
+        They are found once for worlds and types of plain values, which programs that run at each
+        step have. None if the node reads other variables.
+        """
+        worlds: list[World] = []
+        meaning: list[object] = [self.planner.generation]
+        for value in self.bound_values(variables_of(node)):
+            if isinstance(value, World):
+                worlds.append(value)
+                meaning.append(value.serial)
+            elif type(value) in _PLAIN:
+                meaning.append(type(value))
+            else:
+                return None
+        known = self._reads.get(node)
+        if known is None or known[0] != meaning:
+            is_open = self.worlds_of((node,)) is None
+            known = self._reads[node] = (meaning, self.tables_read(node), is_open)
+        _, tables, is_open = known
+        return tables, None if is_open else worlds
 
 
 def _accept_columns(_: object) -> None:

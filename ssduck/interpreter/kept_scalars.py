@@ -18,6 +18,7 @@ from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
 from ssduck.sql.plan import ParameterBinding
 from ssduck.sql.types import SqlType
+from ssduck.world.entities import Entity
 from ssduck.world.handles import Handle
 from ssduck.world.layout import EntityInfo
 from ssduck.world.world import World
@@ -124,7 +125,7 @@ class KeptScalars:
                 self._note_world(name, frame)
             column = binding.column or "id"
             key: tuple[Any, ...] = value.world.serial, value.id, column
-            self._readers[key] = lambda _: value.column(column)
+            self._readers[key] = _column_reader(value, column)
             return key
         if binding.column is not None:
             raise ValueError("it names an entity in another way")
@@ -147,6 +148,16 @@ class KeptScalars:
         if not isinstance(world, World):
             raise ValueError("an entity is an element of something else")  # noqa: TRY004
         self._worlds[name] = value, world, world.snapshot.load_order
+
+
+def _column_reader(handle: Handle, column: str) -> _Reader:
+    """Returns the reader of a column of a row at the last tick, while the entities are the same."""
+    world = handle.world
+    row = world.snapshot.rows.get(handle.id)
+    if not isinstance(handle, Entity) or row is None:
+        return lambda _: handle.column(column)
+    place = row
+    return lambda _: world.snapshot.tables["entities"].value(column, place)
 
 
 def _variable_reader(name: str, sql_type: SqlType) -> _Reader:

@@ -252,7 +252,8 @@ class Linter:
         self._is_function = is_function
         self._worlds = worlds
         self._names = KnownNames(recorded)
-        self._facts: WeakKeyDictionary[Node, StatementFacts] = WeakKeyDictionary()
+        # The parts to look up in each statement; None if there are none.
+        self._facts: WeakKeyDictionary[Node, StatementFacts | None] = WeakKeyDictionary()
         self._reported: set[tuple[str | None, str]] = set()
 
     def check(
@@ -265,10 +266,12 @@ class Linter:
             statement: the statement.
             local: the state variables at its place.
         """
-        facts = self._facts.get(statement)
+        try:
+            facts = self._facts[statement]
+        except KeyError:
+            found = facts_of(statement)
+            facts = self._facts[statement] = None if found.is_empty else found
         if facts is None:
-            facts = self._facts[statement] = facts_of(statement)
-        if facts.is_empty:
             return []
         mistakes = [
             *self._hiding_names(facts),

@@ -112,9 +112,11 @@ class Namespace:
         Raises:
             UnknownNameError: no variable has that name; the error suggests the nearest names.
         """
-        validation.text(name, "the name of a variable is a text")
-        if name in self.variables:
-            value = self.variables[name]
+        if type(name) is not str:  # programs read variables at each step
+            validation.text(name, "the name of a variable is a text")
+        variables = self._variables
+        if name in variables:
+            value = variables[name]
             return value.last if isinstance(value, ValueHistory) else value
         if name in RELATIONS or name in self.functions:
             raise UnknownNameError(
@@ -141,7 +143,7 @@ class Namespace:
 
     def has_variable(self, name: str) -> bool:
         """Checks whether a variable has that name."""
-        return name in self.variables
+        return name in self._variables
 
     def is_function(self, name: str) -> bool:
         """Checks whether a function or a relation has that name."""

@@ -298,6 +298,8 @@ class _Compiler:
         def compute(values: Mapping[str, Any]) -> float:
             x, y = float(a(values)), float(b(values))
             result: float = operate(x, y)
+            if math.isfinite(result):
+                return result
             # The box of a plane is infinite, and so are its sums with other numbers.
             is_infinite = math.isinf(x) or math.isinf(y)
             return _number_of(result) if is_infinite else _finite(result)

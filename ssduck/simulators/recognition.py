@@ -26,6 +26,8 @@ _INNER = ("unwrapped", "physics", "sim", "env", "_physics", "_sim")
 _POINTERS = ("ptr", "_model", "_data")
 # The attributes under which an environment keeps a PyBullet client.
 _CLIENTS = ("_client", "physics_client", "_physics_client_id")
+# The packages whose models and data are on a device.
+_DEVICES = ("mujoco.mjx", "mujoco_warp")
 _MAX_DEPTH = 4
 
 
@@ -44,7 +46,23 @@ def simulator_of(simulation: Any) -> str:
         f"attach: {short_repr(simulation)} is no connected PyBullet client, and it has no MuJoCo "
         "model and data, neither itself (model, data) nor as unwrapped, physics or sim; give "
         "World.attach(client), World.attach(model, data), or a function that returns model and data"
+        + _hint(candidate)
     )
+
+
+def _hint(simulation: Any) -> str:
+    """Returns what is missing or to be done with objects that are near to a model with its data."""
+    parts = simulation if isinstance(simulation, tuple) else (simulation,)
+    if any(type(part).__module__.startswith(_DEVICES) for part in parts):
+        return (
+            "; MJX and MuJoCo Warp keep their state on a device: copy it to an MjData, such as by "
+            "mjx.get_data(model, data), and attach that with its MjModel"
+        )
+    if len(parts) == 1 and _own(parts[0], _NAMES[0]) is not None:
+        return "; this is a model without its data"
+    if len(parts) == 1 and _own(parts[0], _NAMES[1]) is not None:
+        return "; this is data without its model"
+    return ""
 
 
 def parts_of(simulation: Any) -> tuple[Any, Any] | None:

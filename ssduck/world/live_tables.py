@@ -211,7 +211,8 @@ class LiveTable:
         column = self._numbers.get(name)
         if column is None:
             return self.values(name)[row]
-        self._settle(name)
+        if self._deferred is not None:
+            self._settle(name)
         number = column[row].item()
         return None if number != number else number  # noqa: PLR0124  # NaN is unknown
 

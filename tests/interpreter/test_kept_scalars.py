@@ -168,3 +168,39 @@ def outcome(ss, program):
         return repr(ss.eval(program))
     except SelectScriptError as error:
         return str(error)
+
+
+@pytest.mark.filterwarnings("ignore:your function")
+def test_a_program_reads_what_its_variables_are_at_each_run(lab, monkeypatch):
+    other, ss, reads = Lab(), lab.ss, []
+    pinned = type(ss._database).pinned
+
+    def noted(database, tables=frozenset(), worlds=None, **options):
+        reads.append(("links" in tables, None if worlds is None else {*worlds}))
+        return pinned(database, tables, worlds, **options)
+
+    both = [lab.world["cube"], other.world["can"]]
+    one, two = {lab.world}, {lab.world, other.world}
+    cases = [
+        (lambda: ss.add_variable("part", None), False, one),
+        (lambda: ss.add_variable("part", lab.world), False, one),
+        (lambda: ss.add_variable("part", other.world), False, two),
+        (lambda: ss.add_variable("part", 3.0), False, one),
+        (lambda: ss.add_variable("part", both), False, two),
+        (lambda: ss.add_variable("part", lab.world["gripper"].links[0]), True, one),
+        (lambda: ss.add_variable("part", "a text"), False, one),
+        # A function of the user's may read any world.
+        (lambda: ss.add_function("isBox", lambda _: True), False, None),
+        (lambda: ss.del_function("isBox"), False, one),
+    ]
+    program = ss.compile("SELECT isBox(lab.cube), part FROM [0] AS list;")
+    monkeypatch.setattr(type(ss._database), "pinned", noted)
+    try:
+        for change, has_links, worlds in cases:
+            change()
+            for _ in range(3):
+                reads.clear()
+                ss.eval(program)
+                assert reads[-1] == (has_links, worlds)
+    finally:
+        other.ss.close()

@@ -23,20 +23,25 @@ def read_contacts(model: Any, data: Any) -> ContactPoints:
     contact = data.contact
     geoms = contact.geom
     forces = _forces(model, data, contact)
-    is_kept = (geoms >= 0).all(axis=1) & ((contact.dist <= 0.0) | (forces[:, 0] > 0.0))
+    are_geoms = (geoms[:, 0] >= 0) & (geoms[:, 1] >= 0)
+    is_kept = are_geoms & ((contact.dist <= 0.0) | (forces[:, 0] > 0.0))
     if not is_kept.any():
         return ContactPoints.none()
-    forces, geoms = forces[is_kept], geoms[is_kept]
-    frames = contact.frame[is_kept].reshape(-1, 3, 3)
-    depths = -contact.dist[is_kept]
+    frames, distances, middles = contact.frame, contact.dist, contact.pos
+    if not is_kept.all():
+        forces, geoms, frames = forces[is_kept], geoms[is_kept], frames[is_kept]
+        distances, middles = distances[is_kept], middles[is_kept]
+    frames, depths = frames.reshape(-1, 3, 3), -distances
     numbers = model.geom_bodyid[geoms].astype(np.intp)
     roots = model.body_rootid[numbers].astype(np.intp)
     half = 0.5 * depths[:, None] * frames[:, 0]
-    positions = contact.pos[is_kept]
+    points = np.zeros((len(depths), 2, 3))
+    np.add(middles, half, out=points[:, 0])
+    np.subtract(middles, half, out=points[:, 1])
     return ContactPoints(
         bodies=roots,
         links=numbers - roots,
-        points=np.stack((positions + half, positions - half), axis=1),
+        points=points,
         normals=-frames[:, 0],
         depths=depths,
         forces=forces[:, 0],
@@ -57,8 +62,10 @@ def _forces(model: Any, data: Any, contact: Any) -> Array:
     if not is_active.any():
         return forces
     pyramidal = model.opt.cone == int(mujoco.mjtCone.mjCONE_PYRAMIDAL)
-    for dim in np.unique(dims[is_active]).tolist():
-        rows = np.flatnonzero(is_active & (dims == dim))
+    # Most contacts are of one dimension, and all press.
+    is_uniform = is_active.all() and (dims == dims[0]).all()
+    for dim in dims[:1].tolist() if is_uniform else np.unique(dims[is_active]).tolist():
+        rows = np.arange(len(dims)) if is_uniform else np.flatnonzero(is_active & (dims == dim))
         first = addresses[rows]
         if not pyramidal or dim == 1:
             axes = min(dim, 3)

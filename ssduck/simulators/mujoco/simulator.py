@@ -132,6 +132,8 @@ class MuJoCoSimulator(PartialSimulator):
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         # The geoms of the present bodies whose margins were read.
         self._geoms: dict[Body, Indices] = {}
+        # The margins of all geoms as they were, and those of some bodies that were read then.
+        self._margins: tuple[bytes, list[Body], list[list[float]]] | None = None
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode, self._last_time = 0, float(self.data.time)
@@ -159,7 +161,7 @@ class MuJoCoSimulator(PartialSimulator):
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
-        self._rows, self._joint_rows, self._geoms = [], None, {}
+        self._rows, self._joint_rows, self._geoms, self._margins = [], None, {}, None
         self._warn_of_boxes(added)
         self._switch_off(added)
         return (added, gone) if added or gone else None
@@ -327,14 +329,19 @@ class MuJoCoSimulator(PartialSimulator):
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
+        margins, known = self.model.geom_margin, self._margins
+        content = margins.tobytes()
+        if known is not None and known[0] == content and known[1] == bodies:
+            return known[2]
         present = set(self._bodies)
         for body in present.difference(self._geoms):
             self._geoms[body] = geoms_of(self.model, body, self._switches.disabled_geoms)
-        margins = self.model.geom_margin
-        return [
+        of_bodies = [
             margins[self._geoms[body]].tolist() if body in present else body.margins
             for body in bodies
         ]
+        self._margins = content, list(bodies), of_bodies
+        return of_bodies
 
     def read_contacts(self) -> ContactPoints:
         """Returns the contact points of the last step between geoms."""

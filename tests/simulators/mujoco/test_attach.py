@@ -297,8 +297,17 @@ def test_environments_say_where_their_simulation_is(model, data, place):
     assert world["ball"].position[2] == pytest.approx(0.451)
 
 
+def _of_module(module: str) -> object:
+    """Returns an object whose class says that it is of a module."""
+    return type("Model", (), {"__module__": module})()
+
+
 WRONG = {
     "no simulation": (lambda m, d: ((object(),), {}), SimulatorError, "no connected PyBullet client, and it has no MuJoCo"),
+    "a model alone": (lambda m, d: ((m,), {}), SimulatorError, "a model without its data"),
+    "data alone": (lambda m, d: ((d,), {}), SimulatorError, "data without its model"),
+    "a model on a device": (lambda m, d: ((_of_module("mujoco.mjx._src.types"), d), {}), SimulatorError, "mjx.get_data"),
+    "an object of Warp": (lambda m, d: ((_of_module("mujoco_warp._src.types"),), {}), SimulatorError, "copy it to an MjData"),
     "no data": (lambda m, d: ((m, "data"), {}), SimulatorError, "it has no MuJoCo model and data"),
     "function of nothing": (lambda m, d: ((lambda: None,), {}), SimulatorError, "no MuJoCo model"),
     "name": (lambda m, d: ((m, d, {"bal": "x"}), {}), UnknownNameError, r"no body 'bal'.*ball"),
