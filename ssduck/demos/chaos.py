@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
+from ssduck.adapters.charts import INK, WHITE, chart, font
 from ssduck.adapters.display import DisplayTable, text_lines
 from ssduck.demos.results import keep_picture
 
@@ -190,28 +191,37 @@ _COLLISIONS = {
     "collisions of two bodies": (230, 120, 30),
     "of a body with a side": (130, 190, 210),
 }
+# The size of the area of the chart, pixels, and the part of a second that its bar takes.
+_CHART = 480, 120
+_BAR = 0.7
 
 
 def _picture(scene: Image.Image, rows: Sequence[Second]) -> Image.Image:
     """Draws the scene above a bar chart of collisions of bodies, and with sides, by second."""
-    width, chart_height = scene.width, 130
-    picture = Image.new("RGB", (width, scene.height + chart_height), (255, 255, 255))
+    bars = _bars(rows)
+    picture = Image.new("RGB", (max(scene.width, bars.width), scene.height + bars.height), WHITE)
     picture.paste(scene)
-    draw = ImageDraw.Draw(picture)
-    font = ImageFont.load_default(12)
-    baseline, tallest = picture.height - 20, max((a + b for _, a, b, _ in rows), default=1)
-    step = (width - 40) / max(len(rows), 1)
-    for number, (second, bodies, sides, _) in enumerate(rows):
-        left = 20 + number * step
-        right, top = left + 0.7 * step, float(baseline)
-        for count, colour in zip((bodies, sides), _COLLISIONS.values(), strict=True):
-            draw.rectangle((left, top - 80 * count / tallest, right, top), fill=colour)
-            top -= 80 * count / tallest
-        draw.text((left, baseline + 3), f"{second} s", fill=(20, 22, 26), font=font)
-        draw.text((left, top - 15), f"{bodies} + {sides}", fill=(20, 22, 26), font=font)
-    left, top = 20.0, scene.height - 6
-    for label, colour in _COLLISIONS.items():
-        draw.rectangle((left, top + 2, left + 9, top + 11), fill=colour)
-        draw.text((left + 15, top), label, fill=(20, 22, 26), font=font)
-        left += 39 + font.getlength(label)
+    picture.paste(bars, (0, scene.height))
     return picture
+
+
+def _bars(rows: Sequence[Second]) -> Image.Image:
+    """Draws a bar in each second, with the number of each kind above it."""
+    seconds = 1 + max((second for second, *_ in rows), default=0)
+    # The numbers above the tallest bar have their place, too.
+    most = 1.25 * max((bodies + sides for _, bodies, sides, _ in rows), default=1)
+    width, height = _CHART
+    area = Image.new("RGB", _CHART, WHITE)
+    draw, face = ImageDraw.Draw(area), font()
+    for second, bodies, sides, _ in rows:
+        left, top = width * (second + (1 - _BAR) / 2) / seconds, float(height)
+        right = left + _BAR * width / seconds
+        for count, colour in zip((bodies, sides), _COLLISIONS.values(), strict=True):
+            bottom, top = top, top - height * count / most
+            if count:
+                draw.rectangle((left, top, right, bottom), fill=colour)
+        middle = (left + right) / 2
+        draw.text((middle, top - 2), f"{bodies} + {sides}", fill=INK, font=face, anchor="mb")
+    entries = [(colour, name) for name, colour in _COLLISIONS.items()]
+    labels = "time [s]", "collisions in 1 s"
+    return chart(area, ((0, 0), (seconds, most)), labels, entries=entries)

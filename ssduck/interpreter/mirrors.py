@@ -1,7 +1,8 @@
 """Copies of a live world in interpreters of their own: their queries do not delay the simulation.
 
 A mirror has the last tick, or any recorded one, with the ticks before it. Recorded rows in memory
-are shared, not copied. A record in a file is not mirrored: its own store has to read it.
+are shared, not copied. A record in a file is not mirrored: its own store has to read it, and a
+program that asks the mirror for its past gets an error that says so.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from ssduck.database.binding import WorldHistory
 from ssduck.errors import UnsupportedError
@@ -19,6 +20,7 @@ from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.replay.mirrored_world import MirroredWorld
 from ssduck.recording.replay.record import Record
 from ssduck.recording.replay.replayed_world import ReplayedWorld
+from ssduck.recording.stores.base import TickArchive
 from ssduck.recording.stores.memory import MemoryStore
 from ssduck.world.entities import Sensor
 from ssduck.world.layout import EntityInfo
@@ -50,12 +52,14 @@ class _LiveCopy(MirroredWorld):
     Args:
         world: the live world.
         name: the name of the copy.
-        history: the copy of its recorded ticks; None if there is none.
+        history: its recorded ticks; None if there are none.
     """
 
     _has_sensings = False
 
-    def __init__(self, world: World, name: str, history: _HistoryCopy | None) -> None:
+    def __init__(
+        self, world: World, name: str, history: _HistoryCopy | _HistoryElsewhere | None
+    ) -> None:
         self._original = world
         store, record = (None, None) if history is None else (history.store, history.record)
         super().__init__(world, name, store, record)
@@ -138,7 +142,11 @@ class Mirror:
     def _copied_world(self, name: str, *, is_past: bool) -> _LiveCopy | ReplayedWorld:
         copy = self._copy
         if not is_past:
-            return _LiveCopy(self.original, name, copy)
+            return _LiveCopy(
+                self.original, name, copy or _elsewhere(self._history, self.original, name)
+            )
+        if copy is None and self._history is not None:
+            raise UnsupportedError(_past_in_a_file(name))
         if copy is None or not len(copy.ticks):
             raise UnsupportedError(
                 f"the past of {name!r} is not in memory: record it there, or open its record"
@@ -225,3 +233,58 @@ def _copy_of(
         source="the copy of its ticks",
     )
     return _HistoryCopy(store, record, ticks, members)
+
+
+def _past_in_a_file(world: str) -> str:
+    """Returns the message that a mirror has no past, as the ticks are in a file."""
+    return (
+        f"the past of {world!r} is in a database file, which only its own interpreter reads: ask "
+        "there, or open the file; a world of an interpreter without a file has its past here"
+    )
+
+
+class _FileArchive(TickArchive):
+    """Recorded ticks that a mirror cannot read.
+
+    Args:
+        archive: stores them.
+        world: the name of the world.
+    """
+
+    def __init__(self, archive: TickArchive, world: str) -> None:
+        self.recording, self.tables, self._world = archive.recording, archive.tables, world
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise UnsupportedError(_past_in_a_file(self._world))
+
+    select = models = fetch = near_pairs = _refuse
+
+    def close(self, *, forget: bool) -> None:
+        """Does nothing: the file stays open in its own interpreter."""
+
+
+@dataclass(frozen=True, eq=False)
+class _HistoryElsewhere:
+    """Recorded ticks that a mirror cannot read: each access is an error that says why."""
+
+    store: _FileArchive
+    record: Record
+
+
+def _elsewhere(history: WorldHistory | None, world: World, name: str) -> _HistoryElsewhere | None:
+    """Returns the recorded ticks of a world that are not in memory; None if nothing is recorded."""
+    if history is None:
+        return None
+    store, snapshot = _FileArchive(history.store, name), world.snapshot
+    record = Record(
+        None,
+        history.record.ticks,
+        history.record.members,
+        store.tables,
+        store.fetch,
+        store.near_pairs,
+        geometries=snapshot.geometries,
+        run=snapshot.run,
+        source="the record in a file",
+    )
+    return _HistoryElsewhere(store, record)

@@ -32,6 +32,12 @@ class Session:
         self.pages: list[ServedPage] = []
         self.is_over = False
 
+    @property
+    def prompt(self) -> str:
+        """What stands before what is typed: the first world, and the language if it is SQL."""
+        name = next((world.name for world in self.ss.worlds), "ssduck")
+        return f"{name} sql> " if self.language == "sql" else f"{name}> "
+
     def close(self) -> None:
         """Ends what the session serves."""
         while self.pages:

@@ -109,7 +109,7 @@ def prompt_session(session: Session, *, with_history: bool, **others: Any) -> Pr
 
     lexers = {"selectscript": PygmentsLexer(SelectScriptLexer), "sql": PygmentsLexer(SqlLexer)}
     return PromptSession(
-        message=lambda: _prompt(session),
+        message=lambda: session.prompt,
         multiline=True,
         prompt_continuation=lambda width, *_: "... ".rjust(width),
         completer=NameCompleter(session),
@@ -118,11 +118,6 @@ def prompt_session(session: Session, *, with_history: bool, **others: Any) -> Pr
         key_bindings=keys,
         **others,
     )
-
-
-def _prompt(session: Session) -> str:
-    name = next((world.name for world in session.ss.worlds), "ssduck")
-    return f"{name} sql> " if session.language == "sql" else f"{name}> "
 
 
 def run_terminal(session: Session, prompt: PromptSession[str]) -> None:

@@ -1,12 +1,19 @@
 """The page in a real browser: scene, queries, highlights, errors, and clicks."""
 
+import base64
+import io
+import json
+from functools import partial
+
 import numpy as np
+import pandas as pd
 import pytest
 from PIL import Image
 
 import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
+from ssduck.view.answers import MAX_ROWS
 from tools import draw_page
 from tools.browser import chromium
 
@@ -69,6 +76,59 @@ def test_a_click_on_a_head_sorts_the_table(page):
     assert len(heights[0]) > 3
     assert heights[0] == sorted(heights[0])
     assert heights[1] == heights[0][::-1]
+
+
+# Keeps the files that the page makes, instead of a browser's folder of downloads.
+CAUGHT = """
+window.files = [];
+URL.createObjectURL = (blob) => (files.push({ blob }), "blob:caught");
+HTMLAnchorElement.prototype.click = function () { files.at(-1).name = this.download; };
+0
+"""
+CONTENT = """
+files[0].blob.arrayBuffer().then(
+  (content) => btoa([...new Uint8Array(content)].map((byte) => String.fromCharCode(byte)).join("")))
+"""
+
+
+def downloaded(page, format):
+    """Returns the name and the content of the file that a button of the page makes."""
+    page.value(CAUGHT)
+    page.value(f"document.querySelector('[data-format={format}]').click(); 0")
+    name = page.wait("window.files[0]?.name")
+    return name, io.BytesIO(base64.b64decode(page.value(CONTENT)))
+
+
+@pytest.mark.parametrize(
+    ("format", "read"),
+    [
+        ("csv", partial(pd.read_csv, converters={"z": float})),
+        ("json", json.load),
+        ("parquet", pd.read_parquet),
+    ],
+)
+def test_a_result_is_downloaded(ss, page, format, read):
+    program = "SELECT id, z, isRobot(this) FROM kitchen WHERE z > 0.5;"
+    page.ask(program)
+    name, content = downloaded(page, format)
+    rows = read(content)
+    rows = rows if format == "json" else rows.to_dict("records")
+    assert name == f"result.{format}"
+    expected = ss.eval(program)
+    assert len(expected) > 3
+    assert [list(row.items()) for row in rows] == [list(row.items()) for row in expected]
+
+
+def test_a_long_result_is_elided_and_downloaded_whole(page):
+    count = MAX_ROWS + 234
+    page.value("document.querySelector('[data-language=sql]').click(); 0")
+    page.ask(f"SELECT range AS number FROM range({count})")
+    page.value("document.querySelector('[data-language=selectscript]').click(); 0")
+    assert len(cells(page)) == MAX_ROWS
+    text = page.value("document.getElementById('count').textContent")
+    assert text.startswith(f"{count} rows ({MAX_ROWS} shown)")
+    _, content = downloaded(page, "csv")
+    assert pd.read_csv(content)["number"].tolist() == list(range(count))
 
 
 def test_a_wrong_name_has_the_nearest_right_one(page):

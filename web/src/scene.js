@@ -1,4 +1,5 @@
-// The world in 3-D: one batched mesh, an instance a shape. It is drawn only when something changed.
+// The world in 3-D: a batched mesh of opaque shapes and one of transparent shapes, an instance a shape.
+// It is drawn only when something changed.
 
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -11,6 +12,8 @@ const DIMMED = new THREE.Color(0xc3cad3);
 const GROUND = new THREE.Color(0xd5dbe2);
 const GROUND_SIZE = 60;
 const FLOOR_SAMPLES = 6;
+// A transparent shape that stands out is at least as opaque as this.
+const MARKED_ALPHA = 0.6;
 const PALETTE = [
   0x6f8fb3, 0xb38f6f, 0x7fa88a, 0xa88aa0, 0x9a9f6d, 0x6fa3a8, 0xb3807a, 0x8286b5, 0xa3a3a3, 0xc2a878,
 ].map((hex) => new THREE.Color(hex));
@@ -44,6 +47,7 @@ export class Scene {
     this.boxes = new THREE.Group();
     this.drawn = new THREE.Group();
     this.scene.add(this.boxes, this.drawn);
+    this.batches = [];
     this.marks = null;
     this.selected = null;
     this.framesDrawn = 0;
@@ -97,32 +101,23 @@ export class Scene {
   show(head) {
     const isFirst = !this.head;
     this.head = head;
-    if (this.batch) {
-      this.scene.remove(this.batch);
-      this.batch.dispose();
-      this.batch.material.dispose();
+    for (const batch of this.batches) {
+      this.scene.remove(batch);
+      batch.dispose();
+      batch.material.dispose();
     }
     const geometries = head.geometries.map((each) => geometryOf(each, head));
-    const count = (key) => geometries.reduce((sum, each) => sum + key(each), 0);
-    const material = new THREE.MeshStandardMaterial({ roughness: 0.75, side: THREE.DoubleSide });
-    const vertices = count((each) => each.attributes.position.count);
-    this.batch = new THREE.BatchedMesh(
-      Math.max(1, head.shapes.length),
-      Math.max(3, vertices),
-      Math.max(3, count((each) => each.index.count)),
-      material,
-    );
-    this.batch.castShadow = this.batch.receiveShadow = true;
-    this.batch.perObjectFrustumCulled = false;
-    this.batch.sortObjects = false;
-    this.batch.frustumCulled = false;
-    const ids = geometries.map((each) => this.batch.addGeometry(each));
+    const drawn = head.shapes.filter(([, , , colour]) => !colour || colour[3] > 0.02);
+    const isClear = ([, number, , colour]) => !!colour && colour[3] < 1 && head.geometries[number].type !== "plane";
+    const solid = batchOf(drawn.filter((each) => !isClear(each)), geometries, false);
+    const clear = batchOf(drawn.filter(isClear), geometries, true);
+    this.batches = [solid, clear].map(({ batch }) => batch);
     this.poses = new Float32Array(7 * head.links.length);
     this.shapesOfLink = head.links.map(() => []);
     this.entities = new Map(head.entities.map((each) => [each.id, each]));
     const order = new Map(head.entities.map((each, index) => [each.id, index]));
-    const drawn = head.shapes.filter(([, , , colour]) => !colour || colour[3] > 0.02);
-    this.shapes = drawn.map(([row, number, pose, colour], index) => {
+    this.shapes = drawn.map((each, index) => {
+      const [row, number, pose, colour] = each;
       const isPlane = head.geometries[number].type === "plane";
       const [entity, link] = head.links[row];
       const plain = isPlane
@@ -132,13 +127,14 @@ export class Scene {
           : PALETTE[order.get(entity) % PALETTE.length];
       const local = matrixOf(pose, 0);
       if (isPlane) local.multiply(new THREE.Matrix4().makeTranslation(0, 0, -0.001));
-      const instance = this.batch.addInstance(ids[number]);
-      this.batch.setColorAt(instance, plain);
+      const { batch, ids } = isClear(each) ? clear : solid;
+      const instance = batch.addInstance(ids.get(number));
+      const alpha = isClear(each) ? colour[3] : 1;
       this.shapesOfLink[row].push(index);
-      return { row, entity, link, local, plain, instance, isPlane };
+      return { row, entity, link, local, plain, alpha, batch, instance, isPlane };
     });
     for (const each of geometries) each.dispose();
-    this.scene.add(this.batch);
+    this.scene.add(...this.batches);
     this.paint();
     if (isFirst) this.isFitted = false;
   }
@@ -158,7 +154,7 @@ export class Scene {
       const link = matrixOf(this.poses, 7 * row);
       for (const index of this.shapesOfLink[row]) {
         const shape = this.shapes[index];
-        this.batch.setMatrixAt(shape.instance, link.clone().multiply(shape.local));
+        shape.batch.setMatrixAt(shape.instance, link.clone().multiply(shape.local));
       }
     }
     if (!this.isFitted) this.fit();
@@ -201,8 +197,8 @@ export class Scene {
     const part = new THREE.Box3();
     const matrix = new THREE.Matrix4();
     for (const shape of this.shapes.filter((each) => !each.isPlane)) {
-      this.batch.getBoundingBoxAt(this.batch.getGeometryIdAt(shape.instance), part);
-      this.batch.getMatrixAt(shape.instance, matrix);
+      shape.batch.getBoundingBoxAt(shape.batch.getGeometryIdAt(shape.instance), part);
+      shape.batch.getMatrixAt(shape.instance, matrix);
       part.applyMatrix4(matrix);
       if (Number.isFinite(part.min.x + part.max.x + part.min.y + part.max.z)) box.union(part);
     }
@@ -257,7 +253,7 @@ export class Scene {
       for (let j = 0.5; j < FLOOR_SAMPLES; j++) {
         const from = new THREE.Vector3(x + (width * i) / FLOOR_SAMPLES, y + (height * j) / FLOOR_SAMPLES, top);
         ray.set(from, new THREE.Vector3(0, 0, -1));
-        const hits = ray.intersectObject(this.batch).filter((each) => each.face.normal.z > 0.5);
+        const hits = ray.intersectObjects(this.batches).filter((each) => each.face.normal.z > 0.5);
         if (hits.length) heights.push(hits[hits.length - 1].point.z);
       }
     }
@@ -281,7 +277,8 @@ export class Scene {
       if (isMarked) colour.lerp(HIGHLIGHT, 0.8);
       else if (this.marks && !shape.isPlane) colour.lerp(DIMMED, 0.8);
       if (shape.entity === this.selected && !isMarked && !shape.isPlane) colour.lerp(new THREE.Color(0x2f7df6), 0.6);
-      this.batch.setColorAt(shape.instance, colour);
+      const alpha = isMarked ? Math.max(shape.alpha, MARKED_ALPHA) : shape.alpha;
+      shape.batch.setColorAt(shape.instance, new THREE.Vector4(colour.r, colour.g, colour.b, alpha));
     }
     this.draw();
   }
@@ -289,7 +286,7 @@ export class Scene {
   // -- where things are
 
   entityAt(x, y) {
-    if (!this.batch) return null;
+    if (!this.shapes) return null;
     const box = this.renderer.domElement.getBoundingClientRect();
     const point = new THREE.Vector2(
       ((x - box.left) / box.width) * 2 - 1,
@@ -297,8 +294,8 @@ export class Scene {
     );
     const ray = new THREE.Raycaster();
     ray.setFromCamera(point, this.camera);
-    const hit = ray.intersectObject(this.batch).find((each) => each.batchId !== undefined);
-    return hit ? this.shapes.find((each) => each.instance === hit.batchId).entity : null;
+    const hit = ray.intersectObjects(this.batches).find((each) => each.batchId !== undefined);
+    return hit ? this.shapes.find((each) => each.batch === hit.object && each.instance === hit.batchId).entity : null;
   }
 
   // Returns the pose of the base of an entity, x y z w x y z.
@@ -328,6 +325,27 @@ function matrixOf(pose, at) {
     new THREE.Quaternion(pose[at + 4], pose[at + 5], pose[at + 6], pose[at + 3]),
     new THREE.Vector3(1, 1, 1),
   );
+}
+
+// Returns a batched mesh for some shapes, with its geometries by their numbers.
+function batchOf(shapes, geometries, isTransparent) {
+  const numbers = [...new Set(shapes.map(([, number]) => number))];
+  const count = (key) => numbers.reduce((sum, number) => sum + key(geometries[number]), 0);
+  const material = new THREE.MeshStandardMaterial({
+    roughness: 0.75, side: THREE.DoubleSide, transparent: isTransparent, depthWrite: !isTransparent,
+  });
+  const batch = new THREE.BatchedMesh(
+    Math.max(1, shapes.length),
+    Math.max(3, count((each) => each.attributes.position.count)),
+    Math.max(3, count((each) => each.index.count)),
+    material,
+  );
+  batch.castShadow = !isTransparent;
+  batch.receiveShadow = true;
+  batch.perObjectFrustumCulled = false;
+  batch.sortObjects = isTransparent;
+  batch.frustumCulled = false;
+  return { batch, ids: new Map(numbers.map((number) => [number, batch.addGeometry(geometries[number])])) };
 }
 
 function geometryOf({ type, size, vertices, faces }, head) {
