@@ -227,7 +227,7 @@ def _value_count(metadata: pq.FileMetaData) -> int:
     """Returns the number of values of the rows and their files, as a manifest claims."""
     groups = map(metadata.row_group, range(metadata.num_row_groups))
     nested: int = sum(g.column(n).num_values for g in groups for n in range(g.num_columns))
-    return max(nested, metadata.num_rows)
+    return max(nested, int(metadata.num_rows))
 
 
 def _is_possible(entry: EpisodeEntry) -> bool:

@@ -2,6 +2,8 @@
 
 import json
 import os
+import zlib
+from dataclasses import replace
 
 import mujoco
 import pyarrow as pa
@@ -259,3 +261,19 @@ def test_a_manifest_of_too_many_values_is_read_anew(folder, monkeypatch):
     for most, entries in ((count, EPISODES), (count - 1, 0)):
         monkeypatch.setattr("ssduck.lakes.manifest.MAX_VALUES", most)
         assert len(read_manifest(folder / FILE)) == entries
+
+
+def test_columns_of_other_types_are_the_error_of_one_episode(folder):
+    entries = list(ssduck.lake(folder).entries)
+    name = f"{ENTITIES}/part-000000.parquet"
+    rows = pq.read_table(folder / name, partitioning=None)
+    texts = rows["tick"].cast(pa.string())
+    rows = rows.set_column(rows.column_names.index("tick"), "tick", texts)
+    write_parquet(rows, folder / name)
+    checksum = zlib.crc32((folder / name).read_bytes())
+    files = [replace(f, checksum=checksum) if f.name == name else f for f in entries[1].files]
+    entries[1] = replace(entries[1], files=tuple(files))
+    for asked in (entries, entries[1:]):
+        forget_readers()
+        ((_, answers),) = answer_locally(ProgramQuestion(PROGRAM), [asked], 1)
+        assert [error is None for _, error in answers] == [e is not entries[1] for e in asked]
