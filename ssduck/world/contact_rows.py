@@ -52,15 +52,17 @@ def _order(sides_a: Indices, sides_b: Indices, numbers: Array) -> Indices:
     """
     order = np.lexsort((numbers[0], sides_b, sides_a))
     a, b, x = sides_a.take(order), sides_b.take(order), numbers[0].take(order)
-    is_next = (a[1:] != a[:-1]) | (b[1:] != b[:-1]) | (x[1:] > x[:-1])
-    if is_next.all():
+    is_same_side = (a[1:] == a[:-1]) & (b[1:] == b[:-1])
+    # The place of each contact that the next one is tied with.
+    before = (is_same_side & ~(x[1:] > x[:-1])).nonzero()[0]
+    if not len(before):
         return order
-    is_first = np.ones(len(order), dtype=bool)
-    is_first[1:] = is_next
-    is_tied = ~is_first
-    is_tied[:-1] |= ~is_next
+    is_tied = np.zeros(len(order), dtype=bool)
+    is_tied[before] = is_tied[before + 1] = True
     tied = is_tied.nonzero()[0]
+    # The same number for tied contacts: both terms rise by 1 from one of them to the next.
+    groups = np.arange(len(tied)) - before.searchsorted(tied)
     rows = order[tied]
     keys = numbers.take(rows, axis=1)
-    order[tied] = rows[np.lexsort((keys[10], *keys[5::-1], is_first.cumsum()[tied]))]
+    order[tied] = rows[np.lexsort((keys[10], *keys[5::-1], groups))]
     return order

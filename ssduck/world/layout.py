@@ -192,8 +192,9 @@ class BodyGroup:
         mounts = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         self.sensors_on_links = bool(np.setdiff1d(mounts, self._bases).size)
         self._row_frames = np.concatenate((self._bases, mounts))
-        # The last link poses, with the boxes of the links and sensors.
+        # The last link poses, with the boxes of the links and sensors, and of the entities.
         self._last_boxes: tuple[LinkPoses, Array] | None = None
+        self._last_entity_boxes: tuple[LinkPoses, Array] | None = None
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box.
 
@@ -265,6 +266,14 @@ class BodyGroup:
 
     def _entity_boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of the bodies, then those of the sensors, (6, entities)."""
+        # The poses of sensors take them, and later the boxes themselves, often of the same tick.
+        last = self._last_entity_boxes
+        if last is None or last[0] is not link_poses:
+            last = self._last_entity_boxes = link_poses, self._merged_boxes(link_poses)
+        return last[1]
+
+    def _merged_boxes(self, link_poses: LinkPoses) -> Array:
+        """Computes them from the boxes of the links."""
         boxes = self._boxes(link_poses)
         links, starts = self._bounding_links
         if len(links) == len(starts) and len(links) == len(self._link_rows):
