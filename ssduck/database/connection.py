@@ -19,7 +19,7 @@ from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
 from ssduck.database.deadlines import DEADLINES
-from ssduck.database.fetched_rows import FetchedRows, Header, fetched
+from ssduck.database.fetched_rows import FetchedRows, Header, all_rows, fetched
 from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
 from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file, reach_objects
 from ssduck.database.limited_fetch import limited_rows, limited_table, whole_table
@@ -48,10 +48,6 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # Errors of functions that SQL calls, which stay as they are.
 _OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
-# The largest number of rows that are fetched as tuples.
-_BY_ROW = 100
-# The types whose columns NumPy represents exactly.
-_BY_COLUMN = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "VARCHAR"))
 _EXECUTE = "EXECUTE "
 # Has DuckDB plan nested loops in place of all range joins.
 NO_RANGE_JOINS = "SET nested_loop_join_threshold = 1000000000"
@@ -349,7 +345,7 @@ class Connection:
             result = self._connection.execute(sql, parameters)
             if self.has_limited_rows:
                 return limited_rows(result, self._max_rows, self.meter.charge)
-            return _all_rows(result)
+            return all_rows(result)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
@@ -547,18 +543,6 @@ def _hint(error: Exception) -> str:
         "select whole rows of entities (SELECT *), and open a record that lacks the column run "
         "with ssduck.open"
     )
-
-
-def _all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
-    """Returns all rows of a result; many rows are fetched by column, in a quarter of the time."""
-    rows: list[tuple[Any, ...]] = result.fetchmany(_BY_ROW)
-    if len(rows) == _BY_ROW:
-        if all(str(column[1]) in _BY_COLUMN for column in result.description):
-            columns = result.fetchnumpy().values()
-            rows.extend(zip(*(column.tolist() for column in columns), strict=True))
-        else:
-            rows.extend(result.fetchall())
-    return rows
 
 
 def _is_duckdb_error(error: Exception) -> bool:

@@ -22,6 +22,8 @@ _ARROW_TYPES = {
 }
 # More rows are fetched by column, which takes half of the time.
 MAX_TUPLES = 200
+# Of ssduck's own statements, in a quarter of the time.
+_BY_ROW = 100
 
 
 @dataclass(frozen=True)
@@ -147,3 +149,15 @@ def fetched(
     if header.is_long or len(rows) == MAX_TUPLES:
         return FetchedRows(header, rows, list(result.fetchnumpy().values()))
     return FetchedRows(header, rows)
+
+
+def all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
+    """Returns all rows of a result; many rows are fetched by column, in a quarter of the time."""
+    rows: list[tuple[Any, ...]] = result.fetchmany(_BY_ROW)
+    if len(rows) == _BY_ROW:
+        if all(str(column[1]) in _ARROW_TYPES for column in result.description):
+            columns = result.fetchnumpy().values()
+            rows.extend(zip(*(column.tolist() for column in columns), strict=True))
+        else:
+            rows.extend(result.fetchall())
+    return rows
