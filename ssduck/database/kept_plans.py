@@ -73,11 +73,14 @@ class KeptQuery:
         text: the query, with a `mark` in place of each name behind FROM.
         sources: what the marks stand for.
         has_known_columns: whether the names of its columns are written out.
+        is_pruned: whether it depends on no columns but those that its plan reads, or its text
+            names.
     """
 
     text: str
     sources: Sequence[RowSource]
     has_known_columns: bool
+    is_pruned: bool
 
     @staticmethod
     def mark(number: int) -> str:
@@ -162,7 +165,10 @@ class KeptPlans:
         scans = [one["extra_info"] for one in self._operators(sql) if _is_scan(one)]
         if any(info["Function"] != _SCAN for info in scans):
             return None
-        read = set(_WORD.findall(sql))  # a name may be needed, though no value is
+        if not query.is_pruned:
+            return {column.name for source in query.sources for column in source.columns}
+        words = _WORD.findall(sql)  # a name may be needed, though no value is
+        read = {*words, *map(str.lower, words)}
         for info in scans:
             columns = info.get("Projections", [])
             read.update([columns] if isinstance(columns, str) else columns)
@@ -251,7 +257,7 @@ def _array_of(column: pa.ChunkedArray) -> pa.Array:
 def _read_of(source: RowSource, read: AbstractSet[str]) -> list[Column]:
     """Returns the columns of a source that a query reads, or one that is there to be counted."""
     needed = read if source.part is None else read | _OF_PARTS
-    columns = [column for column in source.columns if column.name in needed]
+    columns = [c for c in source.columns if c.name in needed or c.second_name in needed]
     return columns or [column for column in source.columns if column.type == "integer"][:1]
 
 

@@ -19,6 +19,7 @@ from ssduck.database.kept_plans import (
     live_source,
     parameter_source,
 )
+from ssduck.database.statement_names import may_read_unnamed
 from ssduck.errors import SelectScriptError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import RECORDED, TABLES, Column
@@ -165,6 +166,7 @@ class Statement:
     def _kept_query(self) -> KeptQuery | None:
         """Returns the SELECT as a query whose plan may be kept; None if that is not known."""
         tree = self._tree.copy()
+        is_pruned = not may_read_unnamed(tree, "")
         expressions = {cte.alias for cte in tree.find_all(exp.CTE)}
         sources: list[RowSource] = []
         for table in tree.find_all(exp.Table):
@@ -179,7 +181,7 @@ class Statement:
             table.set("db", None)
             table.set("alias", exp.TableAlias(this=exp.to_identifier(alias, quoted=True)))
             sources.append(source)
-        return KeptQuery(tree.sql("duckdb"), sources, has_known_columns=True)
+        return KeptQuery(tree.sql("duckdb"), sources, has_known_columns=True, is_pruned=is_pruned)
 
     def _source(self, table: exp.Table) -> RowSource | None:
         """Returns what a name behind FROM stands for; None if that is not known."""

@@ -7,7 +7,7 @@ subquery may have changed.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -296,23 +296,35 @@ def unread_columns(statement: exp.Expr, sql: str) -> frozenset[str]:
     """
     words = set(map(str.lower, _WORD.findall(sql)))
     inputs = [_RELATIONS[word].macro_inputs for word in words if word in _RELATIONS]
-    names = {table.alias_or_name.lower() for table in statement.find_all(exp.Table, exp.Subquery)}
-    is_all_read = any(join.method for join in statement.find_all(exp.Join)) or any(
-        not isinstance(star.parent, exp.Count) for star in statement.find_all(exp.Star, exp.Columns)
-    )
-    # A column may be named by its position: `#3`, `entities AS e(a, b)`.
-    is_all_read = is_all_read or "#" in sql
-    is_all_read = is_all_read or any(a.columns for a in statement.find_all(exp.TableAlias))
-    is_all_read = is_all_read or any(
-        not column.table and column.name.lower() in names and not _is_argument(column)
-        for column in statement.find_all(exp.Column)
-    )
-    if is_all_read:
+    if may_read_unnamed(statement, sql):
         return frozenset()
     return frozenset(
         data
         for column, data in _READ_FOR.items()
         if column not in words and not any(data in read for read in inputs)
+    )
+
+
+def may_read_unnamed(statement: exp.Expr, sql: str, hidden: Collection[str] = ()) -> bool:
+    """Checks whether a statement may depend on columns that its text and its plan do not name.
+
+    Args:
+        statement: its tree.
+        sql: its text.
+        hidden: the names of relations that have another meaning.
+    """
+    # A column may be named by its position: `#3`, `entities AS e(a, b)`.
+    if "#" in sql or any(alias.columns for alias in statement.find_all(exp.TableAlias)):
+        return True
+    if any(join.method for join in statement.find_all(exp.Join)):
+        return True
+    stars = statement.find_all(exp.Star, exp.Columns)
+    if any(not isinstance(star.parent, exp.Count) for star in stars):
+        return True
+    names = {table.alias_or_name.lower() for table in statement.find_all(exp.Table, exp.Subquery)}
+    return any(
+        not column.table and column.name.lower() in names and (hidden or not _is_argument(column))
+        for column in statement.find_all(exp.Column)
     )
 
 

@@ -43,6 +43,7 @@ from ssduck.database.statement import (
 )
 from ssduck.database.statement_names import (
     WorldNames,
+    may_read_unnamed,
     reads_only_live_tables,
     source_tables,
     start_of,
@@ -59,6 +60,8 @@ _CHANGES = re.compile(
     r"\b(current_query\w*|current_transaction_id|txid_current|nextval|currval|setval|setseed)\b",
     re.IGNORECASE,
 )
+# What tells of tables, not of their rows.
+_DESCRIPTIONS = (exp.Describe, exp.Summarize, exp.Show, exp.Pivot)
 
 
 @dataclass(eq=False)
@@ -76,6 +79,7 @@ class UserStatement:
         has_plain_types: whether its columns are fetched as Python's values; None if unknown.
         may_be_kept: whether its plan may be kept; None if that is not known yet.
         runs: the number of runs since it was not prepared.
+        table_names: the names of its columns in Arrow, when it ran without being prepared.
         row: the numbers that it is prepared with; None if it has no parameters.
         unread: the data of a simulator that its words refer to, and that it does not read.
         last_header: the columns of its last run, and whether it had many rows.
@@ -92,6 +96,7 @@ class UserStatement:
     has_plain_types: bool | None = None
     may_be_kept: bool | None = None
     runs: int = 0
+    table_names: list[str] | None = None
     row: ParameterRow | None = None
     unread: frozenset[str] = frozenset()
     last_header: Header | None = None
@@ -272,7 +277,13 @@ class UserStatements:
                 return rows
             statement.has_plain_types = False
         table = self._connection.table(sql, parameters)
-        return table if statement.columns is None else table.rename_columns(statement.columns)
+        if statement.columns is not None:
+            return table.rename_columns(statement.columns)
+        if sql != statement.execute:
+            statement.table_names = table.column_names
+        elif statement.table_names is not None:  # DuckDB numbers equal names of prepared statements
+            return table.rename_columns(statement.table_names)
+        return table
 
     def _looked_up(self, statement: UserStatement, parameters: Parameters) -> FetchedRows | None:
         """Returns the rows of a statement that has a look-up; None if it has to run."""
@@ -338,7 +349,7 @@ class UserStatements:
     ) -> KeptQuery | None:
         """Returns a query as one whose plan may be kept; None if that is not known."""
         tree = parsed(sql)
-        if tree is None or "#" in sql or MARK in sql:  # `#3` is a column by its place
+        if tree is None or MARK in sql or any(tree.find_all(*_DESCRIPTIONS)):
             return None
         parts, sources, end = [], list[RowSource](), 0
         for table in sorted(source_tables(tree), key=start_of):
@@ -351,8 +362,13 @@ class UserStatements:
             parts += [sql[end:start], KeptQuery.mark(len(sources)), name]
             end = table.this.meta["end"] + 1
             sources.append(source)
+        if len(sources) > 1 and any(map(_takes_any, tree.find_all(exp.Query))):
+            return None
+        is_pruned = not may_read_unnamed(tree, sql, names.hidden)
+        is_pruned = is_pruned and not any(tree.find_all(exp.SetOperation))
+        text = "".join((*parts, sql[end:]))
         # A column of a subquery has the name of its text.
-        return KeptQuery("".join((*parts, sql[end:])), sources, has_known_columns=False)
+        return KeptQuery(text, sources, has_known_columns=False, is_pruned=is_pruned)
 
     def _source(
         self, statement: UserStatement, table: exp.Table, names: WorldNames
@@ -363,6 +379,14 @@ class UserStatements:
         live, schema = names.live_table(table), names.schema(table)
         bound = None if schema is None else self._worlds.get(schema)
         return None if live is None or bound is None else live_source(bound, live)
+
+
+def _takes_any(query: exp.Query) -> bool:
+    """Checks whether the order of the rows decides which ones are taken, and is not given.
+
+    Another plan may join them in another order.
+    """
+    return query.args.get("limit") is not None and query.args.get("order") is None
 
 
 def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:

@@ -37,7 +37,7 @@ CASES = [
     ("SELECT id FROM entities UNION ALL SELECT a FROM contacts", True),
     ("SELECT sim.entities.name FROM sim.entities", False),  # no alias has a schema
     ("SELECT name FROM entities AS e(tick, seconds, id)", False),
-    ("SELECT #3 FROM entities", False),
+    ("SELECT #3 FROM entities", True),
     ("SELECT * FROM entities LIMIT 0", True),  # there is no scan to replace
     ("SELECT e FROM entities e", True),
     ("SELECT name, full_name FROM links", True),
@@ -47,6 +47,20 @@ CASES = [
     ("SELECT full_name, visible, region FROM sites", True),
     ("SELECT a.name FROM entities a WHERE a.z > (SELECT avg(z) FROM entities WHERE id <> a.id)", False),
     ("SELECT name FROM entities e, range(2) r(i)", False),
+    # Columns that no plan reads decide what these mean.
+    ("WITH pose(k, x) AS (FROM entities) SELECT x FROM pose", True),
+    ("WITH pose(k, z) AS (FROM entities) SELECT max(z) AS z FROM pose", True),
+    ("WITH c(k, force) AS (FROM contacts) SELECT force FROM c", True),
+    ("SELECT t.b, 'mass' AS what FROM (FROM entities) t(a, b)", True),
+    ("SELECT name FROM entities e WHERE length(typeof(e)) > 200", True),
+    ("SELECT name FROM entities WHERE length(typeof(struct_pack(*COLUMNS(*)))) > 200", True),
+    ("SELECT count(*) FROM (DESCRIBE FROM entities)", True),  # it scans no table
+    ("SELECT 'a' AS Z, name FROM entities WHERE typeof(Z) = 'DOUBLE'", True),
+    ("SELECT name AS point_a_x, typeof(point_a_x) AS t FROM entities JOIN contacts ON id = a", True),
+    ("SELECT 'a' AS FORCE, (SELECT count(*) FROM contacts WHERE typeof(FORCE) = 'DOUBLE') AS n FROM entities", True),
+    ("SELECT e.name, c.b FROM entities e JOIN contacts c ON c.a = e.id LIMIT 2", False),
+    ("SELECT name FROM entities LIMIT 2", True),
+    ("SELECT id, z FROM entities UNION ALL BY NAME SELECT id, name FROM entities", True),
     ("SELECT vertices FROM geometries", False),
 ]  # fmt: skip
 
@@ -141,6 +155,30 @@ def test_programs_have_the_values_of_a_new_interpreter(traced, text):
             assert str(value) == str(other.eval(text))
         if run > RUNS_BEFORE_PLAN:
             assert [statement.split()[0] for statement in statements] == ["EXECUTE"]
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT a.name, b.name, [a.id] AS list FROM entities a, entities b",
+        "SELECT kind, kind, list(name) AS list FROM entities GROUP BY ALL",
+        "SELECT vertices, type, type FROM geometries",
+        "SELECT name, name FROM entities",
+    ],
+)
+def test_columns_of_one_name_keep_it(traced, sql):
+    ss, _, _ = traced
+    names = [ss.sql(sql).arrow().column_names for _ in range(RUNS)]
+    assert names == [names[0]] * RUNS
+    assert len(set(names[0])) < len(names[0])
+
+
+def test_a_users_macro_sees_whole_rows(traced):
+    ss, _, _ = traced
+    ss.sql("CREATE MACRO letters(e) AS length(typeof(e))")
+    lengths = [ss.sql("SELECT letters(e) AS n FROM entities e").fetchall() for _ in range(RUNS)]
+    assert lengths == [lengths[0]] * RUNS
+    assert lengths[0][0][0] > 200
 
 
 def test_the_time_of_a_statement_is_that_of_its_run(traced):
