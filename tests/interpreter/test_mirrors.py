@@ -136,6 +136,8 @@ def test_the_past_of_a_file_or_of_nothing_is_not_mirrored(tmp_path, recording):
         assert mirror.interpreter.sql("SELECT count(*) FROM contacts").fetchall()
         with pytest.raises(SelectScriptError):
             mirror.interpreter.eval("SELECT id FROM kitchen{};")
-        with pytest.raises(UnsupportedError, match="is in a database file" if recording else "is not in memory"):
+        with pytest.raises(
+            UnsupportedError, match="is in a database file" if recording else "is not in memory"
+        ):
             Mirror(ss, ss["kitchen"], "kitchen", Limits(), is_past=True)
         mirror.close()
