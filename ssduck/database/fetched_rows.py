@@ -22,7 +22,7 @@ _ARROW_TYPES = {
 }
 # More rows are fetched by column, which takes half of the time.
 MAX_TUPLES = 200
-# Of ssduck's own statements, in a quarter of the time.
+# The same for ssduck's own statements, whose columns become tuples again.
 _BY_ROW = 100
 
 

@@ -40,7 +40,6 @@ MARK = "ssduck source"
 # What the views of links and sites need of their own rows, and of those of the entities.
 _OF_PARTS = frozenset(("tick", "entity", "link", "name", "region"))
 _OF_ENTITIES = frozenset(("tick", "id", "name", "kind", "enabled", "visible", "run"))
-_OF_SITES = frozenset(column.name for column in TABLES["links"].columns if column.is_of_sites)
 _WORD = re.compile(r"\w+")
 
 _numbers = count(1)
@@ -53,16 +52,25 @@ class RowSource:
     Attributes:
         table: returns the table that has them at present.
         columns: its columns.
-        second_names: further names of columns, by the column.
-        part: the table of links or sites whose view it is; None for another table.
-        entities: the entities to which these belong; None for another table.
+        view: what its view makes of the rows; None if that has all of them as they are.
     """
 
     table: Callable[[], LiveTable]
     columns: Sequence[Column]
-    second_names: Mapping[str, str]
-    part: Table | None = None
-    entities: RowSource | None = None
+    view: PartView | None = None
+
+
+@dataclass(frozen=True)
+class PartView:
+    """The view of links or of sites.
+
+    Attributes:
+        table: the table of links or of sites.
+        entities: the entities to which these belong.
+    """
+
+    table: Table
+    entities: RowSource
 
 
 @dataclass(frozen=True)
@@ -70,7 +78,7 @@ class KeptQuery:
     """A query of small tables, whose plan may be kept.
 
     Attributes:
-        text: the query, with a `mark` in place of each name behind FROM.
+        text: the query, with a `mark`, quoted, in place of each name behind FROM.
         sources: what the marks stand for.
         has_known_columns: whether the names of its columns are written out.
         is_pruned: whether it depends on no columns but those that its plan reads, or its text
@@ -85,7 +93,7 @@ class KeptQuery:
     @staticmethod
     def mark(number: int) -> str:
         """Returns what stands in the text in place of a source."""
-        return f'"{MARK} {number}"'
+        return f"{MARK} {number}"
 
 
 def live_source(bound: BoundWorld, table: Table) -> RowSource | None:
@@ -98,14 +106,16 @@ def live_source(bound: BoundWorld, table: Table) -> RowSource | None:
         return bound.world.snapshot.tables[table.source]
 
     if not table.view_columns:
-        return RowSource(current, table.columns, table.second_names)
+        return RowSource(current, table.columns)
     entities = live_source(bound, TABLES["entities"])
-    return RowSource(current, table.columns, {}, table, entities)
+    return (
+        None if entities is None else RowSource(current, table.columns, PartView(table, entities))
+    )
 
 
 def parameter_source(row: LiveTable) -> RowSource:
     """Returns the rows of a table of parameters, which is one."""
-    return RowSource(lambda: row, row.columns, {})
+    return RowSource(lambda: row, row.columns)
 
 
 class KeptPlans:
@@ -188,12 +198,12 @@ class KeptPlans:
         text = query.text
         for number, source in enumerate(query.sources):
             rows = self._rows(name, source, read)
-            if source.part is not None and source.entities is not None:
-                entities = f"({self._rows(name, source.entities, _OF_ENTITIES)})"
-                hidden = () if source.part.part_of else _OF_SITES
-                listed = [c.name for c in _read_of(source, read) if c.name not in hidden]
-                rows = part_rows(source.part, rows, entities, ", ".join(map(quoted, listed)))
-            text = text.replace(query.mark(number), f"({rows})")
+            if (view := source.view) is not None:
+                entities = f"({self._rows(name, view.entities, _OF_ENTITIES)})"
+                shown = {column.name for column in view.table.shown_columns}
+                listed = (c.name for c in _read_of(source, read) if c.name in shown)
+                rows = part_rows(view.table, rows, entities, ", ".join(map(quoted, listed)))
+            text = text.replace(quoted(query.mark(number)), f"({rows})")
         return text
 
     def _rows(self, name: str, source: RowSource, read: AbstractSet[str]) -> str:
@@ -205,7 +215,7 @@ class KeptPlans:
             function, rows, ["INTEGER"], _list_type(columns), type="arrow", side_effects=True
         )
         self._functions[name].append(function)
-        return _rows_of(function, columns, source)
+        return _rows_of(function, columns)
 
     def _are_same(self, sql: str, other: str) -> bool:
         """Checks whether two queries have the same columns."""
@@ -256,7 +266,7 @@ def _array_of(column: pa.ChunkedArray) -> pa.Array:
 
 def _read_of(source: RowSource, read: AbstractSet[str]) -> list[Column]:
     """Returns the columns of a source that a query reads, or one that is there to be counted."""
-    needed = read if source.part is None else read | _OF_PARTS
+    needed = read if source.view is None else read | _OF_PARTS
     columns = [c for c in source.columns if c.name in needed or c.second_name in needed]
     return columns or [column for column in source.columns if column.type == "integer"][:1]
 
@@ -273,10 +283,10 @@ def _list_type(columns: Sequence[Column]) -> str:
     return f"STRUCT({', '.join(fields)})[]"
 
 
-def _rows_of(function: str, columns: Sequence[Column], source: RowSource) -> str:
+def _rows_of(function: str, columns: Sequence[Column]) -> str:
     """Returns the query of the rows of a function's list."""
     shown = [(column.name, column.name) for column in columns]
-    shown += [(name, source.second_names[name]) for name, _ in shown if name in source.second_names]
+    shown += [(column.name, column.second_name) for column in columns if column.second_name]
     fields = (f"{quoted(_ROW)}.{quoted(name)} AS {quoted(other)}" for name, other in shown)
     rows = f"SELECT unnest({quoted(function)}(1)) AS {quoted(_ROW)}"
     return f"SELECT {', '.join(fields)} FROM ({rows})"  # noqa: S608  # all names are quoted

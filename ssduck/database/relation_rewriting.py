@@ -19,7 +19,7 @@ rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import count, pairwise
 
@@ -71,15 +71,15 @@ def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) 
         only_joins: whether calls outside of joins become formulas, as DuckDB does not allow a
             subquery everywhere.
     """
-    edits: list[_Edit] = []
+    edits: list[Edit] = []
     numbers = count(1)
     tokens = sqlglot.tokenize(sql, dialect="duckdb")
     for call in _calls(sql, tree, names, tokens):
         if only_joins and not call.is_joined:
-            edits.append(_Edit(call.start, call.end, call.formula()))
+            edits.append(Edit(call.start, call.end, call.formula()))
         else:
             edits += call.edits(f"ssduck pairs {next(numbers)}")
-    return _edited(sql, edits) if edits else None
+    return edited(sql, edits) if edits else None
 
 
 def numbered(sql: str) -> str:
@@ -93,8 +93,8 @@ def numbered(sql: str) -> str:
     for number, mark in enumerate(marks, 1):
         if mark.token_type != TokenType.PLACEHOLDER or sql[mark.end + 1 : mark.end + 2].isalnum():
             return sql  # `?1` is the first parameter
-        edits.append(_Edit(mark.start, mark.end + 1, f"${number}"))
-    return _edited(sql, edits)
+        edits.append(Edit(mark.start, mark.end + 1, f"${number}"))
+    return edited(sql, edits)
 
 
 def with_parameters(sql: str, value: Callable[[str], str]) -> str:
@@ -105,11 +105,11 @@ def with_parameters(sql: str, value: Callable[[str], str]) -> str:
     """
     tokens = sqlglot.tokenize(sql, dialect="duckdb")
     edits = [
-        _Edit(sign.start, name.end + 1, value(name.text))
+        Edit(sign.start, name.end + 1, value(name.text))
         for sign, name in pairwise(tokens)
         if sign.token_type == TokenType.PARAMETER and name.start == sign.end + 1
     ]
-    return _edited(sql, edits)
+    return edited(sql, edits)
 
 
 def number_parameters(sql: str, tree: exp.Expr, names: WorldNames) -> frozenset[str]:
@@ -147,7 +147,7 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
 
 
 @dataclass(frozen=True)
-class _Edit:
+class Edit:
     """A replacement of a part of a statement; the parts that are inserted are empty."""
 
     start: int
@@ -155,7 +155,8 @@ class _Edit:
     text: str
 
 
-def _edited(sql: str, edits: list[_Edit]) -> str:
+def edited(sql: str, edits: Iterable[Edit]) -> str:
+    """Returns a statement with parts of it replaced."""
     parts, position = [], 0
     for edit in sorted(set(edits), key=lambda edit: (edit.start, edit.end, edit.text)):
         parts += [sql[position : edit.start], edit.text]
@@ -217,7 +218,7 @@ class _Call:
                 return False
         return True
 
-    def edits(self, name: str) -> Iterator[_Edit]:
+    def edits(self, name: str) -> Iterator[Edit]:
         """Yields the changes of the statement.
 
         Args:
@@ -225,18 +226,18 @@ class _Call:
         """
         search, place = self.search, self.join_place()
         if search is None:
-            yield _Edit(self.start, self.end, self.formula())
+            yield Edit(self.start, self.end, self.formula())
         elif (outer := self._outer_table()) is not None:
             yield from self._outer_edits(search, *outer, name)
         elif place is None:
-            yield _Edit(self.start, self.end, self._membership(search))
+            yield Edit(self.start, self.end, self._membership(search))
         else:
-            yield _Edit(place, place, f" CROSS JOIN {self._pair_table(search, name)}")
+            yield Edit(place, place, f" CROSS JOIN {self._pair_table(search, name)}")
             yield from self._expanded_stars()
             condition = " AND ".join(self._is_in_pair(place, name) for place in range(2))
             if not search.is_exact:
                 condition += f" AND {self.formula()}"
-            yield _Edit(self.start, self.end, f"({condition})")
+            yield Edit(self.start, self.end, f"({condition})")
 
     def _is_in_pair(self, place: int, name: str) -> str:
         """Returns the condition that an entity is that of a row of a table of pairs."""
@@ -250,7 +251,7 @@ class _Call:
 
     def _outer_edits(
         self, search: PairSearch, table: exp.Table, place: int, name: str
-    ) -> Iterator[_Edit]:
+    ) -> Iterator[Edit]:
         """Yields the changes of a call in the condition of an outer join.
 
         Args:
@@ -259,17 +260,17 @@ class _Call:
             place: which of the two entities is its row.
             name: the name of the table of pairs.
         """
-        start, end = _start_of(table), _end_of(table)
+        start, end = start_of(table), _end_of(table)
         assert start is not None
         assert end is not None
         pairs, condition = self._pair_table(search, name), self._is_in_pair(place, name)
-        yield _Edit(start, start, "(")
-        yield _Edit(end, end, f" JOIN {pairs} ON {condition})")
+        yield Edit(start, start, "(")
+        yield Edit(end, end, f" JOIN {pairs} ON {condition})")
         condition = self._is_in_pair(1 - place, name)
         if not search.is_exact:
             condition += f" AND {self.formula()}"
         yield from self._expanded_stars()
-        yield _Edit(self.start, self.end, f"({condition})")
+        yield Edit(self.start, self.end, f"({condition})")
 
     def _outer_table(self) -> tuple[exp.Table, int] | None:
         """Returns the table on the right of an outer join, and which entity is its row.
@@ -285,7 +286,7 @@ class _Call:
             return None
         right = sources.get(table.alias_or_name.lower())
         is_known = right in self.entities and all(e in sources.values() for e in self.entities)
-        if right is None or not is_known or None in (_start_of(table), _end_of(table)):
+        if right is None or not is_known or None in (start_of(table), _end_of(table)):
             return None
         if not self._can_expand_stars():
             return None
@@ -332,7 +333,7 @@ class _Call:
         has_columns = any(_owner(part) is select for part in select.find_all(exp.Columns))
         return is_plain and not has_columns
 
-    def _expanded_stars(self) -> Iterator[_Edit]:
+    def _expanded_stars(self) -> Iterator[Edit]:
         """Yields the changes of `*` to the columns of all sources but the table of pairs."""
         select = self.scope.select
         hidden = {j.this.alias_or_name for j in self.scope.joins if j.kind in ("SEMI", "ANTI")}
@@ -341,7 +342,7 @@ class _Call:
         for star in select.expressions:
             if isinstance(star, exp.Star):
                 start = star.meta["start"]
-                yield _Edit(start, start + 1, columns)
+                yield Edit(start, start + 1, columns)
 
     def distance(self) -> exp.Expr:
         parameters = self.relation.parameters
@@ -513,7 +514,7 @@ def _end_of(source: exp.Expr) -> int | None:
     return None if not ends or None in ends else max(ends) + 1
 
 
-def _start_of(table: exp.Table) -> int | None:
+def start_of(table: exp.Table) -> int | None:
     """Returns the index of the first character of a table behind FROM; None if it is not known."""
     first = table.args.get("db") or table.this
     start = first.meta.get("start")

@@ -109,9 +109,9 @@ class PreparedPlans:
 
 
 class Statement:
-    """A SELECT that DuckDB plans once and runs many times.
+    """A SELECT that DuckDB plans a few times and runs many times.
 
-    Planning is most of the cost of a small query, so DuckDB keeps the plan from the second run on
+    Planning is most of the cost of a small query, so after some runs DuckDB keeps the plan
     (`KeptPlans`). It does so only if there are no parameters: these become the columns of a table
     of one row, which is written in place.
 
@@ -176,8 +176,8 @@ class Statement:
             if source is None:
                 return None
             alias = table.alias_or_name
-            mark = exp.to_identifier(KeptQuery.mark(len(sources)).strip('"'), quoted=True)
-            table.set("this", mark)
+            mark = KeptQuery.mark(len(sources))
+            table.set("this", exp.to_identifier(mark, quoted=True))
             table.set("db", None)
             table.set("alias", exp.TableAlias(this=exp.to_identifier(alias, quoted=True)))
             sources.append(source)

@@ -270,13 +270,6 @@ def source_tables(statement: exp.Expr) -> Iterator[exp.Table]:
             yield table
 
 
-def start_of(table: exp.Table) -> int:
-    """Returns where a name behind FROM starts in the text, with its schema; -1 if unknown."""
-    first = table.args.get("db") or table.this
-    is_known = not table.args.get("catalog") and "end" in table.this.meta
-    return int(first.meta.get("start", -1)) if is_known else -1
-
-
 def reads_only_live_tables(statement: exp.Expr, names: WorldNames) -> bool:
     """Checks whether all tables behind FROM are those of worlds at their current tick."""
     return all(names.live_table(table) is not None for table in source_tables(statement))

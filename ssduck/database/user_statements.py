@@ -27,12 +27,15 @@ from ssduck.database.kept_plans import MARK, KeptQuery, RowSource, live_source
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.referenced_tables import ReadData
 from ssduck.database.relation_rewriting import (
+    Edit,
+    edited,
     lookup_of,
     mentions_relations,
     number_parameters,
     numbered,
     parsed,
     rewritten,
+    start_of,
     with_parameters,
 )
 from ssduck.database.statement import (
@@ -46,7 +49,6 @@ from ssduck.database.statement_names import (
     may_read_unnamed,
     reads_only_live_tables,
     source_tables,
-    start_of,
     unread_columns,
 )
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError
@@ -326,7 +328,7 @@ class UserStatements:
         return self._is_prepared(statement, query, names)
 
     def _is_prepared(self, statement: UserStatement, sql: str, names: WorldNames) -> bool:
-        """Prepares a statement at its second run with the same tables."""
+        """Prepares a statement after some runs with the same tables."""
         if self._plans.has(statement.name):
             return True
         if statement.runs < RUNS_BEFORE_PLAN:
@@ -351,22 +353,22 @@ class UserStatements:
         tree = parsed(sql)
         if tree is None or MARK in sql or any(tree.find_all(*_DESCRIPTIONS)):
             return None
-        parts, sources, end = [], list[RowSource](), 0
-        for table in sorted(source_tables(tree), key=start_of):
-            source = self._source(statement, table, names)
-            start = start_of(table)
+        edits: list[Edit] = []
+        sources: list[RowSource] = []
+        for table in source_tables(tree):
+            source, start = self._source(statement, table, names), start_of(table)
             alias = table.args.get("alias")
-            if source is None or start < 0 or (alias is not None and alias.columns):
+            if source is None or start is None or (alias is not None and alias.columns):
                 return None
+            mark = quoted(KeptQuery.mark(len(sources)))
             name = "" if table.alias else f" AS {quoted(table.name)}"
-            parts += [sql[end:start], KeptQuery.mark(len(sources)), name]
-            end = table.this.meta["end"] + 1
+            edits.append(Edit(start, table.this.meta["end"] + 1, mark + name))
             sources.append(source)
         if len(sources) > 1 and any(map(_takes_any, tree.find_all(exp.Query))):
             return None
         is_pruned = not may_read_unnamed(tree, sql, names.hidden)
         is_pruned = is_pruned and not any(tree.find_all(exp.SetOperation))
-        text = "".join((*parts, sql[end:]))
+        text = edited(sql, edits)
         # A column of a subquery has the name of its text.
         return KeptQuery(text, sources, has_known_columns=False, is_pruned=is_pruned)
 
