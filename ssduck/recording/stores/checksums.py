@@ -152,9 +152,14 @@ def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     return problem
 
 
+def footer_in(content: bytes) -> bytes:
+    """Returns what the end of the content of a Parquet file says is its footer."""
+    return content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :]
+
+
 def without_checksums(content: bytes) -> bytes:
     """Returns the bytes of a Parquet file without the checksums in its footer."""
-    match = _last(_FOOTER_SUMS, content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :])
+    match = _last(_FOOTER_SUMS, footer_in(content))
     if match is None:
         return content
     start = len(content) - len(match.string)
