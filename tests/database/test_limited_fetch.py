@@ -77,6 +77,6 @@ def test_a_statement_that_is_prepared_anew_has_its_own_types():
 
 
 def test_texts_beyond_the_memory_are_an_error():
-    limits = ssduck.Limits.strict(memory=2_000_000, progress=False)
-    with ssduck.Interpreter(limits=limits) as ss, pytest.raises(LimitError, match="2,000,000"):
-        ss.sql(f"SELECT n, 'a text of some length ' || n FROM range({ROWS * 10}) t(n)").fetchall()
+    limits = ssduck.Limits.strict(memory=20_000_000, progress=False)
+    with ssduck.Interpreter(limits=limits) as ss, pytest.raises(LimitError, match="20,000,000"):
+        ss.sql(f"SELECT n, 'a text of some length ' || n FROM range({ROWS * 150}) t(n)")
