@@ -10,13 +10,13 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from itertools import count
 from pathlib import Path
 from statistics import median
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeAlias
 from unittest.mock import patch
 
 import pyarrow.parquet as pq
@@ -39,6 +39,11 @@ PROGRAMS = {
     "opening, first filter of a tick": "SELECT id FROM kitchen{1} WHERE z > 1 AS list;",
 }
 STATEMENTS = {"opening, first count of contacts": "SELECT count(*) FROM contacts_history"}
+
+# A call, what holds meanwhile, and its times.
+_Way: TypeAlias = tuple[
+    Callable[[], object], Callable[[], AbstractContextManager[None]], list[float]
+]
 
 
 def rows() -> Iterator[tuple[str, ...]]:
@@ -96,7 +101,7 @@ def _medians(
     must not pay for what the other leaves.
     """
     times: tuple[list[float], list[float]] = [], []
-    ways = [(without, _no_checksums, times[0]), (given, nullcontext, times[1])]
+    ways: list[_Way] = [(without, _no_checksums, times[0]), (given, nullcontext, times[1])]
     for number in range(-(rounds // 10), rounds):
         ways.reverse()
         for call, context, own in ways:

@@ -288,8 +288,8 @@ def entries_of_records(
         known: the entries of a manifest, by their keys.
     """
     of_files: dict[str, list[EpisodeEntry]] = {}
-    for entry in known.values():
-        of_files.setdefault(entry.path, []).append(entry)
+    for one in known.values():
+        of_files.setdefault(one.path, []).append(one)
     for record in records:
         before_of_file = of_files.get(str(record), [])
         if _is_unchanged_file(record, before_of_file):

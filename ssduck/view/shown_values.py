@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ssduck.adapters.display import as_json, json_key
 
@@ -58,7 +59,7 @@ class _ShownValues:
                 return self._dict_of(value)
         return as_json(value)
 
-    def list_of(self, values: Sequence[Any]) -> list[Any]:
+    def list_of(self, values: Sequence[Any] | npt.NDArray[Any]) -> list[Any]:
         """Returns the first of some values."""
         shown: list[Any] = []
         for value in values:
