@@ -21,7 +21,6 @@ from ssduck.database.kept_plans import (
 )
 from ssduck.database.statement_names import may_read_unnamed
 from ssduck.errors import SelectScriptError
-from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
@@ -104,7 +103,7 @@ class PreparedPlans:
                     self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
-        self.connection.run(f"DEALLOCATE {quoted(name)}")
+        self.connection.deallocate(name)
         self._kept.drop(name)
 
 
