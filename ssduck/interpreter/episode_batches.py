@@ -118,10 +118,11 @@ class BatchInterpreter:
             recording, tables, models, run, connection.reader(expand_path(source)), connection.run
         )
         members = members_of(models)
-        rows = CheckedRows(self._archive, members, source)
+        ticks = TickBuffer()
+        rows = CheckedRows(self._archive, members, ticks, source)
         self._record = Record(
             None,
-            TickBuffer(),
+            ticks,
             members,
             self._archive.tables,
             rows.fetch,
