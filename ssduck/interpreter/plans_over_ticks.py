@@ -8,6 +8,7 @@ that it is right for each episode with the same entities.
 from __future__ import annotations
 
 from dataclasses import dataclass
+
 from sqlglot import exp
 
 from ssduck.errors import SourceSpan, UnsupportedError
@@ -143,11 +144,9 @@ def _age_of(source: Source, frame: Frame) -> float | None:
             return 0.0
         case TimeIndex(age=None):
             return None
-        case TimeIndex(age=age) if _is_value(age) and frame.value(age) < 0:
+        case TimeIndex(age=Node() as age) if _is_value(age) and frame.value(age) < 0:
             return float(frame.value(age))
-    raise _unsupported(
-        "a source other than a world, as in sim, sim{} and sim{-2.0},", source.value
-    )
+    raise _unsupported("a source other than a world, as in sim, sim{} and sim{-2.0},", source.value)
 
 
 def _over_all_ticks(source: Source) -> Source:
@@ -159,7 +158,8 @@ def _over_all_ticks(source: Source) -> Source:
 
 
 def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
-    function, age = None, 0.0
+    function: str | None = None
+    age: float | None = 0.0
     call = Call(node.span, "the last value", (node,), node.span)
     if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
         if TEMPORAL_FUNCTIONS[node.name].expansion is not None:
@@ -170,9 +170,7 @@ def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
     query, placeholders = execution.temporal.query_over_ticks(
         call, frame, execution.database.record_of
     )
-    plan, select = _planned(
-        execution, query, Frame(execution, placeholders=placeholders)
-    )
+    plan, select = _planned(execution, query, Frame(execution, placeholders=placeholders))
     return TickPlan(select, _columns(plan, select, node.span), False, function, age)
 
 
@@ -187,9 +185,7 @@ def _window_of(call: Call, frame: Frame) -> float:
 # -- plans ------------------------------------------------------------------------------------
 
 
-def _planned(
-    execution: Execution, query: Query, frame: Frame
-) -> tuple[Plan, exp.Select]:
+def _planned(execution: Execution, query: Query, frame: Frame) -> tuple[Plan, exp.Select]:
     plan, values = execution.planner.sql_plan(query, frame)
     if plan is not None:
         _check_parts(plan.query)
@@ -198,7 +194,7 @@ def _planned(
     if any(source.past_kind != "window" for source in plan.source_types):
         raise _unsupported("a source other than a world, as in sim, sim{} and sim{-2.0},", query)
     for binding in plan.bindings:
-        if not _is_of_any_episode(binding, frame):
+        if not _is_of_any_episode(binding):
             raise _unsupported("a value that depends on the episode", binding.node or query)
     for node in plan.python_constants:
         raise _unsupported("a value that is left to Python", node)
@@ -207,7 +203,7 @@ def _planned(
     return plan, select
 
 
-def _is_of_any_episode(binding: ParameterBinding, frame: Frame) -> bool:
+def _is_of_any_episode(binding: ParameterBinding) -> bool:
     """Checks whether the value of a parameter is the same in each episode with such entities."""
     if binding.end or binding.column == "id":
         return True

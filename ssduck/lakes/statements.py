@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeAlias, TypeVar, get_args
 
 import sqlglot
 from sqlglot import exp
@@ -29,9 +29,9 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.limits import Limits
 from ssduck.recording.replay.record import TIME_TOLERANCE
 from ssduck.recording.stores.stored_columns import part_columns
-from ssduck.schema import LATER_COLUMNS
 from ssduck.sql.sql_values import literal
 
+_Part = TypeVar("_Part", bound=exp.Expr)
 SqlDialect: TypeAlias = Literal["duckdb", "spark"]
 DIALECTS: tuple[str, ...] = get_args(SqlDialect)
 # The number of an episode, and that of a row of its answer.
@@ -96,7 +96,8 @@ def _plans_of(
     """Returns the plans of episodes, each with those of the same entities."""
     groups: dict[str, dict[int, EpisodeEntry]] = {}
     for number, entry in entries.items():
-        if entry.group is None:
+        is_in_parts = any(file.name.startswith("ticks/") for file in entry.files)
+        if entry.group is None or not is_in_parts:
             raise UnsupportedError(
                 f"{entry.path}, episode {entry.episode} of {entry.world!r}, is no complete episode "
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
@@ -206,7 +207,7 @@ def _answers(plan: TickPlan, files: _Files) -> tuple[dict[str, exp.Expr], exp.Se
         _ENTITIES: files.rows("entities", columns),
     }
     if plan.is_query:
-        parts[_ROWS] = _numbered(plan, rows)
+        parts[_ROWS] = _numbered(rows)
         names = _column_names(plan)
         keys = [exp.column(name, table="e") for name in (_NUMBER, *KEYS)]
         columns_of_rows = (exp.column(name, table="a", quoted=True) for name in (_ROW, *names))
@@ -255,9 +256,6 @@ def _of_all_episodes(plan: TickPlan) -> tuple[exp.Select, list[str]]:
     columns = [exp.alias_(column.value.copy(), name, quoted=True) for column, name in _named(plan)]
     select.set("expressions", [first.copy(), *columns])
     read = {column.name for column in select.find_all(exp.Column)} | {"id", "tick", "time"}
-    later = sorted(read & LATER_COLUMNS)
-    if later:
-        raise UnsupportedError(f"the column {later[0]}, which older records lack, is not {_WRITTEN}")
     return select, [name for name in part_columns("entities") if name in read]
 
 
@@ -279,7 +277,7 @@ def _column_names(plan: TickPlan) -> list[str]:
     return names
 
 
-def _numbered(plan: TickPlan, rows: exp.Select) -> exp.Select:
+def _numbered(rows: exp.Select) -> exp.Select:
     """Returns the rows of a query with their places in its order, in each episode."""
     order, limit, offset = (rows.args.get(name) for name in ("order", "limit", "offset"))
     for name in ("order", "limit", "offset"):
@@ -291,7 +289,7 @@ def _numbered(plan: TickPlan, rows: exp.Select) -> exp.Select:
     if limit is None and offset is None:
         return rows
     first = offset.expression if offset is not None else exp.Literal.number(0)
-    conditions = [exp.GT(this=exp.column(_ROW), expression=first.copy())]
+    conditions: list[exp.Expr] = [exp.GT(this=exp.column(_ROW), expression=first.copy())]
     if limit is not None:
         last = exp.Add(this=first.copy(), expression=limit.expression.copy())
         conditions.append(exp.LTE(this=exp.column(_ROW), expression=last))
@@ -436,7 +434,7 @@ def _union(parts: Sequence[exp.Expr]) -> exp.Expr:
     return result
 
 
-def _renamed(part: exp.Expr, names: Mapping[str, str]) -> exp.Expr:
+def _renamed(part: _Part, names: Mapping[str, str]) -> _Part:
     """Returns a part of a statement that refers to other parts by other names."""
     for table in part.find_all(exp.Table):
         if table.name in names:
@@ -449,9 +447,8 @@ def _parsed(text: str) -> exp.Expr:
 
 
 def _text(select: exp.Select, dialect: str) -> str:
-    if dialect != "duckdb":
-        select = select.transform(_as_double)
-    return select.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
+    tree = select if dialect == "duckdb" else select.transform(_as_double)
+    return tree.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
 
 
 def _as_double(part: exp.Expr) -> exp.Expr:

@@ -53,9 +53,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
 
 
-def select_for(
-    query: Query, plan: Plan | None, values: dict[str, Any], dialect: str
-) -> exp.Expr:
+def select_for(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> exp.Expr:
     """Returns the SQL of a query as sqlglot's tree, which has nothing that an engine lacks.
 
     The arguments are those of `in_dialect`.
