@@ -36,6 +36,7 @@ from ssduck.lakes.statements import SqlDialect, statement
 from ssduck.lakes.where import condition
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.descriptions import checked_description
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
@@ -459,14 +460,18 @@ def _with_tags(entry: EpisodeEntry, tags: Mapping[str, Tag] | None) -> EpisodeEn
         return entry
     name = f"episodes/{entry.world}-{entry.episode}.json"
     place = expand_path(entry.path) / name
-    (size, modified), checksum = size_and_time(place), zlib.crc32(place.read_bytes())
+    # In this order: if another process writes it meanwhile, it is read again next time.
+    (_, modified), content = size_and_time(place), place.read_bytes()
+    size, checksum = len(content), zlib.crc32(content)
     files = tuple(
         replace(file, size=size, modified=modified, checksum=checksum)
         if file.name == name
         else file
         for file in entry.files
     )
-    return replace(entry, tags={**entry.tags, **tags}, files=files)
+    # Others may have given it further tags.
+    own = checked_description(content, str(place)).get("tags", {})
+    return replace(entry, tags=checked_tags(own), files=files)
 
 
 def _single_value(value: Any) -> Any:
