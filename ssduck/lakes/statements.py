@@ -25,9 +25,13 @@ from ssduck.formatting import short_repr
 from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.plans_over_ticks import SelectedSql, TickPlan, plan_over_ticks
 from ssduck.lakes.answers import ERROR, KEYS
+from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.workers import UNREADABLE
 from ssduck.limits import Limits
+from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import TIME_TOLERANCE
+from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.sql.sql_values import literal
 
@@ -72,39 +76,78 @@ def statement(
             f"there is no SQL dialect {short_repr(dialect)} for lakes",
             suggestions=nearest(str(dialect), DIALECTS),
         )
-    numbered = dict(enumerate(entries))
-    whole = {number: entry for number, entry in numbered.items() if entry.error is None}
-    if not whole:
+    whole, failed = _read_episodes(entries)
+    plans = _plans_of(whole, program, limits)
+    if not plans:
         raise ArgumentError("there is no episode to ask: none was selected, or all have errors")
     parts: dict[str, exp.Expr] = {}
     answers: list[exp.Select] = []
-    for place, (plan, chosen) in enumerate(_plans_of(whole, program, limits)):
+    for place, (plan, chosen) in enumerate(plans):
         own, select = _answers(plan, _Files(chosen, dialect, plan.age))
         names = {name: f"{name}_{place + 1}" for name in own} if place else {}
         parts |= {names.get(name, name): _renamed(part, names) for name, part in own.items()}
         answers.append(_renamed(select, names))
-    failed = {n: entry for n, entry in numbered.items() if entry.error is not None}
     whole_select = _united(answers, failed)
     for name, part in parts.items():
         whole_select = whole_select.with_(name, as_=part)
     return _text(whole_select, dialect)
 
 
-def _plans_of(
-    entries: Mapping[int, EpisodeEntry], program: str, limits: Limits | None
-) -> list[tuple[TickPlan, dict[int, EpisodeEntry]]]:
-    """Returns the plans of episodes, each with those of the same entities."""
-    groups: dict[str, dict[int, EpisodeEntry]] = {}
-    for number, entry in entries.items():
-        is_in_parts = any(file.name.startswith("ticks/") for file in entry.files)
-        if entry.group is None or not is_in_parts:
+_Entries: TypeAlias = dict[int, EpisodeEntry]
+
+
+def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _Entries]:
+    """Returns the episodes by number, in groups with the same entities, and those with errors.
+
+    A manifest may come from a stranger: the ticks and the entities are those of the files.
+
+    Raises:
+        UnsupportedError: an episode is not in Parquet files.
+    """
+    groups: dict[str, tuple[EpisodeGroup, _Entries]] = {}
+    failed: _Entries = {}
+    for number, entry in enumerate(entries):
+        if entry.error is not None:
+            failed[number] = entry
+            continue
+        if entry.group is None or not any(file.name.startswith("ticks/") for file in entry.files):
             raise UnsupportedError(
                 f"{entry.path}, episode {entry.episode} of {entry.world!r}, is no complete episode "
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
             )
-        groups.setdefault(entry.group, {})[number] = entry
-    plans: dict[tuple[str, str], tuple[TickPlan, dict[int, EpisodeEntry]]] = {}
-    for members in groups.values():
+        try:
+            own = _with_ticks_of_files(entry)
+            if entry.group in groups and _is_of(groups[entry.group][0], own):
+                groups[entry.group][1][number] = own
+            else:
+                name = f"{number}" if entry.group in groups else entry.group
+                groups[name] = EpisodeGroup(own), {number: own}
+        except UNREADABLE as error:
+            failed[number] = replace(entry, error=str(error))
+    return [members for _, members in groups.values()], failed
+
+
+def _with_ticks_of_files(entry: EpisodeEntry) -> EpisodeEntry:
+    _, ticks = FolderRun(expand_path(entry.path), entry.world, entry.episode).ticks()
+    first, last = int(ticks.numbers[0]), int(ticks.numbers[-1])
+    return replace(entry, first_tick=first, last_tick=last, end=float(ticks.times[-1]))
+
+
+def _is_of(group: EpisodeGroup, entry: EpisodeEntry) -> bool:
+    """Checks whether an episode has the entities of a group."""
+    try:
+        group.check(entry)
+    except UNREADABLE:
+        return False
+    return True
+
+
+def _plans_of(
+    groups: Sequence[_Entries], program: str, limits: Limits | None
+) -> list[tuple[TickPlan, _Entries]]:
+    """Returns the plans of episodes, each with those whose statement is the same."""
+    plans: dict[tuple[str, str], tuple[TickPlan, _Entries]] = {}
+    for members in groups:
         first = next(iter(members.values()))
         with open_record(first.path, first.world, first.episode, limits=limits) as interpreter:
             plan = plan_over_ticks(interpreter, program)

@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from dataclasses import replace
 
 import duckdb
 import numpy as np
@@ -165,6 +166,24 @@ def test_records_with_other_entities(mixed, program):
     wanted = asked(lake, program)
     assert all(row[-1] is None for row in wanted)
     assert answered(lake, program) == wanted
+
+
+def test_a_forged_manifest_changes_no_answer(mixed):
+    lake, program = ssduck.lake(mixed), "SELECT time, this, z FROM lab WHERE z > z(lab.cup_0);"
+    wanted = asked(lake, program)
+    lake._entries = [
+        replace(entry, group="one", first_tick=1, last_tick=2, end=0.1) for entry in lake._entries
+    ]
+    assert answered(lake, program) == wanted
+
+
+def test_a_damaged_model_is_a_row_with_its_error(mixed):
+    lake = ssduck.lake(mixed)
+    file = mixed / "three/models/entities/world=lab/episode=0/part-000000.parquet"
+    file.write_bytes(file.read_bytes()[:-9])
+    rows = answered(lake, "z(lab.cup_0);")
+    assert [row[3] is None for row in rows] == [row[4] is not None for row in rows]
+    assert [row[2].endswith("three") for row in rows if row[4]] == [True]
 
 
 def test_a_damaged_episode_is_a_row_with_its_error(mixed):
