@@ -32,6 +32,7 @@ from ssduck.language.tree import (
 )
 from ssduck.schema import TABLES
 from ssduck.sql.dialects import select_for
+from ssduck.sql.from_clause import past_value
 from ssduck.sql.plan import ParameterBinding, Plan
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.types import SqlType
@@ -224,13 +225,20 @@ def _columns(plan: Plan, select: exp.Select, span: SourceSpan) -> tuple[Selected
         value = select.expressions[output.index]
         value = value.this if isinstance(value, exp.Alias) else value
         if output.sql_type.type == "entity":
-            value = _full_name(value)
+            value = _full_name(value, span)
         result.append(SelectedSql(name, value, output.sql_type))
     return tuple(result)
 
 
-def _full_name(key: exp.Expr) -> exp.Expr:
-    """Returns the name of an entity at a tick, in place of its key."""
+def _full_name(key: exp.Expr, span: SourceSpan) -> exp.Expr:
+    """Returns the name of the entity of a row, in place of its key.
+
+    Raises:
+        UnsupportedError: it is another one, that of a function.
+    """
     column = key.find(exp.Column)
-    assert column is not None
+    if column is None or key != past_value("", column.table).sql:
+        raise UnsupportedError(
+            f"an entity that is not the row's own is not written as SQL: {_ADVICE}", span=span
+        )
     return exp.column("name", table=column.args["table"].copy())

@@ -325,9 +325,9 @@ def _numbered(rows: exp.Select) -> exp.Select:
     order, limit, offset = (rows.args.get(name) for name in ("order", "limit", "offset"))
     for name in ("order", "limit", "offset"):
         rows.set(name, None)
+    assert order is not None  # rows of the past have an order
     number = rows.expressions[0]
-    keys = order if order is not None else exp.Order(expressions=[exp.column("tick")])
-    window = exp.Window(this=exp.RowNumber(), partition_by=[number.copy()], order=keys)
+    window = exp.Window(this=exp.RowNumber(), partition_by=[number.copy()], order=order)
     rows = rows.select(exp.alias_(window, _ROW))
     if limit is None and offset is None:
         return rows

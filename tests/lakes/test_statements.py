@@ -240,6 +240,8 @@ def test_only_the_selected_episodes(lake):
         ("lifted(sim.cup, 0.1);", "lifted is not written as SQL"),
         ("holds(z(sim.cup));", "holds of the type double"),
         ("SELECT kind, count(id) FROM sim GROUP BY kind;", "left to Python"),
+        ("SELECT id, robot(this) AS r FROM sim;", "an entity that is not the row's own"),
+        ("changes(robot(sim.cup));", "an entity that is not the row's own"),
         ("a = 1; SELECT z FROM sim WHERE z > a;", "one statement"),
     ],
 )
