@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, SceneError, SelectScriptError
-from ssduck.gym.episodes import plain
 from ssduck.gym.terms import Judge, Terms
 from ssduck.gym.wrapper import INFO, described
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
+from ssduck.recording.episode_steps import plain
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scene_files import check_files_inside

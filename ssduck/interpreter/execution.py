@@ -212,7 +212,7 @@ class Execution(Namespace):
     def explanation(self, program: Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates."""
         program = self._reader.read(program)
-        with self._rehearsal(program) as frame:
+        with self.rehearsal(program) as frame:
             program = self._with_overrides(program)
             plan_of = partial(self.planner.plan, frame=frame)
             stand_ins = {
@@ -226,7 +226,7 @@ class Execution(Namespace):
 
     def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""
-        with self.transaction(program), self._rehearsal(program) as frame:
+        with self.transaction(program), self.rehearsal(program) as frame:
             program = self.read(program)
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
@@ -235,7 +235,7 @@ class Execution(Namespace):
             return in_dialect(query, plan, values, dialect)
 
     @contextmanager
-    def _rehearsal(self, program: Program) -> Iterator[Frame]:
+    def rehearsal(self, program: Program) -> Iterator[Frame]:
         """Runs all statements but the last, yields their frame, and restores the variables."""
         before = dict(self.variables)
         frame = Frame(self)
