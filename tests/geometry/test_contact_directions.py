@@ -19,9 +19,9 @@ from ssduck.geometry.proofs.contact_directions import (
     _classes,
     _mesh,
     _stretch,
-    upward_verdicts,
+    decide_upward,
 )
-from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
+from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
@@ -89,9 +89,9 @@ def test_verdicts_are_what_the_normals_of_single_pairs_say(kinds):
     assert undecided < 0.12 * len(HEIGHTS) * 2 * len(two)
 
 
-def verdict(first, second, min_height=MIN_UP, decide=upward_verdicts):
+def verdict(first, second, min_height=MIN_UP, decide=decide_upward):
     cores = pairs.bodies([first, second])
-    return int(decide(cores, np.array([0]), np.array([1]), min_height)[0])
+    return int(decide(cores, np.array([0]), np.array([1]), min_height).verdicts[0])
 
 
 @pytest.mark.parametrize("kinds", [("sphere", kind) for kind in KINDS[:4]])
@@ -103,7 +103,7 @@ def test_the_cores_of_spheres_decide(kinds):
         result = gap(first, second)
         radii = sum(s.geometry.size[0] for s in (first, second) if s.geometry.type == "sphere")
         are_apart = result.distance + radii > 1e-3
-        found = verdict(first, second, decide=upward_round_verdicts)
+        found = verdict(first, second, decide=decide_upward_round)
         assert found == UNDECIDED or (found == UPWARD) == (-result.normal[2] >= MIN_UP)
         is_clear = abs(-result.normal[2] - MIN_UP) > 0.1
         assert found != UNDECIDED or not (are_apart and is_clear)

@@ -11,6 +11,10 @@ from below. A triangle whose bound is above the least overlap found has no conta
 others are divided, until all that are left agree. Most pairs are decided before, since one of the
 points is far above in all upward directions. Every verdict is proved, with more room than rounding
 errors and the tolerances of `ssduck.geometry.distance` need.
+
+Overlaps change by no more than the points of the shapes move relative to each other. A verdict
+therefore holds until they have moved by half of what the overlaps of the other directions exceed
+the least one by.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.verdicts import Verdicts
+from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 
 UPWARD, NOT_UPWARD = 1, -1
 # Overlaps that differ by less, metres, may be that of the contact normal.
@@ -281,10 +285,10 @@ class _Differences:
         return points
 
 
-def upward_verdicts(
+def decide_upward(
     cores: PlacedCores, first: Indices, second: Indices, min_height: float
-) -> Verdicts:
-    """Returns whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
+) -> Decisions:
+    """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
     Args:
         cores: the shapes.
@@ -293,21 +297,21 @@ def upward_verdicts(
         min_height: the least z of an upward unit normal, from 0 to 1.
     """
     mesh = _mesh(min_height)
-    verdicts = np.zeros(len(first), np.int8)
+    decisions = Decisions.none(len(first))
     step = max(1, _TRIANGLES_AT_ONCE // len(mesh.stretch))
     for start in range(0, len(first), step):
         batch = slice(start, start + step)
         pairs = _Differences.of(cores, first[batch], second[batch])
         points = pairs.points_all_around(mesh.directions)
         upward = points.compress(mesh.directions[2] >= min_height - HEIGHT_ROOM, axis=1)
-        is_above = _upward_bounds(upward, min_height - HEIGHT_ROOM) > pairs.limits
-        verdicts[batch][is_above] = NOT_UPWARD
-        left = np.flatnonzero(~is_above)
+        above = _upward_bounds(upward, min_height - HEIGHT_ROOM) - pairs.limits
+        decisions.part(batch).decide(above > 0.0, NOT_UPWARD, above[above > 0.0] / 2.0)
+        left = np.flatnonzero(~(above > 0.0))
         if len(left):
-            found = np.zeros(len(left), np.int8)
-            _classify(pairs.select(left), points.take(left, axis=2), mesh, min_height, found)
-            verdicts[start + left] = found
-    return verdicts
+            some = pairs.select(left)
+            found = _classified(some, points.take(left, axis=2), mesh, min_height)
+            decisions.decide(start + left, found.verdicts, found.room)
+    return decisions
 
 
 def _upward_bounds(points: Array, min_height: float) -> Array:
@@ -327,22 +331,30 @@ def _upward_bounds(points: Array, min_height: float) -> Array:
     return bounds
 
 
-def _classify(
-    pairs: _Differences, points: Array, mesh: _Mesh, min_height: float, verdicts: Verdicts
-) -> None:
-    """Writes the verdicts of pairs, whose support points in the directions of a mesh are given."""
-    triangles, count = _initial_triangles(pairs, points, mesh), len(pairs)
-    for division in range(_MAX_DIVISIONS + 1):
-        places = np.flatnonzero(triangles.bounds <= pairs.limits[triangles.owners])
+def _classified(
+    pairs: _Differences, points: Array, mesh: _Mesh, min_height: float
+) -> Decisions:
+    """Decides pairs, whose support points in the directions of a mesh are given."""
+    triangles, least = _initial_triangles(pairs, points, mesh)
+    decisions, count = Decisions.none(len(pairs)), len(pairs)
+    divisions = 0
+    while True:
+        is_left = triangles.bounds <= pairs.limits[triangles.owners]
+        places, excluded = np.flatnonzero(is_left), np.flatnonzero(~is_left)
+        groups = 4 * triangles.owners + triangles.classes
+        np.minimum.at(least.reshape(-1), groups[excluded], triangles.bounds[excluded])
         owners, classes = triangles.owners[places], triangles.classes[places]
-        counts = np.bincount(4 * owners + classes, minlength=4 * count).reshape(count, 4)
+        counts = np.bincount(groups[places], minlength=4 * count).reshape(count, 4)
         upward, other = counts[:, _UPWARD_ONLY] > 0, counts[:, _OTHER_ONLY] > 0
         is_open = (upward & other) | (counts[:, _BOTH] > 0)
-        verdicts[upward & ~is_open] = UPWARD
-        verdicts[other & ~is_open] = NOT_UPWARD
+        for verdict, are, others in ((UPWARD, upward, _OTHER_ONLY), (NOT_UPWARD, other, _UPWARD_ONLY)):
+            decided = np.flatnonzero(are & ~is_open & (decisions.verdicts == UNDECIDED))
+            above = np.minimum(least[decided, others], least[decided, _BOTH])
+            decisions.decide(decided, verdict, (above - pairs.limits[decided]) / 2.0)
         is_open &= counts.sum(axis=1) <= _MAX_TRIANGLES
-        if division == _MAX_DIVISIONS or not is_open.any():
-            return
+        if divisions == _MAX_DIVISIONS or not is_open.any():
+            return decisions
+        divisions += 1
         # Those that contradict the best direction are divided.
         contradicted = np.where(pairs.heights >= min_height, _OTHER_ONLY, _UPWARD_ONLY)
         is_divided = (classes & contradicted[owners] > 0) & is_open[owners]
@@ -350,8 +362,14 @@ def _classify(
         triangles = triangles.select(places[~is_divided & is_open[owners]]).joined(divided)
 
 
-def _initial_triangles(pairs: _Differences, points: Array, mesh: _Mesh) -> _Triangles:
-    """Returns the triangles of a mesh that may contain the contact normals of pairs."""
+def _initial_triangles(
+    pairs: _Differences, points: Array, mesh: _Mesh
+) -> tuple[_Triangles, Array]:
+    """Returns the triangles of a mesh that may contain the contact normals of pairs.
+
+    Returns:
+        The triangles, and the least bounds of the others of each pair and class, (pairs, 4), metres.
+    """
     directions, corners = mesh.directions, mesh.corners
     count, size = directions.shape[1], len(pairs)
     products = np.matmul(directions.T, points.swapaxes(0, 1))  # (point, direction, pair)
@@ -360,7 +378,12 @@ def _initial_triangles(pairs: _Differences, points: Array, mesh: _Mesh) -> _Tria
     bounds = products.min(axis=1).max(axis=0)
     stretch = np.repeat(mesh.stretch, size)
     bounds *= np.where(bounds < 0.0, stretch, 1.0)
-    kept = np.flatnonzero(bounds <= np.tile(pairs.limits, len(mesh.stretch)))
+    is_kept = bounds <= np.tile(pairs.limits, len(mesh.stretch))
+    excluded = np.where(is_kept, math.inf, bounds).reshape(-1, size)
+    least = np.full((size, 4), math.inf)
+    for kind in (_UPWARD_ONLY, _OTHER_ONLY, _BOTH):
+        least[:, kind] = excluded[mesh.classes == kind].min(axis=0, initial=math.inf)
+    kept = np.flatnonzero(is_kept)
     faces, owners = np.divmod(kept, size)
     products = products[..., kept]
     bounds, facets = _bounds(products, stretch[kept])
@@ -372,7 +395,7 @@ def _initial_triangles(pairs: _Differences, points: Array, mesh: _Mesh) -> _Tria
     kept_points = points[:, corners[:, faces], owners].transpose(1, 0, 2)
     vectors = np.concatenate((at_corners, kept_points, products)).reshape(27, -1)
     numbers = np.concatenate((vectors, facets, bounds[None]))
-    return _Triangles(owners, mesh.classes[faces], numbers)
+    return _Triangles(owners, mesh.classes[faces], numbers), least
 
 
 def _facet_directions(corners: Array, weights: Array) -> Array:
