@@ -22,6 +22,7 @@ from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
 from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
+from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
@@ -75,7 +76,7 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
         tick,
         tick.table.kept_upward,
         ordered,
-        partial(decide_contacts, tick, min_height=MIN_UP),
+        partial(decide_contacts, tick, min_height=MIN_UP, kept=tick.table.kept_parts),
     )
     is_carried = np.zeros(len(a), dtype=bool)
     is_carried[shapes.rows[(upward == UPWARD) & shapes.touch]] = True
@@ -130,7 +131,11 @@ def _of_rows(tick: TickShapes, shapes: Pairs, a: Indices, b: Indices) -> Pairs:
 
 
 def decide_contacts(
-    tick: TickShapes, first: Indices, second: Indices, min_height: float
+    tick: TickShapes,
+    first: Indices,
+    second: Indices,
+    min_height: float,
+    kept: KeptParts | None = None,
 ) -> Decisions:
     """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
@@ -142,6 +147,7 @@ def decide_contacts(
         first: (n,), shapes that touch the second ones.
         second: (n,), the normals point to them.
         min_height: the least z of an upward unit normal, from 0 to 1.
+        kept: see `decide_upward`.
     """
     table, decisions = tick.table, Decisions.none(len(first))
     verdicts = decisions.verdicts
@@ -155,7 +161,7 @@ def decide_contacts(
         verdicts[on_planes[heights >= min_height + _UP_ROOM]] = UPWARD
         verdicts[on_planes[heights <= min_height - _UP_ROOM]] = NOT_UPWARD
     are_bounded = table.is_convex & ~table.is_plane
-    for decide in (decide_upward_round, decide_upward):
+    for decide in (decide_upward_round, partial(decide_upward, kept=kept)):
         left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
         if len(left) and not are_few_boxes(table, first[left], second[left]):
             found = decide(tick.placed_cores, first[left], second[left], min_height)

@@ -20,6 +20,7 @@ the least one by.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -29,6 +30,8 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
+from ssduck.geometry.proofs.kept_parts import KeptParts, Parts
+from ssduck.geometry.proofs.kept_verdicts import pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 
 UPWARD, NOT_UPWARD = 1, -1
@@ -122,13 +125,27 @@ class _Triangles:
 
     Attributes:
         owners: (n,), the pair of each.
+        faces: (n,), the triangle of the mesh of which it is a part; `~face` for a whole one.
         classes: (n,), which directions may be in it.
         numbers: (31, n), all other properties.
     """
 
     owners: Indices
+    faces: Indices
     classes: Indices
     numbers: Array
+
+    @classmethod
+    def of_parts(
+        cls, owners: Indices, faces: Indices, numbers: Array, min_height: float
+    ) -> _Triangles:
+        """Returns parts of triangles, of which only corners and points are written in `numbers`."""
+        corners, points = numbers[:9].reshape(3, 3, -1), numbers[9:18].reshape(3, 3, -1)
+        products = np.einsum("kcn,icn->kin", points, corners)
+        stretch = _stretch(corners)
+        numbers[30], numbers[27:30] = _bounds(products, stretch)
+        numbers[18:27] = products.reshape(9, -1)
+        return cls(owners, faces, _classes(corners[:, 2], stretch, min_height), numbers)
 
     @property
     def corners(self) -> Array:
@@ -159,13 +176,17 @@ class _Triangles:
     def select(self, places: Indices) -> _Triangles:
         """Returns the selected triangles."""
         return _Triangles(
-            self.owners[places], self.classes[places], self.numbers.take(places, axis=1)
+            self.owners[places],
+            self.faces[places],
+            self.classes[places],
+            self.numbers.take(places, axis=1),
         )
 
     def joined(self, other: _Triangles) -> _Triangles:
         """Returns the triangles of both."""
         return _Triangles(
             np.concatenate((self.owners, other.owners)),
+            np.concatenate((self.faces, other.faces)),
             np.concatenate((self.classes, other.classes)),
             np.concatenate((self.numbers, other.numbers), axis=1),
         )
@@ -286,7 +307,11 @@ class _Differences:
 
 
 def decide_upward(
-    cores: PlacedCores, first: Indices, second: Indices, min_height: float
+    cores: PlacedCores,
+    first: Indices,
+    second: Indices,
+    min_height: float,
+    kept: KeptParts | None = None,
 ) -> Decisions:
     """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
@@ -295,6 +320,7 @@ def decide_upward(
         first: (n,), bounded convex shapes.
         second: (n,), the same; normals point from the first to the second.
         min_height: the least z of an upward unit normal, from 0 to 1.
+        kept: how directions were divided at the tick before, for the same height.
     """
     mesh = _mesh(min_height)
     decisions = Decisions.none(len(first))
@@ -309,7 +335,7 @@ def decide_upward(
         left = np.flatnonzero(~(above > 0.0))
         if len(left):
             some = pairs.select(left)
-            found = _classified(some, points.take(left, axis=2), mesh, min_height)
+            found = _classified(some, points.take(left, axis=2), mesh, min_height, kept)
             decisions.decide(start + left, found.verdicts, found.room)
     return decisions
 
@@ -332,11 +358,14 @@ def _upward_bounds(points: Array, min_height: float) -> Array:
 
 
 def _classified(
-    pairs: _Differences, points: Array, mesh: _Mesh, min_height: float
+    pairs: _Differences, points: Array, mesh: _Mesh, min_height: float, kept: KeptParts | None
 ) -> Decisions:
     """Decides pairs, whose support points in the directions of a mesh are given."""
-    triangles, least = _initial_triangles(pairs, points, mesh)
+    keys = pair_keys(pairs.first, pairs.second)
+    parts = None if kept is None else kept.find(keys)
+    triangles, least = _initial_triangles(pairs, points, mesh, parts, min_height)
     decisions, count = Decisions.none(len(pairs)), len(pairs)
+    done: list[_Triangles] = []
     divisions = 0
     while True:
         is_left = triangles.bounds <= pairs.limits[triangles.owners]
@@ -352,20 +381,37 @@ def _classified(
             above = np.minimum(least[decided, others], least[decided, _BOTH])
             decisions.decide(decided, verdict, (above - pairs.limits[decided]) / 2.0)
         is_open &= counts.sum(axis=1) <= _MAX_TRIANGLES
-        if divisions == _MAX_DIVISIONS or not is_open.any():
-            return decisions
+        if divisions == _MAX_DIVISIONS:
+            is_open[:] = False
+        is_left &= is_open[triangles.owners]
+        done.append(triangles.select(np.flatnonzero(~is_left & (triangles.faces >= 0))))
+        if not is_open.any():
+            break
         divisions += 1
         # Those that contradict the best direction are divided.
         contradicted = np.where(pairs.heights >= min_height, _OTHER_ONLY, _UPWARD_ONLY)
         is_divided = (classes & contradicted[owners] > 0) & is_open[owners]
         divided = _divided(triangles.select(places[is_divided]), pairs, min_height)
         triangles = triangles.select(places[~is_divided & is_open[owners]]).joined(divided)
+    if kept is not None:
+        kept.keep(keys, _parts(done))
+    return decisions
+
+
+def _parts(triangles: Sequence[_Triangles]) -> Parts:
+    return Parts(
+        np.concatenate([some.owners for some in triangles]),
+        np.concatenate([some.faces for some in triangles]),
+        np.concatenate([some.numbers[:9] for some in triangles], axis=1),
+    )
 
 
 def _initial_triangles(
-    pairs: _Differences, points: Array, mesh: _Mesh
+    pairs: _Differences, points: Array, mesh: _Mesh, parts: Parts | None, min_height: float
 ) -> tuple[_Triangles, Array]:
     """Returns the triangles of a mesh that may contain the contact normals of pairs.
+
+    Known parts of triangles take their place.
 
     Returns:
         The triangles, and the least bounds of the others of each pair and class, (pairs, 4), metres.
@@ -378,6 +424,14 @@ def _initial_triangles(
     bounds = products.min(axis=1).max(axis=0)
     stretch = np.repeat(mesh.stretch, size)
     bounds *= np.where(bounds < 0.0, stretch, 1.0)
+    if parts is not None:
+        numbers = np.zeros((31, len(parts.owners)))
+        numbers[:9] = parts.corners
+        at_parts = parts.corners.reshape(3, 3, -1).swapaxes(0, 1).reshape(3, -1)
+        found = pairs.points(np.tile(parts.owners, 3), at_parts)
+        numbers[9:18].reshape(3, 3, -1)[:] = found.reshape(3, 3, -1).swapaxes(0, 1)
+        known = _Triangles.of_parts(parts.owners, parts.faces, numbers, min_height)
+        bounds[parts.faces * size + parts.owners] = math.inf
     is_kept = bounds <= np.tile(pairs.limits, len(mesh.stretch))
     excluded = np.where(is_kept, math.inf, bounds).reshape(-1, size)
     least = np.full((size, 4), math.inf)
@@ -388,14 +442,18 @@ def _initial_triangles(
     products = products[..., kept]
     bounds, facets = _bounds(products, stretch[kept])
     at_corners = directions[:, corners[:, faces]].transpose(1, 0, 2)
-    # The facet of the least bound has a direction of less overlap than the corners.
-    lowest = np.lexsort((bounds, owners))
-    lowest = lowest[np.diff(owners[lowest], prepend=-1) > 0]
-    pairs.points(owners[lowest], _facet_directions(at_corners[..., lowest], facets[:, lowest]))
     kept_points = points[:, corners[:, faces], owners].transpose(1, 0, 2)
     vectors = np.concatenate((at_corners, kept_points, products)).reshape(27, -1)
     numbers = np.concatenate((vectors, facets, bounds[None]))
-    return _Triangles(owners, mesh.classes[faces], numbers), least
+    triangles = _Triangles(owners, ~faces, mesh.classes[faces], numbers)
+    if parts is not None:
+        triangles = triangles.joined(known)
+    # The facet of the least bound has a direction of less overlap than the corners.
+    lowest = np.lexsort((triangles.bounds, triangles.owners))
+    lowest = lowest[np.diff(triangles.owners[lowest], prepend=-1) > 0]
+    best = triangles.select(lowest)
+    pairs.points(best.owners, _facet_directions(best.corners, best.facets))
+    return triangles, least
 
 
 def _facet_directions(corners: Array, weights: Array) -> Array:
@@ -427,14 +485,11 @@ def _divided(triangles: _Triangles, pairs: _Differences, min_height: float) -> _
         parts[place, 1, :, :3] = middle.swapaxes(0, 1)
         parts[place, 2, :, :3] = middle[_LAST].swapaxes(0, 1)
         parts[place, :, :, 3] = middle
-    part_corners, part_points = numbers[:18].reshape(2, 3, 3, 4 * count)
-    products = np.einsum("kcn,icn->kin", part_points, part_corners)
-    stretch = _stretch(part_corners)
-    bounds, numbers[27:30] = _bounds(products, stretch)
-    numbers[18:27] = products.reshape(9, -1)
-    numbers[30] = np.maximum(bounds, np.tile(triangles.bounds, 4))
-    classes = _classes(part_corners[:, 2], stretch, min_height)
-    return _Triangles(np.tile(triangles.owners, 4), classes, numbers)
+    owners = np.tile(triangles.owners, 4)
+    faces = np.tile(np.maximum(triangles.faces, ~triangles.faces), 4)
+    divided = _Triangles.of_parts(owners, faces, numbers, min_height)
+    np.maximum(numbers[30], np.tile(triangles.bounds, 4), out=numbers[30])
+    return divided
 
 
 def _cross(first: Array, second: Array) -> Array:
