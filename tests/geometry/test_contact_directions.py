@@ -15,12 +15,9 @@ from ssduck.geometry.proofs import contact_directions
 from ssduck.geometry.proofs.contact_directions import (
     NOT_UPWARD,
     UPWARD,
-    _bounds,
-    _classes,
-    _mesh,
-    _stretch,
     decide_upward,
 )
+from ssduck.geometry.proofs.direction_triangles import bounds_of, classes_of, mesh_of, stretch_of
 from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
@@ -39,7 +36,7 @@ def unit(vectors):
 
 @pytest.mark.parametrize("min_height", HEIGHTS)
 def test_triangles_cover_all_directions_in_their_classes(min_height):
-    mesh = _mesh(min_height)
+    mesh = mesh_of(min_height)
     directions = unit(np.random.default_rng(1).normal(size=(3, 3000)))
     corners = mesh.directions[:, mesh.corners]  # (axis, corner, triangle)
     weights = np.linalg.solve(corners.transpose(2, 0, 1)[:, None], directions.T[None, :, :, None])
@@ -55,8 +52,8 @@ def test_bounds_are_below_all_overlaps_in_a_triangle():
     random = np.random.default_rng(2)
     corners = unit(random.normal(size=(3, 3, 400)).swapaxes(0, 1)).swapaxes(0, 1)
     points = random.normal(size=(3, 3, 400)) + random.choice([-1.0, 0.0, 1.0], (1, 3, 400))
-    stretch = _stretch(corners)
-    bounds, facets = _bounds(np.einsum("kcn,icn->kin", points, corners), stretch)
+    stretch = stretch_of(corners)
+    bounds, facets = bounds_of(np.einsum("kcn,icn->kin", points, corners), stretch)
     weights = np.concatenate((random.dirichlet((0.5, 0.5, 0.5), 500), np.eye(3)))
     directions = np.einsum("wi,icn->cwn", weights, corners)
     directions /= np.linalg.norm(directions, axis=0)
@@ -69,7 +66,7 @@ def test_bounds_are_below_all_overlaps_in_a_triangle():
     assert is_facet.sum() > 20
     assert np.ptp(least, axis=0).max() < 1e-9
     assert (bounds[is_facet] <= least[0] + 1e-9).all()
-    classes = _classes(corners[:, 2], stretch, 0.5)
+    classes = classes_of(corners[:, 2], stretch, 0.5)
     assert ((directions[2] >= 0.5).any(axis=0) <= (classes & 1 > 0)).all()
     assert ((directions[2] < 0.5).any(axis=0) <= (classes & 2 > 0)).all()
 

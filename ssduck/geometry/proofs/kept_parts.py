@@ -27,50 +27,88 @@ class Parts:
 
     Attributes:
         owners: (n,), the pair of each.
-        faces: (n,), the triangle of the mesh that it is a part of. All parts of a triangle cover it.
-        corners: (9, n), the directions at its corners, one after another.
+        faces: (n,), the triangle of the mesh that it is a part of; all parts of one cover it.
+        classes: (n,), which directions may be in it.
+        stretch: (n,), the greatest sum of weights of corners whose combination has length 1.
+        corners: (3, n), the places of its corners.
+        directions: (3, m), the unit directions of the corners.
+        corner_owners: (m,), the pair of each direction.
     """
 
     owners: Indices
     faces: Indices
-    corners: Array
+    classes: Indices
+    stretch: Array
+    corners: Indices
+    directions: Array
+    corner_owners: Indices
+
+    def at_corners(self, places: Indices) -> Array:
+        """Returns the directions at the corners of parts, (3, 3, n): (corner, axis, part)."""
+        directions: Array = self.directions.take(self.corners[:, places], axis=1).swapaxes(0, 1)
+        return directions
+
+
+@dataclass(frozen=True, eq=False)
+class _PairParts:
+    """The parts of one pair.
+
+    Attributes:
+        numbers: (5, n), faces, classes and corners; see `Parts`.
+        stretch: (n,).
+        directions: (3, m).
+    """
+
+    numbers: Indices
+    stretch: Array
+    directions: Array
 
 
 class KeptParts:
     """The parts of one condition on all pairs of shapes, for the next tick."""
 
     def __init__(self) -> None:
-        self._parts: dict[int, Parts] = {}
+        self._parts: dict[int, _PairParts] = {}
 
     def find(self, keys: Keys) -> Parts | None:
         """Returns the parts that are kept of pairs; None if there are none."""
-        kept = self._parts
-        found = [kept.get(key) for key in keys.tolist()]
-        if not any(found):
+        found = [(n, self._parts[key]) for n, key in enumerate(keys.tolist()) if key in self._parts]
+        if not found:
             return None
-        counts = [0 if parts is None else len(parts.faces) for parts in found]
-        known = [parts for parts in found if parts is not None]
+        owners = np.array([n for n, _ in found])
+        counts = [len(parts.stretch) for _, parts in found]
+        sizes = np.array([parts.directions.shape[1] for _, parts in found])
+        numbers = np.concatenate([parts.numbers for _, parts in found], axis=1)
+        numbers[2:] += np.repeat(np.cumsum(sizes) - sizes, counts)
         return Parts(
-            np.repeat(np.arange(len(keys)), counts),
-            np.concatenate([parts.faces for parts in known]),
-            np.concatenate([parts.corners for parts in known], axis=1),
+            np.repeat(owners, counts),
+            numbers[0],
+            numbers[1],
+            np.concatenate([parts.stretch for _, parts in found]),
+            numbers[2:],
+            np.concatenate([parts.directions for _, parts in found], axis=1),
+            np.repeat(owners, sizes),
         )
 
-    def keep(self, keys: Keys, parts: Parts) -> None:
-        """Replaces the parts of pairs.
+    def keep(
+        self, key: int, faces: Indices, classes: Indices, stretch: Array, corners: Array
+    ) -> None:
+        """Replaces the parts of a pair.
 
         Args:
-            keys: (m,), the pairs.
-            parts: their parts, in any order.
+            key: the pair.
+            faces: (n,), see `Parts`.
+            classes: (n,), likewise.
+            stretch: (n,), likewise.
+            corners: (3, 3, n), the directions at the corners (corner, axis, part).
         """
-        if len(self._parts) + len(keys) > _MAX_PAIRS:
+        self._parts.pop(key, None)
+        if not 0 < len(faces) <= _MAX_PARTS:
+            return
+        if len(self._parts) >= _MAX_PAIRS:
             self._parts.clear()
-        order = np.argsort(parts.owners, kind="stable")
-        faces, corners = parts.faces[order], parts.corners.take(order, axis=1)
-        ends = np.cumsum(np.bincount(parts.owners, minlength=len(keys))).tolist()
-        for key, start, end in zip(keys.tolist(), [0, *ends], ends, strict=False):
-            self._parts.pop(key, None)
-            if 0 < end - start <= _MAX_PARTS:
-                place = slice(start, end)
-                owners = np.zeros(end - start, np.intp)
-                self._parts[key] = Parts(owners, faces[place], corners[:, place])
+        directions, places = np.unique(
+            corners.swapaxes(0, 1).reshape(3, -1), axis=1, return_inverse=True
+        )
+        numbers = np.concatenate((faces[None], classes[None], places.reshape(3, -1)))
+        self._parts[key] = _PairParts(numbers, stretch, directions)

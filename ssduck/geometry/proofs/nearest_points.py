@@ -19,13 +19,9 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths
-from ssduck.geometry.proofs.contact_directions import (
-    HEIGHT_ROOM,
-    NOT_UPWARD,
-    UPWARD,
-    contact_room,
-)
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, contact_room
 from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.direction_triangles import HEIGHT_ROOM
 from ssduck.geometry.proofs.verdicts import Decisions
 
 # The number of further projections on each of two cores, if none is a point.
@@ -67,7 +63,7 @@ def _decide(cores: PlacedCores, first: Indices, second: Indices, min_height: flo
     tilts = np.arccos(np.clip(-directions[2], -1.0, 1.0))
     decisions = Decisions.none(len(first))
     for verdict, sign in ((UPWARD, 1.0), (NOT_UPWARD, -1.0)):
-        # The cone reaches the least height at this angle; a motion lowers one bound, raises the other.
+        # The cone reaches the least height at this angle. A motion changes both bounds.
         angles = sign * (math.acos(min(min_height + sign * HEIGHT_ROOM, 1.0)) - tilts)
         needed = lengths * np.cos(np.minimum(angles, math.pi / 2.0))
         decided = np.flatnonzero((angles > 0.0) & (reached > needed))
