@@ -312,8 +312,7 @@ def _mesh_triangles(
         points: (3, directions, pairs), their support points in the directions of the mesh.
         mesh: the mesh.
         parts: the known parts.
-        least: (pairs, 4), the least bounds of the other triangles of each pair and class, metres; it
-            lowers them.
+        least: (pairs, 4), see `_decide`; it lowers them.
     """
     directions, corners = mesh.directions, mesh.corners
     count, size = directions.shape[1], len(pairs)

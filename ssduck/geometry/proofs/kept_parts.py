@@ -72,7 +72,8 @@ class KeptParts:
 
     def find(self, keys: Keys) -> Parts | None:
         """Returns the parts that are kept of pairs; None if there are none."""
-        found = [(n, self._parts[key]) for n, key in enumerate(keys.tolist()) if key in self._parts]
+        kept = [(n, self._parts.get(key)) for n, key in enumerate(keys.tolist())]
+        found = [(n, parts) for n, parts in kept if parts is not None]
         if not found:
             return None
         owners = np.array([n for n, _ in found])
