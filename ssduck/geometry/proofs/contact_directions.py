@@ -118,8 +118,12 @@ class _Differences:
 
     def points_all_around(self, directions: Array) -> Array:
         """Returns the support points of all pairs in directions (3, m), (3, m, n)."""
-        points = self.cores.support_points_all_around(self.first, directions)
-        points -= self.cores.support_points_all_around(self.second, -directions)
+        count, pairs = directions.shape[1], len(self)
+        unique, places = np.unique(np.concatenate((self.first, self.second)), return_inverse=True)
+        both = np.concatenate((directions, -directions), axis=1)
+        supports = self.cores.support_points_all_around(unique, both)
+        points = supports[:, :count].take(places[:pairs], axis=2)
+        points -= supports[:, count:].take(places[pairs:], axis=2)
         points += self.offsets[:, None]
         overlaps = np.einsum("cmn,cm->mn", points, directions)
         best = overlaps.argmin(axis=0)
