@@ -16,7 +16,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.kept_verdicts import Keys
 
 # The greatest number of parts of a pair that are kept: many would take longer than dividing anew.
-_MAX_PARTS = 256
+_MAX_PARTS = 1024
 # The number of pairs whose parts are kept.
 _MAX_PAIRS = 4096
 
