@@ -27,16 +27,12 @@ from ssduck.database.kept_plans import MARK, KeptQuery, RowSource, live_source
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.referenced_tables import ReadData
 from ssduck.database.relation_rewriting import (
-    Edit,
-    edited,
     lookup_of,
     mentions_relations,
     number_parameters,
-    numbered,
     parsed,
     rewritten,
     start_of,
-    with_parameters,
 )
 from ssduck.database.statement import (
     RUNS_BEFORE_PLAN,
@@ -54,6 +50,7 @@ from ssduck.database.statement_names import (
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.pair_lookup import PairLookup
+from ssduck.sql.text_edits import Edit, edited, numbered, with_parameters
 
 # The number of texts that are known at a time.
 MAX_STATEMENTS = 256
