@@ -419,7 +419,7 @@ class UserStatements:
         return None if live is None or bound is None else live_source(bound, live)
 
 
-def _depends_on_order(tree: exp.Expression) -> bool:
+def _depends_on_order(tree: exp.Expr) -> bool:
     """Checks whether the order in which rows are joined decides on the values of a result.
 
     Another plan may join them in another order.
