@@ -135,7 +135,7 @@ class Database:
         with self._lock:
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
-                with PinnedWorlds(self._lock, self._worlds, statement.reads):
+                with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
                     return self._raw_sql.ready_rows(statement)
             if self.connection.meter.limits.seconds is not None:
                 check_length(sql)

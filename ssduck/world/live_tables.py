@@ -148,6 +148,16 @@ class LiveTable:
         It is made when it is asked for: that takes longer than to fill a table that is recorded.
         """
         self.settle()
+        return self._shared()
+
+    def arrow_with(self, names: Iterable[str]) -> pa.Table:
+        """Returns the Arrow table, in which only these columns are certain to be written."""
+        for name in names:
+            self._settle(name)
+        return self._shared()
+
+    def _shared(self) -> pa.Table:
+        """Returns the Arrow table; deferred columns have numbers of an earlier tick."""
         if self._arrow is None:
             unknown = np.logical_or.reduce(np.isnan(self._block), axis=1)
             self._arrow = pa.table(
