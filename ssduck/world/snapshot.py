@@ -14,7 +14,6 @@ import copy
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import accumulate, chain
 from typing import Any
 
@@ -531,10 +530,7 @@ class Snapshot:
         block = table.overwritten("x", "zmax")
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
-        if bodies.write_states(moving, block) and table.is_complete:  # many read only poses
-            table.defer("xmin", "zmax", partial(bodies.write_boxes, moving, block))
-        else:
-            bodies.write_boxes(moving, block)
+        bodies.write_later(moving, table)
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
 
