@@ -86,7 +86,7 @@ class NarrowPhase:
         self._tick = TickSolids(solids, solid_indices, positions, orientations, boxes, margins)
         self.shapes = ShapeComparisons(self._tick, calls)
         self.starts = list(starts)
-        # The shapes of each entity that have points, and whether all its poses and shapes are known.
+        # Each entity's shapes that have points, and whether all its poses and shapes are known.
         self._shapes = _OfEntities(partial(_shapes_with_points, self._tick, self.starts))
         self._are_known = _OfEntities(partial(_is_known, self._tick, self.starts))
         self._clearances: dict[tuple[int, int], float | None] = {}

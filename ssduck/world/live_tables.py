@@ -230,7 +230,8 @@ class LiveTable:
     def defer(self, first: str, last: str, write: Callable[[], None]) -> None:
         """Has adjacent columns of doubles written later, before anything reads any of them.
 
-        Their numbers must all be finite; several functions may write different columns. Until then, the columns have those of an earlier tick.
+        Their numbers must all be finite. Until then, the columns have those of an earlier tick.
+        Several functions may write different columns.
         """
         rows = range(self._row[first], self._row[last] + 1)
         self._deferred = [*self._deferred, (rows, write)]  # a clone has the same list
