@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Collection, Iterable
 from itertools import count
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,9 @@ ARROW_TYPES: dict[ColumnType, pa.DataType] = {
     "points": pa.list_(pa.list_(pa.float64(), 3)),
     "triples": pa.list_(pa.list_(pa.int32(), 3)),
 }
+
+# Rows of a block that are still to be written, and the function that writes them.
+_Deferred: TypeAlias = tuple[range, Callable[[], object]]
 
 _versions = count(1)
 # A table that becomes larger than its buffers gets such a part of its size more.
@@ -66,8 +69,7 @@ class LiveTable:
     def fill(self, count: int, values: dict[str, Any]) -> None:
         """Resets the table to a number of rows; columns of numbers without values start at 0."""
         self.count = count
-        # Rows of the block that are still to be written, each with the function that writes them.
-        self._deferred: list[tuple[range, Callable[[], None]]] = []
+        self._deferred: list[_Deferred] = []
         kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
         self._numbers: dict[str, npt.NDArray[Any]] = {}
         # Columns of numbers without missing values get buffers; the others stay Arrow arrays.
@@ -227,7 +229,7 @@ class LiveTable:
         self.settle()
         return self._block
 
-    def defer(self, first: str, last: str, write: Callable[[], None]) -> None:
+    def defer(self, first: str, last: str, write: Callable[[], object]) -> None:
         """Has adjacent columns of doubles written later, before anything reads any of them.
 
         Their numbers must all be finite. Until then, the columns have those of an earlier tick.
@@ -241,7 +243,7 @@ class LiveTable:
         if self._deferred:
             self._write(self._deferred)
 
-    def _write(self, deferred: list[tuple[range, Callable[[], None]]]) -> None:
+    def _write(self, deferred: list[_Deferred]) -> None:
         """Writes some columns that were deferred; they stay so if that fails."""
         for entry in list(deferred):
             entry[1]()

@@ -50,7 +50,7 @@ def shape_columns(
     ids = [geometry_id(shape.geometry) for _, _, shape in shapes]
     distinct = {id: s.geometry for id, (_, _, s) in zip(ids, shapes, strict=True)}
     geometries = distinct.values()
-    of_shapes = {
+    of_shapes: dict[str, Sequence[Any]] = {
         "entity": [entity for entity, _, _ in shapes],
         "link": [shape.frame for _, _, shape in shapes],
         "shape": [number for _, number, _ in shapes],
