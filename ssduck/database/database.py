@@ -227,9 +227,12 @@ class Database:
         return PinnedWorlds(self._lock, self._worlds, reads, is_settled=is_settled)
 
     def settle(self) -> None:
-        """Writes the columns of pinned worlds that were deferred, for DuckDB to read."""
-        for world in self.worlds.values():
-            world.snapshot.tables["entities"].settle()
+        """Writes the rows of pinned worlds that were deferred, for DuckDB to read."""
+        for bound in self._worlds.bound:
+            world = bound.reference()
+            if world is not None and world.is_restored:
+                world.snapshot.settle()
+                self._worlds.register(bound)  # its buffers may be others
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""

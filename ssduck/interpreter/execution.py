@@ -48,6 +48,8 @@ from ssduck.world.world import World
 
 # The types of values that are neither worlds nor contain any.
 _PLAIN = frozenset((type(None), bool, int, float, str))
+# The largest length of lists whose elements are looked at whenever a program runs again.
+_SHORT = 16
 
 
 class Execution(Namespace):
@@ -370,7 +372,7 @@ class Execution(Namespace):
             if isinstance(value, World):
                 worlds.append(value)
                 meaning.append(value.serial)
-            elif type(value) in _PLAIN:
+            elif type(value) in _PLAIN or _is_short_plain_list(value):
                 meaning.append(type(value))
             else:
                 return None
@@ -380,6 +382,11 @@ class Execution(Namespace):
             known = self._reads[node] = (meaning, self.tables_read(node), is_open)
         _, tables, is_open = known
         return tables, None if is_open else worlds
+
+
+def _is_short_plain_list(value: object) -> bool:
+    """Checks whether a value is a short list of plain values, such as a position."""
+    return type(value) is list and len(value) <= _SHORT and _PLAIN.issuperset(map(type, value))
 
 
 def _accept_columns(_: object) -> None:
