@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from ssduck.errors import SceneError
+from ssduck.simulators.model_xml import read_xml
 
 # The largest number of elements of a model, with copies; of pixels, heights and user's numbers.
 MAX_ELEMENTS, MAX_NUMBERS = 1_000_000, 100_000_000
@@ -46,7 +47,7 @@ def check_declared_sizes(file: Path) -> None:
 def _count(file: Path, main: Path, files: set[Path]) -> int:
     """Returns the number of elements of a file; MuJoCo reports one that cannot be read."""
     try:
-        root = ET.parse(file).getroot()  # noqa: S314  # expat bounds the growth of entities
+        root = read_xml(file)
     except (ET.ParseError, OSError, ValueError):
         return 0
     total = 0
