@@ -1,8 +1,8 @@
 """Checks that the files of a scene from a stranger are in the folder of the scene.
 
 Simulators differ in where they look for a file: beside the model or the file that includes it, in
-folders that `<compiler>` names anywhere, with or without the folders in its name. Every such path is
-made of the words between the slashes of names. So whatever can be reached in the folder by these
+folders that `<compiler>` names anywhere, with or without the folders in its name. Every such path
+is made of the words between the slashes of names. So whatever can be reached in the folder by these
 words, in any order, is to be a file or a folder inside.
 """
 
