@@ -34,9 +34,9 @@ days_in_month decade decimal_average decimal_division decode degrees dense_rank 
 element_at encode ends_with entropy epoch epoch_ms epoch_ns epoch_us era even exp factorial favg
 fdiv fill filter first first_value flatten floor fmod formatReadableDecimalSize formatReadableSize
 format_bytes from_base64 from_binary from_hex fsum gamma gcd gen_random_uuid geomean geometric_mean
-get_bit get_current_time get_current_timestamp grade_up greatest greatest_common_divisor group_concat
-hamming hash hex histogram hour if ilike_escape instr isfinite isinf isnan isodow isoyear jaccard
-json_array json_array_length json_contains
+get_bit get_current_time get_current_timestamp grade_up greatest greatest_common_divisor
+group_concat hamming hash hex histogram hour if ilike_escape instr isfinite isinf isnan isodow
+isoyear jaccard json_array json_array_length json_contains
 json_exists json_extract json_extract_path json_extract_path_text json_extract_string
 json_group_array json_group_object json_insert json_keys json_object json_quote json_remove
 json_replace json_set json_strip_nulls json_type json_valid json_value julian kahan_sum kurtosis
