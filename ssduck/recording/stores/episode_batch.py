@@ -33,10 +33,13 @@ from ssduck.recording.stores.parquet_archive import (
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
+from ssduck.recording.stores.tick_checks import stray_row
 from ssduck.schema import MODELS, RECORDED, TABLES
 
 # The column in which the parts have the number of the run.
 _RUN = "run"
+# The columns of each part that tell of which tick a row is.
+_TICK = pa.schema({"tick": pa.int64(), "time": pa.float64()})
 
 
 @dataclass(frozen=True)
@@ -143,6 +146,8 @@ class EpisodeBatch(TickArchive):
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
         self._in_sql: set[str] = set()
+        # The files of these episodes whose rows are of ticks of their own episode.
+        self._checked: set[tuple[int, str]] = set()
         self._shown: tuple[int, int] | None = None
 
     def load(self, episodes: Sequence[BatchedEpisode]) -> None:
@@ -156,6 +161,7 @@ class EpisodeBatch(TickArchive):
         """
         self._episodes = episodes
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
+        self._checked.clear()
         for table in sorted(self._read):
             self._check(table)
         self._shown = None
@@ -169,19 +175,30 @@ class EpisodeBatch(TickArchive):
                 self._set_variables(table)
 
     def _check(self, table: str) -> None:
-        """Checks the bytes of the files of a table."""
+        """Checks the bytes and the ticks of the files of a table."""
         for index, episode in enumerate(self._episodes):
             for file in episode.files[table]:
-                self._content(file, index)
+                self._content(table, file, index)
 
-    @staticmethod
-    def _content(file: BatchedFile, index: int) -> bytes:
+    def _content(self, table: str, file: BatchedFile, index: int) -> bytes:
+        """Returns the bytes of a file of an episode, whose rows are of ticks of the episode.
+
+        Moved by its offset, a row of another tick might be one of another episode.
+
+        Raises:
+            DamagedEpisodeError: the file is missing or damaged, or a row is of another tick.
+        """
         try:
-            return file.content()
+            content = file.content()
+            if (index, file.path) not in self._checked:
+                if table != "ticks":
+                    _check_ticks(content, self._episodes[index], table, file.path)
+                self._checked.add((index, file.path))
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
-        except OSError as error:
+        except (OSError, pa.ArrowException) as error:
             raise DamagedEpisodeError(f"{file.path} cannot be read: {error}", index) from error
+        return content
 
     # -- SQL --------------------------------------------------------------------------------
 
@@ -240,7 +257,13 @@ class EpisodeBatch(TickArchive):
             ]
             if table == "ticks"
             else [
-                _rows(self._content(file, index), types, self._episodes[index].offset, first, last)
+                _rows(
+                    self._content(table, file, index),
+                    types,
+                    self._episodes[index].offset,
+                    first,
+                    last,
+                )
                 for index in range(begin, end)
                 for file in self._episodes[index].files[table]
             ]
@@ -290,6 +313,26 @@ def _pattern(path: str) -> str:
 
 def _text(text: str) -> str:
     return exp.Literal.string(text).sql("duckdb")
+
+
+def _check_ticks(content: bytes, episode: BatchedEpisode, table: str, path: str) -> None:
+    """Checks that all rows of a part have the number and the time of a tick of their episode.
+
+    Raises:
+        RecordError: a row has those of none, or the part has no such columns.
+    """
+    part = pq.ParquetFile(pa.BufferReader(content))
+    rows = part.read(columns=_TICK.names, use_threads=False)
+    if (
+        rows.schema.names != _TICK.names
+        or rows.schema.types != _TICK.types
+        or any(column.null_count for column in rows.columns)
+    ):
+        raise RecordError(f"{path} has no tick and time of each row")
+    numbers, times = episode.ticks["tick"].to_numpy(), episode.times
+    stray = stray_row(rows, numbers, times)
+    if stray is not None:
+        raise RecordError(f"{path} is damaged: of the rows of {table}, {stray}")
 
 
 def _rows(content: bytes, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
