@@ -97,15 +97,18 @@ def test_a_row_of_another_tick_changes_no_answer(
     assert set(alone) == {FORGED}  # the others are asked together
 
 
-def test_each_file_is_checked_once_for_a_question(
+def test_the_ticks_of_a_file_are_checked_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checked: list[str] = []
     path = "ssduck.recording.stores.episode_batch._check_ticks"
     monkeypatch.setattr(path, lambda content, episode, table, path: checked.append(path))
     record = recorded(tmp_path / "r")
+    answers_of(record, PROGRAMS[0])
+    assert len(checked) == len(set(checked))
     for program in PROGRAMS:
-        checked.clear()
-        answers_of(record, program)
-        assert len(checked) == len(set(checked))
-        assert sum("/entities/" in file for file in checked) == EPISODES
+        workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
+    assert sum("/entities/" in file for file in checked) == EPISODES
+    forge(record, *FORGERIES["of none"])  # the manifest is made anew
+    workers.answer_episodes(ProgramQuestion(PROGRAMS[0], None), ssduck.lake(record).entries)
+    assert sum("/entities/" in file for file in checked) == EPISODES + 1

@@ -38,6 +38,8 @@ from ssduck.schema import MODELS, RECORDED, TABLES
 
 # The column in which the parts have the number of the run.
 _RUN = "run"
+# The largest number of checked parts that are remembered.
+MAX_CHECKED = 20_000
 # The columns of each part that tell of which tick a row is.
 _TICK = pa.schema({"tick": pa.int64(), "time": pa.float64()})
 
@@ -146,8 +148,8 @@ class EpisodeBatch(TickArchive):
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
         self._in_sql: set[str] = set()
-        # The files of these episodes whose rows are of ticks of their own episode.
-        self._checked: set[tuple[int, str]] = set()
+        # The parts whose rows are of ticks of their own episode, with the checksums of the ticks.
+        self._checked: set[tuple[BatchedFile, tuple[BatchedFile, ...]]] = set()
         self._shown: tuple[int, int] | None = None
 
     def load(self, episodes: Sequence[BatchedEpisode]) -> None:
@@ -161,7 +163,8 @@ class EpisodeBatch(TickArchive):
         """
         self._episodes = episodes
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
-        self._checked.clear()
+        if len(self._checked) > MAX_CHECKED:
+            self._checked.clear()
         for table in sorted(self._read):
             self._check(table)
         self._shown = None
@@ -190,10 +193,11 @@ class EpisodeBatch(TickArchive):
         """
         try:
             content = file.content()
-            if (index, file.path) not in self._checked:
-                if table != "ticks":
-                    _check_ticks(content, self._episodes[index], table, file.path)
-                self._checked.add((index, file.path))
+            episode = self._episodes[index]
+            key = file, tuple(episode.files["ticks"])
+            if table != "ticks" and key not in self._checked:
+                _check_ticks(content, episode, table, file.path)
+                self._checked.add(key)
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
         except (OSError, pa.ArrowException) as error:
