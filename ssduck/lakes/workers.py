@@ -13,7 +13,6 @@ import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -123,7 +122,7 @@ class _Reader:
             if folder in folders:
                 place = f"{root}/{file.name}"
                 files[folders[folder]].append(BatchedFile(place, file.checksum))
-        names = [[Path(file.path).name for file in files[table]] for table in self._tables]
+        names = [[file.path.rpartition("/")[2] for file in files[table]] for table in self._tables]
         if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
             raise RecordError(f"{entry.path} has other files than complete parts")
         parts = [
@@ -137,10 +136,10 @@ class _Reader:
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
         if not len(ticks) or not ascend or len(ticks) != entry.ticks:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        self._group.check(entry)
+        checked = frozenset({"entities"} if self._group.check(entry) else ())
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
-        return BatchedEpisode(offset, rows, files)
+        return BatchedEpisode(offset, rows, files, checked)
 
     def close(self) -> None:
         """Closes the interpreter."""

@@ -112,8 +112,8 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
     if match is None:
         return WRONG_CHECKSUM if has_checksums else None
     start, end = match.span(2)
-    expected = zlib.crc32(footer[end:], zlib.crc32(_NONE, zlib.crc32(footer[:start])))
-    return None if match.group(2) == _hex(expected) else WRONG_CHECKSUM
+    is_right = match.group(2) == _hex(_footer_sum(footer, start, end))
+    return None if is_right else WRONG_CHECKSUM
 
 
 def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
@@ -152,13 +152,23 @@ def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     return problem
 
 
-def without_checksums(content: bytes) -> bytes:
-    """Returns the bytes of a Parquet file without the checksums in its footer."""
-    match = _last(_FOOTER_SUMS, content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :])
-    if match is None:
-        return content
-    start = len(content) - len(match.string)
-    return content[: start + match.start()] + content[start + match.end() :]
+def data_and_footer(content: bytes) -> tuple[bytes, bytes]:
+    """Returns what a complete Parquet file has before its footer, and the footer."""
+    length = int.from_bytes(content[-_TAIL:-4], "little") + _TAIL
+    return content[:-length], content[-length:]
+
+
+def with_footer_sum(footer: bytes) -> bytes:
+    """Returns a footer with the checksum that it is to have."""
+    match = _last(_FOOTER_SUMS, footer)
+    assert match is not None
+    start, end = match.span(2)
+    return footer[:start] + _hex(_footer_sum(footer, start, end)) + footer[end:]
+
+
+def _footer_sum(footer: bytes, start: int, end: int) -> int:
+    """Returns the checksum of a footer, which is to stand between two places in it."""
+    return zlib.crc32(footer[end:], zlib.crc32(_NONE, zlib.crc32(footer[:start])))
 
 
 def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[bytes] | None:

@@ -74,11 +74,13 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
+        checked: the tables whose bytes were checked a moment ago.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
+    checked: frozenset[str] = frozenset()
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:
@@ -151,7 +153,7 @@ class EpisodeBatch(TickArchive):
         self._episodes = episodes
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
         for table in sorted(self._read):
-            self._check(table)
+            self._check(table, is_loading=True)
         self._shown = None
         self.show(0, len(episodes))
 
@@ -162,9 +164,11 @@ class EpisodeBatch(TickArchive):
             for table in self._in_sql:
                 self._set_variables(table)
 
-    def _check(self, table: str) -> None:
-        """Checks the bytes of the files of a table."""
+    def _check(self, table: str, *, is_loading: bool = False) -> None:
+        """Checks the bytes of the files of a table; of episodes being loaded, what was not yet."""
         for index, episode in enumerate(self._episodes):
+            if is_loading and table in episode.checked:
+                continue
             for file in episode.files[table]:
                 self._content(file, index)
 
