@@ -45,8 +45,11 @@ def _hex(checksum: int) -> bytes:
 # -- Parquet files ----------------------------------------------------------------------------
 
 
-def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
+def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
     """Writes rows, with their metadata, to a Parquet file with checksums, all or nothing.
+
+    Returns:
+        The CRC-32 of all bytes of the file.
 
     Args:
         rows: the rows.
@@ -66,7 +69,8 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
     data, footer = content[:-length], bytearray(content[-length:])
     match = _last(_FOOTER_SUMS, footer)
     assert match is not None
-    footer[slice(*match.span(1))] = _hex(zlib.crc32(data))
+    data_sum = zlib.crc32(data)
+    footer[slice(*match.span(1))] = _hex(data_sum)
     footer[slice(*match.span(2))] = _hex(zlib.crc32(footer))
 
     def write(file: Path) -> None:
@@ -75,6 +79,7 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
             _write_all(stream, memoryview(footer))
 
     write_atomically(place, write)
+    return zlib.crc32(footer, data_sum)
 
 
 def _write_all(stream: Any, content: memoryview) -> None:

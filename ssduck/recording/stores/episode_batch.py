@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -25,13 +24,13 @@ from ssduck.geometry.arrays import Array
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
-from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_archive import (
     arrow_types,
     multi_link_bodies,
     pattern_of,
 )
-from ssduck.schema import MODELS, RECORDED, TABLES
+from ssduck.schema import MODELS, TABLES
 
 # The column in which the parts have the number of the run.
 _RUN = "run"
@@ -319,10 +318,3 @@ def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int)
     place = rows.column_names.index("tick")
     rows = rows.set_column(place, types.field("tick"), pa.array(ticks))
     return rows if rows.schema.equals(types) else rows.cast(types)
-
-
-def has_current_columns(file: Path, table: str) -> bool:
-    """Checks whether a part has all columns that a part of this version has."""
-    names = set(pq.read_schema(parquet_source(file)).names)
-    columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
-    return names >= set(columns)
