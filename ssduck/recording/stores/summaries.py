@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
@@ -31,8 +31,8 @@ from ssduck.recording.stores.descriptions import (
     read_description,
 )
 from ssduck.recording.stores.links import check_inside
-from ssduck.recording.stores.object_store import ObjectPath, file_system, parquet_source
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun
+from ssduck.recording.stores.object_store import ObjectPath, file_system
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS, RECORDED, TABLES
 
@@ -129,9 +129,10 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
     """Returns what is the same for episodes that can be asked together; None for no others."""
     if run.log or run.removed_parts or not run.has_checksums:
         return None
-    for table in run.tables:
-        if not all(_has_current_columns(file, table) for file in run.files(table)[:1]):
-            return None
+    parts = {table: run.listed_files(table) for table in run.tables}
+    footers = {table: run.check(table, map(part_number, files)) for table, files in parts.items()}
+    if not all(_has_current_columns(table, found) for table, found in footers.items()):
+        return None
     if "run" not in models["entities"].column_names:
         return None
     every, entities = run.recording.get("every", 1), run.recording["entities"]
@@ -140,19 +141,17 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
         names = [name for name in rows.column_names if name != "run"]
         columns = {name: rows[name].to_pylist() for name in names}
         sink.update(repr((table, columns)).encode())
-    last = pq.read_table(
-        parquet_source(run.files("entities")[-1]), columns=["tick", "id"], partitioning=None
-    )
+    content = pa.BufferReader(parts["entities"][-1].read_bytes())
+    last = pq.ParquetFile(content).read(["tick", "id"], use_threads=False)
     ticks = last["tick"].to_numpy()
-    sink.update(np.sort(last["id"].to_numpy()[ticks == ticks.max()]).tobytes())
+    sink.update(np.sort(last["id"].to_numpy()[ticks == ticks.max(initial=0)]).tobytes())
     return sink.hexdigest()
 
 
-def _has_current_columns(file: Path, table: str) -> bool:
-    """Checks whether a part has all columns that a part of this version has."""
-    names = set(pq.read_schema(parquet_source(file)).names)
+def _has_current_columns(table: str, footers: Sequence[pq.FileMetaData]) -> bool:
+    """Checks whether the first part of a table has all columns that one of this version has."""
     columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
-    return names >= set(columns)
+    return all(set(footer.schema.to_arrow_schema().names) >= set(columns) for footer in footers[:1])
 
 
 # -- files ------------------------------------------------------------------------------------
