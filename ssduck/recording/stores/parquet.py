@@ -227,8 +227,7 @@ class ParquetStore(TickStore):
             place.mkdir(parents=True, exist_ok=True)
             file = part_name(number)
             checksum = write_parquet(labelled, place / file, **_options(labelled))
-        name = self.run.place(table).relative_to(self.run.path) / file
-        self._checksums[name.as_posix()] = checksum
+        self._checksums[f"{self.run.folder(table)}/{file}"] = checksum
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002
         """Returns 0: a folder keeps all ticks."""

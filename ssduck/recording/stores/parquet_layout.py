@@ -112,9 +112,13 @@ class FolderRun:
         """The file that describes the episode."""
         return self.path / "episodes" / f"{self.world}-{self.number}.json"
 
+    def folder(self, table: str) -> str:
+        """Returns the name of the folder of the parts of a table in the record, with slashes."""
+        return f"{table}/world={self.world}/episode={self.number}"
+
     def place(self, table: str) -> Path:
         """Returns the folder of the parts of a table, or of a model such as `models/entities`."""
-        return self.path / table / f"world={self.world}" / f"episode={self.number}"
+        return self.path / self.folder(table)
 
     @cached_property
     def description(self) -> dict[str, Any]:

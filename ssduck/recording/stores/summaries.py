@@ -81,9 +81,9 @@ class EpisodeSummary:
     files: Mapping[str, StoredFile]
 
 
-def summary_file(run: FolderRun) -> Path:
-    """Returns the file of the summary of an episode."""
-    return run.place(INDEX) / "summary.json"
+def summary_name(run: FolderRun) -> str:
+    """Returns the name of the file of the summary of an episode, in its record."""
+    return f"{run.folder(INDEX)}/summary.json"
 
 
 def size_and_time(file: Path) -> tuple[int, int]:
@@ -98,7 +98,7 @@ def size_and_time(file: Path) -> tuple[int, int]:
 def parts_in(run: FolderRun, listing: Listing) -> Listing:
     """Returns the files of a listing that are in the folders of the parts of an episode."""
     tables = (*run.tables, *(f"models/{model}" for model in MODELS))
-    folders = {f"{table}/world={run.world}/episode={run.number}" for table in tables}
+    folders = set(map(run.folder, tables))
     return {name: about for name, about in listing.items() if name.rpartition("/")[0] in folders}
 
 
@@ -173,7 +173,7 @@ def write_summary(run: FolderRun, checksums: Mapping[str, int]) -> None:
     }
     content = asdict(summary_of(run, files, are_whole=True))
     content |= {"key": run.key, "files": {name: astuple(file) for name, file in files.items()}}
-    place = summary_file(run)
+    place = run.path / summary_name(run)
     place.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(place, lambda file: write_json(content, file))
 
@@ -187,8 +187,8 @@ def read_summary(run: FolderRun, listing: Listing) -> EpisodeSummary | None:
         run: the episode.
         listing: the files of the episode that are there.
     """
-    file = summary_file(run)
-    if file.relative_to(run.path).as_posix() not in listing or run.removed_parts:
+    file = run.path / summary_name(run)
+    if summary_name(run) not in listing or run.removed_parts:
         return None
     if any(name.startswith(f"{LOG}/") for name in listing):
         return None
