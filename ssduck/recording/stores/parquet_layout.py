@@ -8,6 +8,7 @@
       frames/…                                                the poses of links, without `links`
       models/entities/world=kitchen/episode=0/part-000000.parquet    the models of the entities
       index/world=kitchen/episode=0/ticks.parquet    the ticks of many parts (`tick_index`)
+      index/world=kitchen/episode=0/summary.json    for lakes, of a closed episode (`summaries`)
       log/world=kitchen/episode=0/part-000001-0000.arrow    rows of a part to come (`part_log`)
 
 DuckDB, polars and pandas read a folder such as `run/entities` as it is: its rows are those of the
