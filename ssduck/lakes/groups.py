@@ -25,11 +25,11 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import run_of
 from ssduck.recording.stores.checksums import (
     content_problem,
-    data_and_footer,
+    footer_in,
     with_footer_sum,
 )
 from ssduck.recording.stores.episode_batch import BatchedFile
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_name
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, label_of, part_name
 from ssduck.schema import MODELS
 
 # The Arrow schema in a footer, in base64: it begins with four bytes of ones.
@@ -68,7 +68,8 @@ class _ModelPart:
     @cached_property
     def _footer(self) -> tuple[bytes, bytes, bytes, int] | None:
         """The data, the footer, the schema in it and its place; None if there is no schema."""
-        data, footer = data_and_footer(self.content)
+        footer = footer_in(self.content)
+        data = self.content[: -len(footer)]
         match = _SCHEMA.search(footer)
         if match is None:
             return None
@@ -111,18 +112,22 @@ class EpisodeGroup:
         self.number = number
         self._parts = _model_parts(self.run, entry)
         self._present = _present(self.run, entry)
-        # The files of the episodes that were found to be of the group, by their keys.
-        self._members: dict[tuple[str, str, int], tuple[FileEntry, ...]] = {}
+        # The files of the episodes that were found to be of the group, and what their labels have.
+        self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
-    def check(self, entry: EpisodeEntry) -> bool:
-        """Checks that an episode is of the group; returns whether all its entities were read.
+    def check(self, entry: EpisodeEntry) -> tuple[str, bool]:
+        """Checks that an episode is of the group.
+
+        Returns:
+            The text that its labels have of it, and whether all its entities were read.
 
         Raises:
             RecordError: it is not, or a file of it is damaged.
             OSError: a file cannot be read.
         """
-        if self._members.get(entry.key) == entry.files:
-            return False
+        files, key = self._members.get(entry.key, ((), ""))
+        if files and files == entry.files:
+            return key, False
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         if _described(run, entry) != self._described:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
@@ -130,8 +135,9 @@ class EpisodeGroup:
             self._check_model(run, entry, model)
         if not np.array_equal(_present(run, entry), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
-        self._members[entry.key] = entry.files
-        return len(_files_of(run, entry, "entities")) == 1
+        assert run.key is not None  # its parts have labels
+        self._members[entry.key] = entry.files, run.key
+        return run.key, len(_files_of(run, entry, "entities")) == 1
 
     def _check_model(self, run: FolderRun, entry: EpisodeEntry, model: str) -> None:
         """Checks that a model of an episode is that of the group.
@@ -141,13 +147,12 @@ class EpisodeGroup:
         table, others = f"models/{model}", self._parts[model]
         files = _files_of(run, entry, table)
         contents = [file.content() for file in files]
-        labels = [run.label(table, number) for number in range(len(files))]
         if len(files) == len(others) and all(
-            label is not None and content == other.with_label(label)
-            for content, label, other in zip(contents, labels, others, strict=True)
+            content == other.with_label(file.label)
+            for content, file, other in zip(contents, files, others, strict=True)
         ):
             return
-        parts = _checked_parts(files, contents, labels)
+        parts = _checked_parts(files, contents)
         if len(parts) != len(others) or not all(map(_ModelPart.is_like, parts, others)):
             raise RecordError(f"{run.place(table)} is another than its group has")
         if model == "entities":
@@ -161,9 +166,9 @@ def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
         RecordError: the episode cannot be asked together with others.
     """
     has_log = any(file.name.startswith(f"{LOG}/") for file in entry.files)
-    if has_log or run.removed_parts or not run.has_checksums:
+    if has_log or run.removed_parts or not run.has_checksums or run.key is None:
         raise RecordError(f"{run.about_file} is of an episode that is asked by itself")
-    return run.world, run.tables, run.recording
+    return run.world, run.tables, run.recording, run.description.get("camera")
 
 
 def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFile]:
@@ -178,7 +183,12 @@ def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFi
     names = [f"{prefix}{part_name(number)}" for number in range(len(sums))]
     if not names or sorted(sums) != names:
         raise RecordError(f"{folder} has other files than complete parts")
-    return [BatchedFile(str(run.path / name), sums[name]) for name in names]
+    assert run.key is not None
+    labels = (label_of(run.key, table, number) for number in range(len(names)))
+    return [
+        BatchedFile(str(run.path / name), sums[name], label)
+        for name, label in zip(names, labels, strict=True)
+    ]
 
 
 def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_ModelPart]]:
@@ -191,25 +201,22 @@ def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_Mode
     parts: dict[str, list[_ModelPart]] = {}
     for model in MODELS:
         files = _files_of(run, entry, f"models/{model}")
-        labels = [run.label(f"models/{model}", number) for number in range(len(files))]
-        parts[model] = _checked_parts(files, [file.content() for file in files], labels)
+        parts[model] = _checked_parts(files, [file.content() for file in files])
     return parts
 
 
-def _checked_parts(
-    files: Sequence[BatchedFile], contents: Sequence[bytes], labels: Sequence[bytes | None]
-) -> list[_ModelPart]:
+def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> list[_ModelPart]:
     """Returns the parts of a model.
 
     Raises:
-        RecordError: a file is damaged, or of another part.
+        RecordError: a file is damaged.
     """
     parts = []
-    for file, content, label in zip(files, contents, labels, strict=True):
+    for file, content in zip(files, contents, strict=True):
         problem = content_problem(content, has_checksums=True)
-        if problem is not None or label is None or label not in content:
-            raise RecordError(f"{file.path} {problem or 'is another part'}")
-        parts.append(_ModelPart(content, label))
+        if problem is not None:
+            raise RecordError(f"{file.path} {problem}")
+        parts.append(_ModelPart(content, file.label))
     return parts
 
 

@@ -136,7 +136,8 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
     if "run" not in models["entities"].column_names:
         return None
     every, entities = run.recording.get("every", 1), run.recording["entities"]
-    sink = hashlib.sha256(repr((run.world, run.tables, every, entities)).encode())
+    described = run.world, run.tables, every, entities, run.description.get("camera")
+    sink = hashlib.sha256(repr(described).encode())
     for table, rows in sorted(models.items()):
         names = [name for name in rows.column_names if name != "run"]
         columns = {name: rows[name].to_pylist() for name in names}
