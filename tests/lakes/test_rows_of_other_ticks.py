@@ -101,14 +101,18 @@ def test_the_ticks_of_a_file_are_checked_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checked: list[str] = []
-    path = "ssduck.recording.stores.episode_batch._check_ticks"
-    monkeypatch.setattr(path, lambda content, episode, table, path: checked.append(path))
+
+    def counted(rows, ticks, table, path):
+        checked.append(table)
+
+    for module in ("recording.stores.episode_batch", "lakes.workers"):
+        monkeypatch.setattr(f"ssduck.{module}.check_ticks", counted)
     record = recorded(tmp_path / "r")
     answers_of(record, PROGRAMS[0])
-    assert len(checked) == len(set(checked))
+    assert checked.count("entities") == EPISODES
     for program in PROGRAMS:
         workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
-    assert sum("/entities/" in file for file in checked) == EPISODES
+    assert checked.count("entities") == EPISODES
     forge(record, *FORGERIES["of none"])  # the manifest is made anew
     workers.answer_episodes(ProgramQuestion(PROGRAMS[0], None), ssduck.lake(record).entries)
-    assert sum("/entities/" in file for file in checked) == EPISODES + 1
+    assert checked.count("entities") == EPISODES + 1

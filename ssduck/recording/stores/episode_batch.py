@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +25,7 @@ from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
-from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_archive import (
     arrow_types,
     multi_link_bodies,
@@ -34,7 +33,7 @@ from ssduck.recording.stores.parquet_archive import (
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
 from ssduck.recording.stores.tick_checks import stray_row
-from ssduck.schema import MODELS, RECORDED, TABLES
+from ssduck.schema import MODELS, TABLES
 
 # The column in which the parts have the number of the run.
 _RUN = "run"
@@ -85,17 +84,23 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
+        checked: the tables whose bytes and ticks were checked a moment ago.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
+    checked: frozenset[str] = frozenset()
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:
         """The numbers of its ticks in the batch, (n,)."""
         numbers: npt.NDArray[np.int64] = self.ticks["tick"].to_numpy() + self.offset
         return numbers
+
+    def key_of(self, file: BatchedFile) -> tuple[BatchedFile, tuple[BatchedFile, ...]]:
+        """Returns what decides whether the rows of a file are of ticks of the episode."""
+        return file, tuple(self.files["ticks"])
 
     @cached_property
     def times(self) -> Array:
@@ -166,7 +171,7 @@ class EpisodeBatch(TickArchive):
         if len(self._checked) > MAX_CHECKED:
             self._checked.clear()
         for table in sorted(self._read):
-            self._check(table)
+            self._check(table, is_loading=True)
         self._shown = None
         self.show(0, len(episodes))
 
@@ -177,9 +182,12 @@ class EpisodeBatch(TickArchive):
             for table in self._in_sql:
                 self._set_variables(table)
 
-    def _check(self, table: str) -> None:
-        """Checks the bytes and the ticks of the files of a table."""
+    def _check(self, table: str, *, is_loading: bool = False) -> None:
+        """Checks the files of a table; of episodes being loaded, those that were not yet."""
         for index, episode in enumerate(self._episodes):
+            if is_loading and table in episode.checked:
+                self._checked.update(map(episode.key_of, episode.files[table]))
+                continue
             for file in episode.files[table]:
                 self._content(table, file, index)
 
@@ -194,9 +202,11 @@ class EpisodeBatch(TickArchive):
         try:
             content = file.content()
             episode = self._episodes[index]
-            key = file, tuple(episode.files["ticks"])
+            key = episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                _check_ticks(content, episode, table, file.path)
+                part = pq.ParquetFile(pa.BufferReader(content))
+                rows = part.read(columns=_TICK.names, use_threads=False)
+                check_ticks(rows, episode.ticks, table, file.path)
                 self._checked.add(key)
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
@@ -319,22 +329,24 @@ def _text(text: str) -> str:
     return exp.Literal.string(text).sql("duckdb")
 
 
-def _check_ticks(content: bytes, episode: BatchedEpisode, table: str, path: str) -> None:
+def check_ticks(rows: pa.Table, ticks: pa.Table, table: str, path: str) -> None:
     """Checks that all rows of a part have the number and the time of a tick of their episode.
+
+    Args:
+        rows: the rows, with `tick` and `time`.
+        ticks: the rows of the ticks, with the same columns.
+        table: the table of the rows, for the message.
+        path: the part or the record, to begin the message.
 
     Raises:
         RecordError: a row has those of none, or the part has no such columns.
     """
-    part = pq.ParquetFile(pa.BufferReader(content))
-    rows = part.read(columns=_TICK.names, use_threads=False)
-    if (
-        rows.schema.names != _TICK.names
-        or rows.schema.types != _TICK.types
-        or any(column.null_count for column in rows.columns)
+    is_whole = set(_TICK.names) <= set(rows.column_names)
+    if not is_whole or any(
+        rows[field.name].type != field.type or rows[field.name].null_count for field in _TICK
     ):
-        raise RecordError(f"{path} has no tick and time of each row")
-    numbers, times = episode.ticks["tick"].to_numpy(), episode.times
-    stray = stray_row(rows, numbers, times)
+        raise RecordError(f"{path} has no tick and time of each row of {table}")
+    stray = stray_row(rows, ticks["tick"].to_numpy(), ticks["time"].to_numpy())
     if stray is not None:
         raise RecordError(f"{path} is damaged: of the rows of {table}, {stray}")
 
@@ -368,10 +380,3 @@ def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int)
     place = rows.column_names.index("tick")
     rows = rows.set_column(place, types.field("tick"), pa.array(ticks))
     return rows if rows.schema.equals(types) else rows.cast(types)
-
-
-def has_current_columns(file: Path, table: str) -> bool:
-    """Checks whether a part has all columns that a part of this version has."""
-    names = set(pq.read_schema(parquet_source(file)).names)
-    columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
-    return names >= set(columns)
