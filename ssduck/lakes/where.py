@@ -104,7 +104,7 @@ def no_episode(where: str, episodes: pa.Table) -> str:
 
 
 def _unknown_values(test: exp.Expr, episodes: pa.Table) -> Iterator[str]:
-    """Yields the texts and whole numbers that a condition names and no episode has, with near ones."""
+    """Yields the texts and whole numbers of a condition that no episode has, with near ones."""
     for node in test.find_all(exp.EQ, exp.In):
         sides = [node.this, *node.expressions, node.args.get("expression")]
         for column in (side for side in sides if isinstance(side, exp.Column)):
