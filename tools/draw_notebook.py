@@ -25,8 +25,9 @@ CELLS = (
     '%load_ext ssduck\nimport ssduck\nss = ssduck.load("kitchen")',
     "%%selectscript\nSELECT id, z, mass FROM kitchen WHERE isRobot(this);",
     "rows = %sql SELECT name, z FROM entities WHERE name LIKE 'cup%' ORDER BY name LIMIT 2\nrows",
-    "%%selectscript\nSELECT this FROM kitchen WHERE on(kitchen.table, this) OR id(this) == 'table'\n"
-    "AS points(0.03);",
+    """%%selectscript
+SELECT this FROM kitchen WHERE on(kitchen.table, this) OR id(this) == 'table'
+AS points(0.03);""",
 )
 # Of the picture, pixels.
 SIZE = (760, 1140)
@@ -34,7 +35,7 @@ SIZE = (760, 1140)
 
 def notebook() -> dict[str, Any]:
     """Returns the notebook, which no kernel has run yet."""
-    cells = [
+    cells: list[dict[str, Any]] = [
         {
             "cell_type": "code",
             "execution_count": None,
@@ -89,7 +90,9 @@ def _save(shown: Path, path: Path) -> Path:
         try:
             page = browser.open(shown.as_uri())
             page.resize(*SIZE)
-            page.wait("document.readyState === 'complete' && document.querySelector('img')?.complete")
+            page.wait(
+                "document.readyState === 'complete' && document.querySelector('img')?.complete"
+            )
             page.value("document.documentElement.style.overflow = 'hidden'; 0")
             data = page.call("Page.captureScreenshot", format="png")["data"]
         finally:

@@ -11,12 +11,11 @@ import pytest
 from PIL import Image
 
 import ssduck
+from tools import draw_notebook
 from tools.browser import Browser, chromium
 
-for name in ("nbconvert", "ipykernel"):
-    pytest.importorskip(name, reason=f"no {name}")
-
-from tools import draw_notebook
+pytest.importorskip("nbconvert", reason="no nbconvert")
+pytest.importorskip("ipykernel", reason="no ipykernel")
 
 pytestmark = pytest.mark.slow
 
