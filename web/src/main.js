@@ -2,7 +2,7 @@
 
 import { Connection } from "./connection.js";
 import { Editor } from "./editor.js";
-import { element } from "./elements.js";
+import { element, pressable } from "./elements.js";
 import { EntityPanel } from "./entity.js";
 import { Scene } from "./scene.js";
 import { Timeline } from "./timeline.js";
@@ -384,10 +384,12 @@ function tableOf(answer) {
   answer.columns.forEach((name, column) => {
     const isSorted = state.sorted?.column === column;
     const cell = element("th", name + (isSorted ? (state.sorted.isUp ? " ▴" : " ▾") : ""));
-    cell.onclick = () => {
+    if (answer.rows.some((row) => typeof row[column] === "number")) cell.className = "number";
+    pressable(cell, () => {
       state.sorted = { column, isUp: !(isSorted && state.sorted.isUp) };
       showAnswer();
-    };
+      at("result").querySelectorAll("th")[column].focus();
+    });
     head.append(cell);
   });
   const order = answer.rows.map((_, index) => index);
@@ -406,12 +408,12 @@ function tableOf(answer) {
     const marks = answer.marks[index];
     if (!marks.length) continue;
     row.className = "marked";
-    row.onclick = () => {
+    pressable(row, () => {
       for (const other of body.rows) other.classList.remove("chosen");
       row.classList.add("chosen");
       scene.mark(marks, []);
       pick(marks[0][0]);
-    };
+    });
   }
   return table;
 }
