@@ -193,13 +193,16 @@ def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float
 
 
 def _boxes(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[float]]:
-    """Yields the boxes of the bodies in a result, lower and upper corner, unless they are many."""
+    """Yields the boxes of the bodies in a result, unless they are many.
+
+    A box is the number of its entity, its lower corner and its upper one, m.
+    """
     ids = dict.fromkeys(entity for row in rows for entity, _ in row)
     bodies = {info.id for info in world.snapshot.entities if info.body is not None}
     if len(ids) <= MAX_LINES:
         for id in bodies.intersection(ids):
             low, high = world.entity(id).aabb
-            yield [*map(float, low), *map(float, high)]
+            yield [id, *map(float, low), *map(float, high)]
 
 
 def _picture(value: Any) -> str | None:

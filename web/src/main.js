@@ -411,7 +411,7 @@ function tableOf(answer) {
     pressable(row, () => {
       for (const other of body.rows) other.classList.remove("chosen");
       row.classList.add("chosen");
-      scene.mark(marks, []);
+      scene.mark(marks, [], answer.boxes.filter(([entity]) => marks.some((mark) => mark[0] === entity)));
       pick(marks[0][0]);
     });
   }
