@@ -182,6 +182,8 @@ class BodyGroup:
             for info in sensors
             if info.sensor is not None
         ]
+        mount_positions = np.array([mount.position for mount in self._mounts]).reshape(-1, 3)
+        self._mount_positions = mount_positions.T[..., None]  # x, y and z, each (n, 1)
         # Multiplying by a constant quaternion is a matrix product of fixed rows.
         self._turn_matrices = np.array(
             [multiply(np.eye(4), np.tile(m.orientation, (4, 1))) for m in self._mounts]
@@ -208,13 +210,22 @@ class BodyGroup:
         positions = link_poses.positions.take(self._row_frames, axis=0)
         first = len(self.bodies)
         if self._mounts:
-            # A sensor is a point that moves with its link; its box contains only this point.
-            positions[first:] = self._entity_boxes(link_poses)[:3, first:].T
+            positions[first:] += self._mount_offsets(link_poses)
         states = link_poses.states_at(positions, self._row_frames)
         if self._mounts:
             states[first:, 3:7] = np.einsum("ni,nij->nj", states[first:, 3:7], self._turn_matrices)
         block[: states.shape[1], self._rows] = states.T
         return bool(np.isfinite(states).all())
+
+    def _mount_offsets(self, link_poses: LinkPoses) -> Array:
+        """Returns the vectors from the links' origins to the sensors on them, (n, 3).
+
+        Their terms are added in the order of `BoundingBoxes`, so that the box of a sensor is its
+        point to the last bit.
+        """
+        columns = link_poses.matrices.take(self._row_frames[len(self.bodies) :], axis=0)
+        x, y, z = self._mount_positions
+        return columns[:, :, 0] * x + columns[:, :, 1] * y + columns[:, :, 2] * z
 
     def write_boxes(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the boxes of these rows, the last columns."""
