@@ -225,7 +225,8 @@ class BodyGroup:
         """
         columns = link_poses.matrices.take(self._row_frames[len(self.bodies) :], axis=0)
         x, y, z = self._mount_positions
-        return columns[:, :, 0] * x + columns[:, :, 1] * y + columns[:, :, 2] * z
+        offsets: Array = columns[:, :, 0] * x + columns[:, :, 1] * y + columns[:, :, 2] * z
+        return offsets
 
     def write_boxes(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the boxes of these rows, the last columns."""
