@@ -285,13 +285,16 @@ async function run() {
 
 let isAsking = false;
 let lastAsked = 0;
+let asked = 0;
 async function ask(isNew) {
   const question = state.question;
+  const number = (asked += 1);
   isAsking = true;
   lastAsked = performance.now();
   try {
     const answer = await connection.ask({ type: "ask", ...question, ...timeAsked() });
-    if (question !== state.question) return;
+    // The server ends a query when another one is asked.
+    if (question !== state.question || number !== asked) return;
     if (answer.error) {
       state.answer = null;
       if (!isNew) state.question = null;
@@ -305,12 +308,12 @@ async function ask(isNew) {
     }
     window.__ss.error = answer.error ?? null;
     window.__ss.answers += 1;
-    const asked = lastAsked;
-    scene.afterDrawing(() => (window.__ss.highlighted = performance.now() - asked));
+    const began = lastAsked;
+    scene.afterDrawing(() => (window.__ss.highlighted = performance.now() - began));
   } catch (error) {
     showError({ message: error.message, suggestions: [] });
   } finally {
-    isAsking = false;
+    if (number === asked) isAsking = false;
   }
 }
 
