@@ -25,7 +25,7 @@ from ssduck.errors import (
 from ssduck.interpreter.completion import KEYWORDS, complete
 from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.view.asking import has_intervals, lanes_of, value_of
+from ssduck.view.asking import has_intervals, heads_of, lanes_of, value_of
 from ssduck.view.drawings import drawing_of
 from ssduck.view.facts import facts_of, plot_of
 from ssduck.view.marks import Mark, Marks
@@ -103,7 +103,7 @@ class Answers:
         row_marks = [marks.of(row) for row in rows]
         everything = [*row_marks, *map(marks.of, table.rows[MAX_ROWS:])]
         return {
-            "columns": list(table.columns),
+            "columns": heads_of(asked.interpreter, text, language, value, table.columns),
             "rows": [[as_json(cell) for cell in row] for row in rows],
             "marks": row_marks,
             "all": sorted({mark for each in everything for mark in each}),

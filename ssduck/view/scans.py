@@ -58,7 +58,7 @@ class Scan:
     world: ReplayedWorld
     text: str
     language: Language
-    stop: StopRequest
+    stop: StopRequest = field(default_factory=StopRequest)
     _known: dict[int, _Answer] = field(default_factory=dict)
     _gaps: list[tuple[int, int, int]] = field(default_factory=list)
     _evaluations: int = 0
