@@ -10,19 +10,19 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from itertools import count
 from pathlib import Path
 from statistics import median
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, TypeAlias
 from unittest.mock import patch
 
 import pyarrow.parquet as pq
 
 import ssduck
-from benchmarks.timing import text_of
+from benchmarks.timing import text_of, uncollected
 from ssduck import Recording
 from ssduck.recording.stores import checksums, descriptions, parquet_layout, part_log, tick_index
 
@@ -39,6 +39,11 @@ PROGRAMS = {
     "opening, first filter of a tick": "SELECT id FROM kitchen{1} WHERE z > 1 AS list;",
 }
 STATEMENTS = {"opening, first count of contacts": "SELECT count(*) FROM contacts_history"}
+
+# A call, what holds meanwhile, and its times.
+_Way: TypeAlias = tuple[
+    Callable[[], object], Callable[[], AbstractContextManager[None]], list[float]
+]
 
 
 def rows() -> Iterator[tuple[str, ...]]:
@@ -90,14 +95,17 @@ def _ask(run: Path, door: str, text: str | None) -> None:
 def _medians(
     without: Callable[[], object], given: Callable[[], object], rounds: int
 ) -> tuple[float, float]:
-    """Returns the processor times, s, of a call without checksums and of one with them."""
+    """Returns the processor times, s, of a call without checksums and of one with them.
+
+    Each way goes first in every other round, and garbage is collected between the calls: one way
+    must not pay for what the other leaves.
+    """
     times: tuple[list[float], list[float]] = [], []
+    ways: list[_Way] = [(without, _no_checksums, times[0]), (given, nullcontext, times[1])]
     for number in range(-(rounds // 10), rounds):
-        for call, context, own in (
-            (without, _no_checksums, times[0]),
-            (given, nullcontext, times[1]),
-        ):
-            with context():
+        ways.reverse()
+        for call, context, own in ways:
+            with context(), uncollected():
                 start = time.process_time()
                 call()
                 elapsed = time.process_time() - start

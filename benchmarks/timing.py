@@ -27,7 +27,7 @@ def medians(
         clock: the clock; `time.process_time` leaves out what other processes take.
     """
     times: dict[str, list[float]] = {name: [] for name in ways}
-    with _uncollected():
+    with uncollected():
         for number in range(-(rounds // 10), rounds):
             for name, call in ways.items():
                 elapsed = _timed(call, clock)
@@ -53,7 +53,7 @@ def minima(ways: Mapping[str, Way], rounds: int, max_seconds: float) -> dict[str
         max_seconds: the time, s, after which a way is not called again.
     """
     times: dict[str, list[float]] = {name: [] for name in ways}
-    with _uncollected():
+    with uncollected():
         for _ in range(rounds):
             for name, way in ways.items():
                 if sum(times[name]) <= max_seconds:
@@ -63,7 +63,7 @@ def minima(ways: Mapping[str, Way], rounds: int, max_seconds: float) -> dict[str
 
 
 @contextmanager
-def _uncollected() -> Iterator[None]:
+def uncollected() -> Iterator[None]:
     """Disables Python's garbage collector, which would run at random times."""
     gc.collect()
     gc.disable()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import os
-import re
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
@@ -20,9 +19,22 @@ from sqlglot import exp
 from ssduck.database import interrupts as ctrl_c
 from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, all_rows, fetched
-from ssduck.database.file_paths import absolute_path, damage_text, is_damage, open_error_text
+from ssduck.database.file_paths import (
+    absolute_path,
+    damage_text,
+    hint_of,
+    is_damage,
+    needed_extension,
+    open_error_text,
+)
 from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file, reach_objects
-from ssduck.database.limited_fetch import limited_rows, limited_table, whole_table
+from ssduck.database.limited_fetch import (
+    is_duckdb_error,
+    limited_rows,
+    limited_table,
+    types_of,
+    whole_table,
+)
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
@@ -39,7 +51,6 @@ from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.object_store import ObjectPath
-from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 T = TypeVar("T")
 
@@ -101,6 +112,8 @@ class Connection:
         self._attached: Path | None = None
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
+        # The types of the columns of prepared statements, by what executes them; () if unknown.
+        self._prepared_types: dict[str, tuple[str, ...]] = {}
         # The exception of a function that SQL called: DuckDB keeps its text only.
         self._raised: list[BaseException] = []
         # For small data and many queries, a second thread costs more time than it saves.
@@ -344,7 +357,8 @@ class Connection:
         def fetch() -> list[tuple[Any, ...]]:
             result = self._connection.execute(sql, parameters)
             if self.has_limited_rows:
-                return limited_rows(result, self._max_rows, self.meter.charge)
+                types = self._types(sql, result)
+                return limited_rows(result, types, self._max_rows, self.meter.charge)
             return all_rows(result)
 
         rows = self._execute(sql, fetch)
@@ -394,6 +408,13 @@ class Connection:
         if rows is not None:
             self.meter.check_rows(len(rows))
         return rows
+
+    def _types(self, sql: str, result: duckdb.DuckDBPyConnection) -> tuple[str, ...]:
+        """Returns the types of a result's columns; a prepared statement keeps its own."""
+        types = self._prepared_types.get(sql) or types_of(result)
+        if sql in self._prepared_types:
+            self._prepared_types[sql] = types
+        return types
 
     @property
     def has_limited_rows(self) -> bool:
@@ -449,6 +470,12 @@ class Connection:
         self.on_demand.provide(select, self)
         sql = f"PREPARE {quoted(name)} AS {select}"
         self._execute(sql, lambda: self._connection.execute(sql).fetchall())
+        self._prepared_types[execution_of(name)] = ()
+
+    def deallocate(self, name: str) -> None:
+        """Drops a prepared statement."""
+        self._prepared_types.pop(execution_of(name), None)
+        self.run(f"DEALLOCATE {quoted(name)}")
 
     def internal_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """Returns all rows of a statement of ssduck's own, which no time limit ends."""
@@ -474,7 +501,7 @@ class Connection:
         except Exception as error:
             if isinstance(error, MemoryError):
                 raise LimitError("the query needs more memory than available") from error
-            if not (listener.pressed or _is_duckdb_error(error)):
+            if not (listener.pressed or is_duckdb_error(error)):
                 raise
             self._raise_error(error, interrupted=listener.pressed)
         if listener.pressed:
@@ -482,11 +509,7 @@ class Connection:
         return result
 
     def _run_in_time(
-        self,
-        work: Callable[[], T],
-        listener: ctrl_c.InterruptListener,
-        *,
-        is_timed: bool,
+        self, work: Callable[[], T], listener: ctrl_c.InterruptListener, *, is_timed: bool
     ) -> T:
         is_timed = is_timed and self.meter.deadline is not None
         try:
@@ -523,35 +546,18 @@ class Connection:
             raise RecordError(damage_text(self._attached, error)) from error
         if isinstance(error, duckdb.OutOfMemoryException):
             raise LimitError(f"the query needs more memory than available: {error}") from error
+        if not self.meter.limits.files and (extension := needed_extension(error)) is not None:
+            raise LimitError(
+                f"the statement needs DuckDB's extension {extension!r}, which is not loaded, and "
+                "files are switched off here (Limits: files)"
+            ) from error
         refused = isinstance(error, _REFUSAL_ERRORS)
-        raise SqlError(str(error).strip() + _hint(error), is_refused=refused) from error
+        raise SqlError(str(error).strip() + hint_of(error), is_refused=refused) from error
 
 
 def execution_of(name: str) -> str:
     """Returns the statement that executes a prepared one."""
     return f"{_EXECUTE}{quoted(name)}"
-
-
-_MISSING_FIELD = re.compile('Could not find key "(\\w+)" in struct')
-
-
-def _hint(error: Exception) -> str:
-    """Returns a hint for a row that lacks a column which a relation of shapes reads."""
-    match = _MISSING_FIELD.search(str(error))
-    if match is None or match.group(1) not in IDENTIFYING_COLUMNS:
-        return ""
-    return (
-        f"\nRelations identify an entity by {', '.join(IDENTIFYING_COLUMNS)} of its row: "
-        "select whole rows of entities (SELECT *), and open a record that lacks the column run "
-        "with ssduck.open"
-    )
-
-
-def _is_duckdb_error(error: Exception) -> bool:
-    """Checks whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
-    if isinstance(error, RuntimeError):
-        return "interrupted" in str(error).lower()
-    return isinstance(error, duckdb.Error)
 
 
 def _end(listener: ctrl_c.InterruptListener, *, is_timed: bool) -> None:

@@ -123,14 +123,15 @@ def has_plain_types(table: pa.Table) -> bool:
 
 def fetched(
     result: duckdb.DuckDBPyConnection,
-    limited: Callable[[duckdb.DuckDBPyConnection], list[tuple[Any, ...]]] | None,
+    limited: Callable[[duckdb.DuckDBPyConnection, tuple[str, ...]], list[tuple[Any, ...]]] | None,
     header: Header | None,
 ) -> FetchedRows | None:
     """Returns all rows of a result; None if an Arrow table is needed, or faster.
 
     Args:
         result: a connection that has executed a statement.
-        limited: a function that fetches the rows within limits; None for all rows.
+        limited: a function that fetches the rows of columns of these types within limits; None for
+            all rows.
         header: the columns of rows that were fetched before, with the expected number of rows;
             None if they are not known.
     """
@@ -142,7 +143,7 @@ def fetched(
             result.abort()
             return None
     if limited is not None:
-        return FetchedRows(header, limited(result))
+        return FetchedRows(header, limited(result, header.types))
     if header.is_long is False:
         return FetchedRows(header, result.fetchall())
     rows = [] if header.is_long else result.fetchmany(MAX_TUPLES)

@@ -1,4 +1,4 @@
-"""Checks the paths of DuckDB files, and says why a file cannot be opened."""
+"""Checks the paths of DuckDB files, and says what DuckDB's errors mean."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import duckdb
 from ssduck.errors import SqlError
 from ssduck.formatting import short_repr
 from ssduck.recording.paths import expand_path
+from ssduck.sql.relations.relation import IDENTIFYING_COLUMNS
 
 
 def absolute_path(path: str, *, is_written: bool = False) -> str:
@@ -74,3 +75,30 @@ def damage_text(path: Path, error: BaseException) -> str:
             "the file before can be read"
         )
     return f"{path} is damaged: {str(error).strip()}; {hint}"
+
+
+_MISSING_FIELD = re.compile('Could not find key "(\\w+)" in struct')
+
+
+def hint_of(error: Exception) -> str:
+    """Returns a hint for a row that lacks a column which a relation of shapes reads."""
+    match = _MISSING_FIELD.search(str(error))
+    if match is None or match.group(1) not in IDENTIFYING_COLUMNS:
+        return ""
+    return (
+        f"\nRelations identify an entity by {', '.join(IDENTIFYING_COLUMNS)} of its row: "
+        "select whole rows of entities (SELECT *), and open a record that lacks the column run "
+        "with ssduck.open"
+    )
+
+
+_NEEDED = re.compile(r"required extension '(\w+)")
+
+
+def needed_extension(error: Exception) -> str | None:
+    """Returns the extension of DuckDB that a statement lacks, if an error says so.
+
+    DuckDB's message names the folder of the user where it would be.
+    """
+    match = _NEEDED.search(str(error))
+    return None if match is None else match.group(1)

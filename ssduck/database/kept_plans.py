@@ -159,7 +159,7 @@ class KeptPlans:
         self._connection.prepare(name, text)
         if all(map(_is_kept, self._operators(execution_of(name)))):
             return True
-        self._connection.run(f"DEALLOCATE {quoted(name)}")
+        self._connection.deallocate(name)
         return False
 
     def drop(self, name: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 from operator import itemgetter
 from typing import Any
 
@@ -20,33 +22,71 @@ _SMALL = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "FLOAT", "HUGEINT"
 _ROW, _VALUE, _TEXT, _POINTER = 64, 32, 56, 8
 
 
+@dataclass(frozen=True)
+class _RowSizes:
+    """What the types of columns tell of the sizes of rows.
+
+    Attributes:
+        fixed: the size of a row without what its texts and others point to, bytes.
+        texts: functions that return a text of a row.
+        others: functions that return a value of a row whose size depends on more.
+    """
+
+    fixed: int
+    texts: tuple[itemgetter[int], ...]
+    others: tuple[itemgetter[int], ...]
+
+    def of(self, rows: list[tuple[Any, ...]]) -> int:
+        """Returns the size of rows, bytes."""
+        size = len(rows) * self.fixed
+        for text in self.texts:
+            try:
+                size += sum(map(len, map(text, rows)))
+            except TypeError:  # NULL
+                size += sum(map(len, filter(None, map(text, rows))))
+        for value in self.others:
+            size += sum(map(_size, map(value, rows)))
+        return size
+
+
+@lru_cache
+def _sizes_of(types: tuple[str, ...]) -> _RowSizes:
+    texts = tuple(itemgetter(i) for i, name in enumerate(types) if name == "VARCHAR")
+    others = (i for i, name in enumerate(types) if name not in _SMALL and name != "VARCHAR")
+    return _RowSizes(_ROW + _VALUE * len(types), texts, tuple(map(itemgetter, others)))
+
+
+def types_of(result: duckdb.DuckDBPyConnection) -> tuple[str, ...]:
+    """Returns DuckDB's names of the types of a result's columns."""
+    return tuple(str(column[1]) for column in result.description)
+
+
 def limited_rows(
-    result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Callable[[int], None]
+    result: duckdb.DuckDBPyConnection,
+    types: tuple[str, ...],
+    max_rows: int | None,
+    charge: Callable[[int], None],
 ) -> list[tuple[Any, ...]]:
     """Returns the rows of a result as tuples.
 
     Args:
         result: a connection that has executed a statement.
+        types: the types of its columns, as `types_of` returns them.
         max_rows: the number of rows after which no more are fetched; None for all.
         charge: a function that is called with the sizes of rows, bytes, and raises an error if they
             are too large.
     """
-    names = [str(column[1]) for column in result.description]
-    texts = [index for index, name in enumerate(names) if name == "VARCHAR"]
-    others = [i for i, name in enumerate(names) if name not in _SMALL and name != "VARCHAR"]
-    fixed = _ROW + _VALUE * len(names)
+    sizes = _sizes_of(types)
     rows: list[tuple[Any, ...]] = []
     # The first row tells how large the others may be.
-    count, total = 1 if texts or others else _MOST_BYTES // fixed, 0
+    count, total = 1 if sizes.texts or sizes.others else _MOST_BYTES // sizes.fixed, 0
     most = -1 if max_rows is None else max_rows
     try:
         while most < 0 or len(rows) < most:
             wanted = count if most < 0 else min(count, most - len(rows))
             chunk = result.fetchmany(wanted)
             rows += chunk
-            size = len(chunk) * fixed
-            size += sum(_text_size(map(itemgetter(index), chunk)) for index in texts)
-            size += sum(_size(row[index]) for index in others for row in chunk)
+            size = sizes.of(chunk)
             charge(size)
             if len(chunk) < wanted:
                 return rows
@@ -57,10 +97,6 @@ def limited_rows(
         result.abort()
         raise
     return rows
-
-
-def _text_size(texts: Iterable[str | None]) -> int:
-    return sum(map(len, filter(None, texts)))
 
 
 def limited_table(
@@ -96,6 +132,13 @@ def duckdb_error(message: str) -> duckdb.Error:
     if "Out of Memory" in message:
         return duckdb.OutOfMemoryException(message)
     return duckdb.Error(message)
+
+
+def is_duckdb_error(error: Exception) -> bool:
+    """Checks whether DuckDB raised an error; it raises a RuntimeError at Ctrl-C."""
+    if isinstance(error, RuntimeError):
+        return "interrupted" in str(error).lower()
+    return isinstance(error, duckdb.Error)
 
 
 def _size(value: Any) -> int:

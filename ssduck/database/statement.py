@@ -20,8 +20,7 @@ from ssduck.database.kept_plans import (
     parameter_source,
 )
 from ssduck.database.statement_names import may_read_unnamed
-from ssduck.errors import SelectScriptError
-from ssduck.recording.stores.history_sql import quoted
+from ssduck.errors import SelectScriptError, SqlError
 from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
@@ -104,7 +103,7 @@ class PreparedPlans:
                     self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
-        self.connection.run(f"DEALLOCATE {quoted(name)}")
+        self.connection.deallocate(name)
         self._kept.drop(name)
 
 
@@ -143,6 +142,7 @@ class Statement:
         self._is_registered = False
         self._tree = tree
         self._runs = 0
+        self._may_be_kept = True
 
     def rows(self, values: Mapping[str, float]) -> list[tuple[Any, ...]]:
         """Returns all rows for these values of the parameters; the caller pins the worlds."""
@@ -159,12 +159,21 @@ class Statement:
             self._runs = 0
         try:
             return self._connection.rows(self._execute)
+        except SqlError as error:
+            self._release()
+            if error.is_final or not self._may_be_kept:
+                raise
+            # Such a plan may compute what DuckDB's own never does, as of no row.
+            self._may_be_kept = False
+            return self._connection.rows(self._select)
         except SelectScriptError:
             self._release()
             raise
 
     def _kept_query(self) -> KeptQuery | None:
         """Returns the SELECT as a query whose plan may be kept; None if that is not known."""
+        if not self._may_be_kept:
+            return None
         tree = self._tree.copy()
         is_pruned = not may_read_unnamed(tree, "")
         expressions = {cte.alias for cte in tree.find_all(exp.CTE)}

@@ -64,6 +64,32 @@ _CHANGES = re.compile(
 )
 # What tells of tables, not of their rows.
 _DESCRIPTIONS = (exp.Describe, exp.Summarize, exp.Show, exp.Pivot)
+# The aggregates whose results do not depend on the order of the rows, as a sum of doubles does; and
+# those that do, of which sqlglot does not know that they are aggregates.
+_ORDERLESS = (
+    exp.ApproxDistinct,
+    exp.BitwiseAndAgg,
+    exp.BitwiseOrAgg,
+    exp.BitwiseXorAgg,
+    exp.Count,
+    exp.CountIf,
+    exp.LogicalAnd,
+    exp.LogicalOr,
+    exp.Max,
+    exp.Median,
+    exp.Min,
+    exp.PercentileCont,
+    exp.PercentileDisc,
+    exp.Quantile,
+)
+_ORDERED = frozenset(
+    (
+        *("arbitrary", "arg_max_null", "arg_max_nulls_last", "arg_min_null", "arg_min_nulls_last"),
+        *("combine_aggr", "entropy", "favg", "fsum", "kahan_sum", "kurtosis_pop", "lttb", "mean"),
+        *("product", "reservoir_quantile", "sem", "sum_no_overflow", "sumkahan"),
+        "variant_group_object",
+    )
+)
 
 
 @dataclass(eq=False)
@@ -201,8 +227,10 @@ class UserStatements:
             try:
                 return self._run(statement, parameters, names)
             except SqlError as error:
+                # Such a plan may compute what the user's own text never does, as of no row.
+                was_kept = self._plans.has(statement.name)
                 self._release(statement)
-                if error.is_final or not (is_rewritten or error.is_refused):
+                if error.is_final or not (is_rewritten or was_kept or error.is_refused):
                     raise
                 # DuckDB's message about the user's own text is the one that helps.
                 statement.query, statement.may_be_kept = statement.text, False
@@ -364,7 +392,7 @@ class UserStatements:
             name = "" if table.alias else f" AS {quoted(table.name)}"
             edits.append(Edit(start, table.this.meta["end"] + 1, mark + name))
             sources.append(source)
-        if len(sources) > 1 and any(map(_takes_any, tree.find_all(exp.Query))):
+        if len(sources) > 1 and _depends_on_order(tree):
             return None
         is_pruned = not may_read_unnamed(tree, sql, names.hidden)
         is_pruned = is_pruned and not any(tree.find_all(exp.SetOperation))
@@ -383,12 +411,28 @@ class UserStatements:
         return None if live is None or bound is None else live_source(bound, live)
 
 
-def _takes_any(query: exp.Query) -> bool:
-    """Checks whether the order of the rows decides which ones are taken, and is not given.
+def _depends_on_order(tree: exp.Expression) -> bool:
+    """Checks whether the order in which rows are joined decides on the values of a result.
 
     Another plan may join them in another order.
     """
-    return query.args.get("limit") is not None and query.args.get("order") is None
+    for part in tree.walk():
+        match part:
+            case exp.Query() if part.args.get("limit") is not None:
+                depends = part.args.get("order") is None
+            case exp.Distinct():
+                depends = part.args.get("on") is not None
+            case exp.Window():
+                depends = part.args.get("order") is None
+            case exp.AggFunc():
+                depends = not isinstance(part, _ORDERLESS)
+            case exp.Anonymous():
+                depends = part.name.lower() in _ORDERED
+            case _:
+                depends = False
+        if depends:
+            return True
+    return False
 
 
 def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:

@@ -189,7 +189,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         archive.unrecorded_run = new_run()
     number = description or archive.unrecorded_run or new_run()
     members = members_of(models)
-    rows = CheckedRows(archive, members, str(run.path))
+    rows = CheckedRows(archive, members, ticks, str(run.path))
     record = Record(
         None,
         ticks,
@@ -201,6 +201,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         number,
         source=rows.source,
         tags=run.tags,
+        check_ticks=rows.check_ticks,
     )
     return ReplayedWorld(run.world, record, archive, camera_of(run.description))
 

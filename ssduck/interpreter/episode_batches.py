@@ -49,6 +49,7 @@ from ssduck.recording.stores.episode_batch import (
     EpisodeBatch,
     model_table,
 )
+from ssduck.simulators.scenes import Camera
 
 Rows = Sequence[Sequence[Any]]
 # Parts of a program that give the same value in any world, if their own parts do.
@@ -87,6 +88,7 @@ class BatchInterpreter:
         run: the number of the run of one of the episodes.
         limits: the limits of programs.
         source: the folder of one of the episodes, for messages.
+        camera: the camera of the episodes.
 
     Attributes:
         interpreter: the interpreter.
@@ -104,6 +106,7 @@ class BatchInterpreter:
         run: int,
         limits: Limits | None,
         source: str,
+        camera: Camera,
     ) -> None:
         self.interpreter = Interpreter(recording=None, limits=limits)
         self._execution = self.interpreter._execution  # noqa: SLF001  # a part of this package
@@ -115,10 +118,11 @@ class BatchInterpreter:
             recording, tables, models, run, connection.reader(expand_path(source)), connection.run
         )
         members = members_of(models)
-        rows = CheckedRows(self._archive, members, source)
+        ticks = TickBuffer()
+        rows = CheckedRows(self._archive, members, ticks, source)
         self._record = Record(
             None,
-            TickBuffer(),
+            ticks,
             members,
             self._archive.tables,
             rows.fetch,
@@ -127,7 +131,7 @@ class BatchInterpreter:
             run,
             source=source,
         )
-        self._name = world
+        self._name, self._camera = world, camera
         self._episodes: Sequence[BatchedEpisode] = ()
         self._present = 0
         self._offset = 0
@@ -151,7 +155,7 @@ class BatchInterpreter:
         self._times = np.concatenate([episode.times for episode in episodes])
         if not hasattr(self, "world"):
             self._record.ticks.replace(episodes[0].numbers, episodes[0].times)
-            self.world = ReplayedWorld(self._name, self._record, self._archive)
+            self.world = ReplayedWorld(self._name, self._record, self._archive, self._camera)
             self.interpreter.add_variable(self._name, self.world)
 
     @contextmanager

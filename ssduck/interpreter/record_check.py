@@ -8,10 +8,10 @@ from pathlib import Path
 from ssduck import validation
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, SqlError
-from ssduck.interpreter.archives import StoredRun, recorded_runs
+from ssduck.interpreter.archives import StoredRun, recorded_runs, replayed_world
 from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_aside
 from ssduck.recording.paths import expand_path
-from ssduck.schema import MODELS
+from ssduck.schema import MODELS, TABLES
 
 
 def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
@@ -42,9 +42,9 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     validation.boolean(repair, "check: repair")
     place = expand_path(path).absolute()
     if place.is_dir():
-        return check_folder(place, repair=repair)
+        return check_folder(place, repair=repair) or list(_stray_rows(place))
     try:
-        return list(_damages_of_file(place))
+        return list(_damages_of_file(place)) or list(_stray_rows(place))
     except RecordError as error:
         log = place.with_name(f"{place.name}.wal")
         if not log.exists() or "damaged" not in error.message:
@@ -52,6 +52,25 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
         loss = "ticks since the last checkpoint"
         damage = Damage(log, f"does not fit the file, or is damaged: {error.message}", loss)
     return _without_log(place, damage) if repair else [damage]
+
+
+def _stray_rows(place: Path) -> Iterator[Damage]:
+    """Yields the tables that have rows of ticks that their record does not have."""
+    database = Database(":memory:", None)
+    try:
+        for run in recorded_runs(place, database):
+            if not (run.has_begun and run.has_ticks):
+                continue
+            record = replayed_world(run, database).source_record
+            assert record.check_ticks is not None
+            for table in sorted(record.tables & TABLES.keys()):
+                try:
+                    record.check_ticks(table)
+                except RecordError as error:
+                    episode = f"{table} of episode {run.number} of {run.world!r}"
+                    yield Damage(run.path, error.message.removeprefix(f"{run.path} "), episode)
+    finally:
+        database.close()
 
 
 def _without_log(file: Path, damage: Damage) -> list[Damage]:

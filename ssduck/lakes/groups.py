@@ -25,7 +25,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import run_of
 from ssduck.recording.stores.checksums import content_problem, without_checksums
 from ssduck.recording.stores.episode_batch import BatchedFile
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_name
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, label_of, part_name
 from ssduck.schema import MODELS
 
 # The Arrow schema in a footer, in base64: it begins with four bytes of ones.
@@ -101,18 +101,19 @@ class EpisodeGroup:
         self.number = number
         self._parts = _model_parts(self.run, entry)
         self._present = _present(self.run, entry)
-        # The files of the episodes that were found to be of the group, by their keys.
-        self._members: dict[tuple[str, str, int], tuple[FileEntry, ...]] = {}
+        # The files of the episodes that were found to be of the group, and what their labels have.
+        self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
-    def check(self, entry: EpisodeEntry) -> None:
-        """Checks that an episode is of the group.
+    def check(self, entry: EpisodeEntry) -> str:
+        """Checks that an episode is of the group; returns the text that its labels have of it.
 
         Raises:
             RecordError: it is not, or a file of it is damaged.
             OSError: a file cannot be read.
         """
-        if self._members.get(entry.key) == entry.files:
-            return
+        files, key = self._members.get(entry.key, ((), ""))
+        if files and files == entry.files:
+            return key
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         if _described(run, entry) != self._described:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
@@ -124,7 +125,9 @@ class EpisodeGroup:
         run_of({"entities": pa.concat_tables([part.rows for part in parts["entities"]])})
         if not np.array_equal(_present(run, entry), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
-        self._members[entry.key] = entry.files
+        assert run.key is not None  # its parts have labels
+        self._members[entry.key] = entry.files, run.key
+        return run.key
 
 
 def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
@@ -134,9 +137,9 @@ def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
         RecordError: the episode cannot be asked together with others.
     """
     has_log = any(file.name.startswith(f"{LOG}/") for file in entry.files)
-    if has_log or run.removed_parts or not run.has_checksums:
+    if has_log or run.removed_parts or not run.has_checksums or run.key is None:
         raise RecordError(f"{run.about_file} is of an episode that is asked by itself")
-    return run.world, run.tables, run.recording
+    return run.world, run.tables, run.recording, run.description.get("camera")
 
 
 def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFile]:
@@ -151,7 +154,12 @@ def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFi
     names = [f"{prefix}{part_name(number)}" for number in range(len(sums))]
     if not names or sorted(sums) != names:
         raise RecordError(f"{folder} has other files than complete parts")
-    return [BatchedFile(str(run.path / name), sums[name]) for name in names]
+    assert run.key is not None
+    labels = (label_of(run.key, table, number) for number in range(len(names)))
+    return [
+        BatchedFile(str(run.path / name), sums[name], label)
+        for name, label in zip(names, labels, strict=True)
+    ]
 
 
 def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_ModelPart]]:
@@ -165,12 +173,12 @@ def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_Mode
     for model in MODELS:
         table = f"models/{model}"
         parts[model] = []
-        for number, file in enumerate(_files_of(run, entry, table)):
-            content, label = file.content(), run.label(table, number)
+        for file in _files_of(run, entry, table):
+            content = file.content()
             problem = content_problem(content, has_checksums=True)
-            if problem is not None or label is None or label not in content:
-                raise RecordError(f"{file.path} {problem or 'is another part'}")
-            parts[model].append(_ModelPart(content, label))
+            if problem is not None:
+                raise RecordError(f"{file.path} {problem}")
+            parts[model].append(_ModelPart(content, file.label))
     return parts
 
 

@@ -8,7 +8,7 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,6 +35,8 @@ from ssduck.recording.stores.parquet_layout import (
 from ssduck.schema import MODELS
 
 DUCKDB_SUFFIX = ".duckdb"
+# The number of bytes that are read at a time.
+_MOST_BYTES = 1 << 22
 # The names of the objects of an episode.
 _OF_EPISODE = re.compile(
     r"(?:.+/world=(?P<world>[^/]+)/episode=(?P<part_of>0|[1-9][0-9]{0,8})/[^/.][^/]*"
@@ -217,10 +219,35 @@ def _folders(run: FolderRun) -> Iterator[str]:
     yield from (f"models/{table}" for table in MODELS)
 
 
+def checksum_of(file: Path) -> int:
+    """Returns the CRC-32 of the bytes of a file, which may be large.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    checksum = 0
+    with file.open("rb", buffering=0) as stream:
+        while content := stream.read(_MOST_BYTES):
+            checksum = zlib.crc32(content, checksum)
+    return checksum
+
+
+def _listing_of_file(file: Path) -> Listing:
+    """Returns a DuckDB file, and its log if it has one."""
+    log = file.with_name(f"{file.name}.wal")
+    return {one.name: size_and_time(one) for one in (file, log) if one.is_file()}
+
+
 def _found_in_file(file: Path) -> list[FoundEpisode]:
     """Returns the episodes of a DuckDB file."""
-    status = file.stat()
-    listing = {file.name: (status.st_size, status.st_mtime_ns)}
+    listing = _listing_of_file(file)
+    try:
+        files = tuple(
+            FileEntry(name, size, modified, checksum_of(file.with_name(name)))
+            for name, (size, modified) in sorted(listing.items())
+        )
+    except OSError as error:
+        return [_unreadable(file, "", 0, error)]
     try:
         listed = episodes(file)
     except SelectScriptError as error:
@@ -244,6 +271,7 @@ def _found_in_file(file: Path) -> list[FoundEpisode]:
             one.tables,
             one.entities,
             dict(one.tags),
+            files=files,
         )
         for one in listed
     ]
@@ -259,7 +287,14 @@ def entries_of_records(
         records: the records.
         known: the entries of a manifest, by their keys.
     """
+    of_files: dict[str, list[EpisodeEntry]] = {}
+    for one in known.values():
+        of_files.setdefault(one.path, []).append(one)
     for record in records:
+        before_of_file = of_files.get(str(record), [])
+        if _is_unchanged_file(record, before_of_file):
+            yield from before_of_file
+            continue
         for found in found_in(record):
             before = known.get((str(found.path), found.world, found.episode))
             if found.entry is not None:
@@ -270,6 +305,14 @@ def entries_of_records(
                 entry = _described(found)
                 if entry is not None:
                     yield entry
+
+
+def _is_unchanged_file(record: Path, entries: Sequence[EpisodeEntry]) -> bool:
+    """Checks whether a record is a DuckDB file that is as all its entries say."""
+    if not entries or isinstance(record, ObjectPath) or not record.is_file():
+        return False
+    listing = _listing_of_file(record)
+    return all(_is_unchanged(entry, listing) for entry in entries)
 
 
 def _is_unchanged(entry: EpisodeEntry, listing: Listing) -> bool:
@@ -345,7 +388,9 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table], every: int) -> str
             return None
     if "run" not in models["entities"].column_names:
         return None
-    sink = hashlib.sha256(repr((run.world, run.tables, every, run.recording["entities"])).encode())
+    camera = run.description.get("camera")
+    described = run.world, run.tables, every, run.recording["entities"], camera
+    sink = hashlib.sha256(repr(described).encode())
     for table, rows in sorted(models.items()):
         names = [name for name in rows.column_names if name != "run"]
         columns = {name: rows[name].to_pylist() for name in names}

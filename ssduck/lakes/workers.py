@@ -27,8 +27,10 @@ from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, to_text
+from ssduck.lakes.scan import checksum_of, size_and_time
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
+from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.episode_batch import (
     BatchedEpisode,
@@ -36,7 +38,7 @@ from ssduck.recording.stores.episode_batch import (
     DamagedEpisodeError,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_layout import part_name
+from ssduck.recording.stores.parquet_layout import label_of, part_name
 from ssduck.schema import RECORDABLE
 
 # The answer as a text of JSON, and the error: one of them is None.
@@ -72,6 +74,7 @@ class _Reader:
             self._group.number,
             limits,
             entry.path,
+            camera_of(run.description),
         )
         self._next_tick = 0
         self._answering: tuple[str, Answering] | None = None
@@ -113,7 +116,7 @@ class _Reader:
         """Returns an episode whose ticks come after those of all others so far."""
         if entry.tables != self._tables:
             raise RecordError(f"{entry.path} has other tables than its manifest says")
-        root = _resolved(entry.path)
+        key, root = self._group.check(entry), _resolved(entry.path)
         folders = {
             f"{table}/world={entry.world}/episode={entry.episode}": table for table in self._tables
         }
@@ -121,23 +124,23 @@ class _Reader:
         for file in entry.files:
             folder, _, _ = file.name.rpartition("/")
             if folder in folders:
-                place = f"{root}/{file.name}"
-                files[folders[folder]].append(BatchedFile(place, file.checksum))
+                parts = files[folders[folder]]
+                label = label_of(key, folders[folder], len(parts))
+                parts.append(BatchedFile(f"{root}/{file.name}", file.checksum, label))
         names = [[Path(file.path).name for file in files[table]] for table in self._tables]
         if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
             raise RecordError(f"{entry.path} has other files than complete parts")
-        parts = [
+        ticks_of_parts = [
             pq.ParquetFile(pa.BufferReader(file.content())).read(
                 columns=["tick", "time", "wall_time"], use_threads=False
             )
             for file in files["ticks"]
         ]
-        rows = pa.concat_tables(parts)
+        rows = pa.concat_tables(ticks_of_parts)
         ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
         if not len(ticks) or not ascend or len(ticks) != entry.ticks:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        self._group.check(entry)
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
         return BatchedEpisode(offset, rows, files)
@@ -207,6 +210,7 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
     if entry.error is not None:
         return None, entry.error
     try:
+        _check_database_file(entry)
         with open_record(
             entry.path, entry.world, entry.episode, limits=question.limits
         ) as interpreter:
@@ -216,6 +220,34 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
         return None, str(error)
     except Exception as error:  # noqa: BLE001  # a damaged file must not end the others' answers
         return None, f"{type(error).__name__}: {error}"
+
+
+def _check_database_file(entry: EpisodeEntry) -> None:
+    """Checks the bytes of a DuckDB file that was not written since the manifest was made.
+
+    One that was written is read as it is now, as folders are.
+
+    Raises:
+        RecordError: its checksum is another.
+        OSError: it cannot be read.
+    """
+    record = expand_path(entry.path)
+    if isinstance(record, ObjectPath) or not record.is_file():
+        return
+    status = size_and_time(record)
+    for file in entry.files:
+        is_same = file.name == record.name and (file.size, file.modified) == status
+        if is_same and _checksum(record, *status) != file.checksum:
+            raise RecordError(
+                f"{record} is damaged: it was not written since the manifest was made, and has "
+                "other bytes than then; put a copy of it back"
+            )
+
+
+@lru_cache(maxsize=1024)
+def _checksum(file: Path, _size: int, _modified: int) -> int:
+    """Returns the checksum of a file; a process reads it once as long as it is not written."""
+    return checksum_of(file)
 
 
 def forget_readers() -> None:

@@ -30,11 +30,12 @@ from ssduck.view.drawings import drawing_of
 from ssduck.view.facts import facts_of, plot_of
 from ssduck.view.marks import Mark, Marks
 from ssduck.view.scans import Scan
+from ssduck.view.shown_values import shown_rows
 from ssduck.view.sources import Asked, Source
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
-# The rows that a page gets; downloads have all.
+# The rows that a page gets at most; downloads have all.
 MAX_ROWS = 1000
 MAX_COMPLETIONS = 60
 # The longest text that is completed, letters: no limit of time ends that.
@@ -99,13 +100,12 @@ class Answers:
         picture, drawing = _picture(value), drawing_of(value)
         table = DisplayTable([], []) if picture else display_table(value)
         marks = Marks(world)
-        rows = table.rows[:MAX_ROWS]
-        row_marks = [marks.of(row) for row in rows]
-        everything = [*row_marks, *map(marks.of, table.rows[MAX_ROWS:])]
+        rows = shown_rows(table.rows[:MAX_ROWS])
+        everything = list(map(marks.of, table.rows))
         return {
             "columns": heads_of(asked.interpreter, text, language, value, table.columns),
-            "rows": [[as_json(cell) for cell in row] for row in rows],
-            "marks": row_marks,
+            "rows": rows,
+            "marks": everything[: len(rows)],
             "all": sorted({mark for each in everything for mark in each}),
             "lines": list(_lines(world, everything)),
             "boxes": list(_boxes(world, everything)),

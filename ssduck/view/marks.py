@@ -40,4 +40,5 @@ class Marks:
                 yield from self._in(part)
         elif isinstance(value, list | tuple) and not isinstance(value, RowsOfColumns):
             for part in value:
-                yield from self._in(part)
+                if not isinstance(part, int | float):  # there may be millions
+                    yield from self._in(part)

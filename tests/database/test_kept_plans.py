@@ -62,6 +62,13 @@ CASES = [
     ("SELECT name FROM entities LIMIT 2", True),
     ("SELECT id, z FROM entities UNION ALL BY NAME SELECT id, name FROM entities", True),
     ("SELECT vertices FROM geometries", False),
+    # The order of joined rows decides.
+    ("SELECT list(b.name) FROM entities a JOIN entities b ON a.id > b.id", False),
+    ("SELECT a.kind, sum(b.z) FROM entities a JOIN entities b ON a.id > b.id GROUP BY ALL", False),
+    ("SELECT DISTINCT ON (a.kind) a.name, b.z FROM entities a JOIN links b USING (time)", False),
+    ("SELECT a.name, row_number() OVER () AS n FROM entities a JOIN links b USING (time)", False),
+    ("SELECT fsum(b.z) FROM entities a JOIN links b USING (time)", False),
+    ("SELECT max(b.z), count(*) FROM entities a JOIN entities b ON a.id > b.id", True),
 ]  # fmt: skip
 
 
@@ -171,6 +178,27 @@ def test_columns_of_one_name_keep_it(traced, sql):
     names = [ss.sql(sql).arrow().column_names for _ in range(RUNS)]
     assert names == [names[0]] * RUNS
     assert len(set(names[0])) < len(names[0])
+
+
+@pytest.mark.parametrize(
+    "sql",
+    [
+        "SELECT a, z FROM contacts e LEFT JOIN sites s ON e.ax = s.name::DATE",
+        "SELECT e.id FROM entities e WHERE e.name::INT NOT IN (SELECT id FROM sites)",
+    ],
+)
+def test_a_cast_that_duckdb_never_makes_is_no_error(traced, sql):
+    """The plan of an empty table skips it; that of a function makes it."""
+    ss, client, _ = traced
+    for _ in range(RUNS):
+        try:
+            expected = oracle(ss, sql).to_pylist()
+        except duckdb.ConversionException:
+            with pytest.raises(ssduck.SelectScriptError, match="Could not convert"):
+                ss.sql(sql).fetchall()
+        else:
+            assert sorted(map(repr, ss.sql(sql).arrow().to_pylist())) == sorted(map(repr, expected))
+        move(ss, client)
 
 
 def test_a_users_macro_sees_whole_rows(traced):

@@ -315,3 +315,11 @@ def test_strict_limits_are_select_only():
     assert ssduck.Limits.strict().select_only
     assert not ssduck.Limits.strict(select_only=False).select_only
     assert not ssduck.Limits().select_only
+
+
+def test_a_missing_extension_is_named_and_no_folder():
+    with ssduck.Interpreter(limits=ssduck.Limits.strict()) as ss:
+        with pytest.raises(LimitError, match="needs DuckDB's extension 'inet'") as caught:
+            ss.sql("SELECT '1.1.1.1'::INET")
+        assert "/" not in caught.value.message
+        assert ss.sql("SELECT 1").fetchall() == [(1,)]

@@ -17,8 +17,8 @@ from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import SCHEMA, read_manifest
 from ssduck.lakes.questions import ProgramQuestion
-from ssduck.lakes.workers import forget_readers
-from ssduck.recording.stores.checksums import write_parquet
+from ssduck.lakes.workers import answer_episodes, forget_readers
+from ssduck.recording.stores.checksums import json_text, write_parquet
 from tests.lakes.conftest import EPISODES
 from tests.support.lake_questions import answer_of
 
@@ -277,3 +277,55 @@ def test_columns_of_other_types_are_the_error_of_one_episode(folder):
         forget_readers()
         ((_, answers),) = answer_locally(ProgramQuestion(PROGRAM), [asked], 1)
         assert [error is None for _, error in answers] == [e is not entries[1] for e in asked]
+
+
+@pytest.mark.parametrize("table", ["ticks", "entities", "models/entities"])
+def test_a_part_of_another_episode_is_an_error_though_the_manifest_knows_it(folder, table):
+    name = "part-000000.parquet"
+    ssduck.lake(folder)
+    part = folder / f"{table}/world=sim/episode=1/{name}"
+    part.write_bytes((folder / f"{table}/world=sim/episode=2/{name}").read_bytes())
+    files = pq.read_table(folder / FILE).to_pylist()[1]["files"]
+    (own,) = [file for file in files if file["name"] == part.relative_to(folder).as_posix()]
+    status = part.stat()
+    own |= {"size": status.st_size, "modified": status.st_mtime_ns}
+    forged(folder, files=[{**own, "checksum": zlib.crc32(part.read_bytes())}, *_others(files, own)])
+    errors = ask(folder)
+    assert [number for number, error in errors.items() if error] == [1]
+    assert "is another part, or of another record" in errors[1]
+
+
+def _others(files, own):
+    return [file for file in files if file is not own]
+
+
+class CameraQuestion(ProgramQuestion):
+    """Asks where the camera is that a picture would be taken with."""
+
+    def answering(self, interpreter):
+        return lambda present, _: list(present.worlds[0].camera.eye)
+
+
+def test_a_batch_has_the_recorded_camera_of_each_episode(folder, monkeypatch):
+    eyes = {number: [1.0 + number % 2, 2.0, 3.0] for number in range(EPISODES)}
+    for number, eye in eyes.items():
+        file = folder / f"episodes/sim-{number}.json"
+        camera = {"eye": eye, "target": [0.0, 0.0, 0.0], "fov": 40.0}
+        file.write_text(json_text(json.loads(file.read_text()) | {"camera": camera}))
+    entries = ssduck.lake(folder).entries
+    assert len({entry.group for entry in entries}) == 2
+    monkeypatch.setattr("ssduck.lakes.workers.answer_by_itself", None)  # all are in a batch
+    answers = answer_episodes(CameraQuestion(PROGRAM), entries)
+    assert [json.loads(text) for text, _ in answers] == list(eyes.values())
+
+
+def test_a_manifest_that_groups_other_cameras_changes_none(folder):
+    file = folder / "episodes/sim-1.json"
+    camera = {"eye": [5.0, 5.0, 5.0], "target": [0.0, 0.0, 0.0], "fov": 40.0}
+    file.write_text(json_text(json.loads(file.read_text()) | {"camera": camera}))
+    entries = ssduck.lake(folder).entries
+    wrong = [replace(entry, group=entries[0].group) for entry in entries]
+    answers = answer_episodes(CameraQuestion(PROGRAM), wrong)
+    assert [json.loads(text) == [5.0, 5.0, 5.0] for text, _ in answers] == [
+        number == 1 for number in range(EPISODES)
+    ]

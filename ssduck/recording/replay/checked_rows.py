@@ -1,13 +1,14 @@
 """Checks the rows of a record's ticks when they are read, against the models of its entities.
 
 A record may come from a stranger. The replay takes for granted that each row is of a known entity,
-that no entity is there twice at a tick, and that a body has all of its links.
+that no entity is there twice at a tick, that a body has all of its links, and that each row has the
+number and the time of a tick of the record.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -16,6 +17,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.errors import RecordError
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.stores.base import PairRequest, TickArchive
 from ssduck.schema import FRAMES, RECORDED
 from ssduck.world.layout import EntityInfo
@@ -36,39 +38,74 @@ class CheckedRows:
     Attributes:
         archive: has the rows.
         members: the recorded entities, by id.
+        ticks: the recorded ticks.
         source: the folder or the file, to begin messages.
     """
 
     archive: TickArchive
     members: Mapping[int, EntityInfo]
+    ticks: TickBuffer
     source: str
+    _checked: set[str] = field(default_factory=set)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last, both included.
 
         Raises:
-            RecordError: they are of unknown entities or links, twice there, or incomplete.
+            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
         """
         rows = self.archive.fetch(table, first, last)
-        for field in rows.schema:
-            if field.type != pa.float64() and rows[field.name].null_count:
-                self._fail(table, f"the column {field.name!r} lacks a value")
-        for column in RECORDED[table].entity_columns:
-            indices = self._indices(table, rows[column].to_numpy())
-            link = _LINKS.get(table, {}).get(column)
+        for column in rows.schema:
+            if column.type != pa.float64() and rows[column.name].null_count:
+                self._fail(table, f"the column {column.name!r} lacks a value")
+        self._check_ticks(table, rows)
+        for name in RECORDED[table].entity_columns:
+            indices = self._indices(table, rows[name].to_numpy())
+            link = _LINKS.get(table, {}).get(name)
             if link is not None:
                 self._check_range(table, rows[link].to_numpy(), self._parts("links").take(indices))
         if RECORDED[table].key and rows.num_rows:
             self._check_keys(table, rows)
         return rows
 
+    def check_ticks(self, table: str) -> None:
+        """Checks that all rows of a table have the number and the time of a tick of the record.
+
+        SQL reads the rows of a view in place, so they are checked once, before the first time.
+
+        Raises:
+            RecordError: a row has those of none.
+        """
+        if table in self._checked:
+            return
+        ticks = pa.table({"tick": self.ticks.numbers, "time": self.ticks.times})
+        stray = self.archive.stray_tick(table, ticks)
+        if stray is not None:
+            self._fail(table, _stray(*stray))
+        self._checked.add(table)
+
+    def _check_ticks(self, table: str, rows: pa.Table) -> None:
+        """Checks that rows have the number and the time of a tick of the record."""
+        if not rows.num_rows:
+            return
+        numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
+        places = np.searchsorted(self.ticks.numbers, numbers)
+        is_right = self.ticks.numbers.take(places, mode="clip") == numbers
+        is_right &= self.ticks.times.take(places, mode="clip") == times
+        if not is_right.all():
+            first = int(np.argmin(is_right))
+            self._fail(table, _stray(numbers[first], times[first]))
+
     def near_pairs(self, request: PairRequest) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown.
 
         Raises:
-            RecordError: they are of unknown entities.
+            RecordError: they are of unknown ticks or entities.
         """
         pairs = self.archive.near_pairs(request, None)
+        is_known = np.isin(pairs["tick"].to_numpy(), self.ticks.numbers)
+        if not is_known.all():
+            self._fail("entities", "one is at a tick that the record does not have")
         for column in ("a", "b"):
             self._indices("entities", pairs[column].to_numpy())
         return pairs
@@ -123,3 +160,7 @@ class CheckedRows:
 
     def _fail(self, table: str, reason: str) -> None:
         raise RecordError(f"{self.source} is damaged: of the rows of {table}, {reason}")
+
+
+def _stray(number: int, time: float | None) -> str:
+    return f"one is at the tick {number} and the time {time} s, which the record does not have"

@@ -65,6 +65,8 @@ class Record:
         recording: what is recorded; None for a record of another time.
         source: the folder or the file that has it, for messages.
         tags: what the user says of the run, by name.
+        check_ticks: checks that all stored rows of a table are of ticks of the record; None if
+            this process wrote them.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -85,8 +87,10 @@ class Record:
         recording: Recording | None = None,
         source: str = "the record",
         tags: Tags | None = None,
+        check_ticks: Callable[[str], None] | None = None,
     ) -> None:
         self.tags: Tags = tags or {}
+        self.check_ticks = check_ticks
         self.recording = recording
         self.source = source
         self._world: weakref.ref[World] | None = None

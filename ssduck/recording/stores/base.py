@@ -184,6 +184,17 @@ class TickArchive(ABC):
         NULL or NaN. For `links`, those of bodies of one link may be left out.
         """
 
+    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:  # noqa: ARG002
+        """Returns the number and the time of a stored row that are those of no tick.
+
+        None if there is no such row, as there is none among the rows of this process.
+
+        Args:
+            table: a table of a world.
+            ticks: the numbers and times of the ticks of the record, `tick` and `time`.
+        """
+        return None
+
     @abstractmethod
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown.

@@ -27,6 +27,8 @@ _MAGIC = b"PAR1"
 _TAIL = 4 + len(_MAGIC)
 # The size that most footers do not exceed, bytes.
 _MOST_FOOTERS = 1 << 15
+# The number of bytes of a file that are summed at a time: they stay in the cache of a processor.
+_PIECE = 1 << 18
 _KEY = b"ssduck checksums"
 _DIGITS = rb"[0-9a-f]{8}"
 _FOOTER_SUMS = re.compile(rb"crc32 of data (%s), of footer (%s)" % (_DIGITS, _DIGITS))
@@ -119,10 +121,29 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
 def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
     """Returns what is wrong with a Parquet file, all of which is read; None for nothing.
 
+    It is read piece by piece: memory for all of a large file takes longer than its checksum.
+
     Raises:
         OSError: the file cannot be read.
     """
-    return content_problem(file.read_bytes(), has_checksums=has_checksums)
+    footer = footer_of(file)
+    problem = footer_problem(footer, has_checksums=has_checksums)
+    match = None if footer is None else _last(_FOOTER_SUMS, footer)
+    if footer is None or problem is not None or match is None:
+        return problem
+    return None if match.group(1) == _hex(_sum_of_data(file, len(footer))) else WRONG_CHECKSUM
+
+
+def _sum_of_data(file: Path, footer: int) -> int:
+    """Returns the CRC-32 of a file without its last bytes, the footer."""
+    checksum, piece = 0, memoryview(bytearray(_PIECE))
+    with file.open("rb", buffering=0) as stream:
+        left = stream.seek(0, 2) - footer
+        stream.seek(0)
+        while left > 0 and (count := stream.readinto(piece[: min(left, _PIECE)])):
+            checksum = zlib.crc32(piece[:count], checksum)
+            left -= count
+    return checksum
 
 
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
@@ -152,9 +173,14 @@ def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     return problem
 
 
+def footer_in(content: bytes) -> bytes:
+    """Returns what the end of the content of a Parquet file says is its footer."""
+    return content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :]
+
+
 def without_checksums(content: bytes) -> bytes:
     """Returns the bytes of a Parquet file without the checksums in its footer."""
-    match = _last(_FOOTER_SUMS, content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :])
+    match = _last(_FOOTER_SUMS, footer_in(content))
     if match is None:
         return content
     start = len(content) - len(match.string)

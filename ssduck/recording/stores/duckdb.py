@@ -35,6 +35,7 @@ from ssduck.recording.stores.history_sql import (
     create_table,
     history,
     near_pair_rows,
+    stray_tick,
 )
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.recording.stores.record_file import RecordFile
@@ -208,6 +209,12 @@ class DuckDBStore(TickStore, TickArchive):
             f"SELECT * FROM ({rows}) AS stored WHERE tick BETWEEN ? AND ?",  # noqa: S608
             (first, last),
         )
+
+    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
+        """Returns the number and the time of a row of a file that are those of no tick."""
+        if self._file is None or table not in self.tables:
+            return None
+        return stray_tick(self._connection, self.stored_rows(table), ticks)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""

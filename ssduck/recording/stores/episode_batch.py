@@ -24,6 +24,7 @@ from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
+from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_archive import (
@@ -31,6 +32,7 @@ from ssduck.recording.stores.parquet_archive import (
     multi_link_bodies,
     pattern_of,
 )
+from ssduck.recording.stores.parquet_layout import OTHER_PART
 from ssduck.schema import MODELS, RECORDED, TABLES
 
 # The column in which the parts have the number of the run.
@@ -44,17 +46,19 @@ class BatchedFile:
     Attributes:
         path: where it is.
         checksum: the CRC-32 of its bytes.
+        label: what its footer has to tell it from other parts.
     """
 
     path: str
     checksum: int
+    label: bytes
 
     def content(self) -> bytes:
         """Returns the bytes of the file.
 
         Raises:
             OSError: it cannot be read.
-            RecordError: they are not those that the manifest knows.
+            RecordError: they are not those that the manifest knows, or those of another part.
         """
         if is_address(self.path):
             content = ObjectPath(self.path).read_bytes()
@@ -63,6 +67,8 @@ class BatchedFile:
                 content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
+        if self.label not in footer_in(content):
+            raise RecordError(f"{self.path} {OTHER_PART}")
         return content
 
 

@@ -23,7 +23,13 @@ from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.complete_rows import complete_rows
-from ssduck.recording.stores.history_sql import all_columns, column_list, near_pair_rows, quoted
+from ssduck.recording.stores.history_sql import (
+    all_columns,
+    column_list,
+    near_pair_rows,
+    quoted,
+    stray_tick,
+)
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
@@ -166,6 +172,11 @@ class ParquetArchive(TickArchive):
         begin = max(int(np.searchsorted(self._starts, first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, last, side="right"))
         return range(begin, min(end, len(self._files[table])))
+
+    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
+        """Returns the number and the time of a stored row that are those of no tick."""
+        logged = self._log[table].arrow if self._log else None
+        return stray_tick(self._connection, self.select(table, None), ticks, logged)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""

@@ -83,6 +83,7 @@ _MOST_MISSING = 1000
 _PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
 _FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
 _EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
+OTHER_PART = "is another part, or of another record: it was renamed, or copied there"
 MISSING = "is missing: the record was damaged, or only copied in part"
 RESCUE = (
     "`ssduck check --repair` drops what is damaged, and ssduck.open(…, partial=True) leaves it out"
@@ -369,7 +370,7 @@ class FolderRun:
         problem = footer_problem(footer, has_checksums=self.has_checksums)
         label = self.label(table, number)
         if problem is None and label is not None and label not in (footer or b""):
-            problem = "is another part, or of another record: it was renamed, or copied there"
+            problem = OTHER_PART
         return footer, problem
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:

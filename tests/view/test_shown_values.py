@@ -1,0 +1,73 @@
+"""What a page gets of long values: their beginning, before all of them are made into JSON."""
+
+import json
+
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.adapters.display import as_json
+from ssduck.view import shown_values
+from ssduck.view.shown_values import MAX_LETTERS, MAX_VALUES, shown_rows
+
+pytest.importorskip("websockets", reason="the extra view is not installed")
+
+from ssduck.view.answers import Answers
+from ssduck.view.live import LiveSource
+
+ROWS = [
+    [1, "a", None, float("inf")],
+    [[1, [2, 3]], {"x": [4], 5: b"6"}, (7,), True],
+    [np.array([[1.5, 2], [3, 4]]), np.float64(0.5), np.int64(3), np.array(7)],
+    [[], {}, "", 10**40],
+]
+
+
+def test_short_values_are_whole():
+    assert shown_rows(ROWS) == [[as_json(cell) for cell in row] for row in ROWS]
+
+
+@pytest.mark.parametrize(
+    ("rows", "shown"),
+    [
+        ([[[1, 2, 3, 4, 5, 6]]], [[[1, 2, "… (4 more)"]]]),
+        ([[1, 2, 3, 4]], [[1, 2, 3, "… (1 more)"]]),
+        ([[1], [2], [3], [4]], [[1], [2], [3]]),
+        ([[{"a": 1, "b": 2, "c": 3}]], [[{"a": 1, "b": 2, "…": "… (1 more)"}]]),
+        ([[[[1, 2], [3]], 4]], [[[[1, "… (1 more)"], "… (1 more)"], "… (1 more)"]]),
+        ([[np.arange(9)]], [[[0, 1, "… (7 more)"]]]),
+    ],
+)
+def test_long_values_end_in_what_is_left_out(rows, shown):
+    assert shown_rows(rows, 3) == shown
+
+
+def test_long_texts_are_cut():
+    ((text, content),) = shown_rows([["x" * (MAX_LETTERS + 5), b"y" * (MAX_LETTERS + 7)]])
+    assert text == "x" * MAX_LETTERS + "… (5 more)"
+    assert content.endswith("79… (7 more)")
+
+
+@pytest.fixture(scope="module")
+def page():
+    with ssduck.load("kitchen", recording=None) as ss:
+        source = LiveSource(ss, ss.worlds[0], "kitchen")
+        yield Answers(source)
+        source.close()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT list([range]) FROM range(900000)",
+        "SELECT list(range) FROM range(900000) GROUP BY range // 1000",
+    ],
+)
+def test_a_page_gets_the_beginning_of_a_nested_list(page, monkeypatch, text):
+    made = []
+    monkeypatch.setattr(shown_values, "as_json", lambda value: made.append(value) or as_json(value))
+    answer = page.answer({"type": "ask", "text": text, "language": "sql"})
+    assert "error" not in answer
+    assert len(made) <= MAX_VALUES
+    assert len(answer["marks"]) == len(answer["rows"]) <= answer["count"]
+    assert len(json.dumps(answer)) < 2_000_000
