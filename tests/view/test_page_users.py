@@ -1,4 +1,4 @@
-"""The page as users press it: reloads, and several clicks in a row."""
+"""The page as users press it: reloads, clicks in a row, two pages, the keyboard, a stopped server."""
 
 import json
 
@@ -29,7 +29,7 @@ def url(ss):
         yield served.url
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def page(url, browser):
     page = browser.open(url)
     page.wait("window.__ss && __ss.ready")
@@ -39,6 +39,14 @@ def page(url, browser):
 
 def first_cell(page):
     return page.value("document.querySelector('#result td')?.textContent")
+
+
+def press(page, key, number):
+    """Presses a key, as a user does."""
+    for kind in ("rawKeyDown", "keyUp"):
+        page.call(
+            "Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=number
+        )
 
 
 def test_a_page_is_loaded_again_in_the_middle_of_a_query(ss, page):
@@ -78,3 +86,59 @@ def test_the_last_of_several_entities_is_shown(page):
     assert page.value("document.querySelector('#entity h2').firstChild.textContent") == (
         "roomba_625x"
     )
+
+
+def test_two_pages_ask_for_themselves(page, url, browser):
+    other = browser.open(url)
+    other.wait("window.__ss && __ss.ready")
+    page.ask("SELECT id FROM kitchen WHERE id == 'table';")
+    other.ask("SELECT id FROM kitchen WHERE id == 'roomba_625x';")
+    assert [first_cell(each) for each in (page, other)] == ["table", "roomba_625x"]
+    for each, name in ((other, "roomba_625x"), (page, "table")):
+        each.call("Page.bringToFront")  # a page behind another one is not drawn
+        x, y = map(int, each.value(f"__ss.placeOf('{name}')"))
+        red, _, blue = each.picture()[y, x].astype(int)
+        assert red > blue + 60  # it stands out on this page
+    other.close()
+    page.ask("20 + 1;")
+    assert first_cell(page) == "21"
+
+
+def test_a_row_is_reached_and_a_head_pressed_by_the_keyboard(page):
+    page.ask("SELECT id, z FROM kitchen WHERE z > 0.5;")
+    page.value("document.getElementById('clear').focus(); 0")
+    for _ in range(2):
+        press(page, "Tab", 9)
+    for is_up in (True, False):
+        press(page, "Enter", 13)
+        mark = page.value("document.activeElement.textContent")
+        assert mark == f"z {'▴' if is_up else '▾'}"
+    press(page, "Tab", 9)
+    press(page, "Enter", 13)
+    name = first_cell(page)
+    page.wait(f"__ss.picked === {json.dumps(name)}")
+
+
+def test_a_narrow_page_has_the_scene_above_the_query(page):
+    page.resize(420, 800)
+    page.ask("SELECT id, z FROM kitchen WHERE z > 0.5;")
+    stage, aside, footer = (
+        page.value(f"(b => [b.left, b.top, b.right, b.bottom])({found}.getBoundingClientRect())")
+        for found in (f"document.querySelector('{name}')" for name in ("#stage", "aside", "footer"))
+    )
+    assert stage[3] <= aside[1] < aside[3] <= footer[1] < footer[3] <= 800
+    assert all(box[2] <= 420 for box in (stage, aside, footer))
+    assert min(stage[3] - stage[1], aside[3] - aside[1]) > 200
+    page.resize(1280, 800)
+
+
+def test_a_page_whose_server_has_stopped_says_so(browser):
+    with ssduck.load("kitchen") as ss:
+        served = ss.view()
+        page = browser.open(served.url)
+        page.wait("window.__ss && __ss.ready")
+        served.close()
+        page.wait("!document.getElementById('lost').hidden")
+        page.value("__ss.type('1 + 1;'); __ss.run(); 0")
+        page.wait("document.getElementById('error').textContent === 'there is no connection'")
+        page.close()
