@@ -201,15 +201,20 @@ def _type_of(values: Iterable[Any]) -> str:
     return _TYPES.get(kind, "")
 
 
+_NOT_FINITE = {math.inf: "Infinity", -math.inf: "-Infinity"}
 # Python writes any integer of fewer bits.
 _SHORT_BITS = 2_000
 
 
-def as_json(value: Any) -> Any:
+def as_json(value: Any, *, words: bool = False) -> Any:
     """Converts a value for JSON: entities and worlds to names, NaN and infinity to null.
 
     >>> as_json({"time": 0.5, "distance": math.inf})
     {'time': 0.5, 'distance': None}
+
+    Args:
+        value: the value.
+        words: whether NaN and infinities are the texts `NaN`, `Infinity` and `-Infinity`.
     """
     match value:
         case None | bool() | str():
@@ -217,14 +222,16 @@ def as_json(value: Any) -> Any:
         case int():
             return value if value.bit_length() < _SHORT_BITS else _long_integer(value)
         case float():
-            return value if math.isfinite(value) else None
+            if math.isfinite(value):
+                return value
+            return _NOT_FINITE.get(value, "NaN") if words else None
         case list() | tuple():
-            return [as_json(element) for element in value]
+            return [as_json(element, words=words) for element in value]
         case dict():
-            return {json_key(key): as_json(element) for key, element in value.items()}
+            return {json_key(key): as_json(part, words=words) for key, part in value.items()}
         case bytes():
             return value.hex()
-    return _other_as_json(value)
+    return _other_as_json(value, words)
 
 
 def _long_integer(value: int) -> int | str:
@@ -236,7 +243,7 @@ def _long_integer(value: int) -> int | str:
     return value
 
 
-def _other_as_json(value: Any) -> Any:
+def _other_as_json(value: Any, words: bool) -> Any:
     import numpy as np
 
     from ssduck.world.handles import Handle
@@ -244,7 +251,7 @@ def _other_as_json(value: Any) -> Any:
 
     match value:
         case np.ndarray() | np.generic():
-            return as_json(value.tolist())
+            return as_json(value.tolist(), words=words)
         case Handle():
             return value.full_name
         case World():

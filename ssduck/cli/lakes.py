@@ -34,6 +34,13 @@ class Engine(StrEnum):
     SPARK = "spark"
 
 
+class Dialect(StrEnum):
+    """The dialects of SQL that `ssduck ask` writes."""
+
+    DUCKDB = "duckdb"
+    SPARK = "spark"
+
+
 Lake = Annotated[
     str,
     typer.Argument(
@@ -80,6 +87,15 @@ Resume = Annotated[
         metavar="FOLDER",
         help="Keep the answers of finished batches there, and go on from them.",
         show_default="keep nothing",
+    ),
+]
+SqlOption = Annotated[
+    Dialect | None,
+    typer.Option(
+        "--sql",
+        metavar="duckdb|spark",
+        help="Write the statement that answers a program of formulas without ssduck; ask nothing.",
+        show_default="ask",
     ),
 ]
 Strict = Annotated[
@@ -166,6 +182,27 @@ def _ask_lake(
         raise typer.Exit(1)
 
 
+def _write_statement(
+    path: str,
+    program: str,
+    where: str | None,
+    dialect: Dialect,
+    output: Path | None,
+    *,
+    strict: bool,
+) -> None:
+    """Writes the statement of SQL that answers a program."""
+    from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.limits import Limits
+
+    limits = Limits.strict() if strict else None
+    text = Episodes(path).sql(program, where, dialect.value, limits=limits)
+    if output is None:
+        print_line(text)
+    else:
+        output.write_text(f"{text}\n", encoding="utf-8")
+
+
 def lake(
     path: Lake,
     where: Where = None,
@@ -196,8 +233,12 @@ def ask(
     output: Output = None,
     rows: Rows = None,
     strict: Strict = False,
+    sql: SqlOption = None,
 ) -> None:
     """Ask all episodes below a path one question, and write their answers."""
+    if sql is not None:
+        _write_statement(path, program_text(program, file), where, sql, output, strict=strict)
+        return
     write = writer_of_result(format, output, rows)
     _ask_lake(
         path,

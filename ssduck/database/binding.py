@@ -270,10 +270,7 @@ class BoundWorld:
         Raises:
             EvaluationError: a number is unknown, which is NULL in SQL.
         """
-        rows = self.world.snapshot.tables["contacts"]
-        if not rows.is_complete:
-            raise EvaluationError("a contact has an unknown number")
-        return ContactPairs(rows["a"], rows["b"], rows["force"], rows.doubles("nx", "nz"))
+        return self.world.snapshot.contacts()
 
     def joint_owners(self) -> dict[str, set[int]]:
         """Returns the ids of the entities that have a joint of each name, at any tick."""

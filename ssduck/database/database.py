@@ -135,7 +135,7 @@ class Database:
         with self._lock:
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
-                with PinnedWorlds(self._lock, self._worlds, statement.reads):
+                with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
                     return self._raw_sql.ready_rows(statement)
             if self.connection.meter.limits.seconds is not None:
                 check_length(sql)
@@ -227,9 +227,12 @@ class Database:
         return PinnedWorlds(self._lock, self._worlds, reads, is_settled=is_settled)
 
     def settle(self) -> None:
-        """Writes the columns of pinned worlds that were deferred, for DuckDB to read."""
-        for world in self.worlds.values():
-            world.snapshot.tables["entities"].settle()
+        """Writes the rows of pinned worlds that were deferred, for DuckDB to read."""
+        for bound in self._worlds.bound:
+            world = bound.reference()
+            if world is not None and world.is_restored:
+                world.snapshot.settle()
+                self._worlds.register(bound)  # its buffers may be others
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""

@@ -167,6 +167,22 @@ class KeptPlans:
         for function in self._functions.pop(name, ()):
             self._connection.remove_function(function)
 
+    def may_read(self, name: str, sql: str, columns: AbstractSet[str]) -> bool:
+        """Checks whether a statement that is prepared may read some columns of any table.
+
+        Args:
+            name: the name of the prepared statement.
+            sql: the statement.
+            columns: the columns.
+        """
+        if not columns.isdisjoint(map(str.lower, _WORD.findall(sql))):
+            return True
+        scans = [one["extra_info"] for one in self._operators(execution_of(name)) if _is_scan(one)]
+        return any(
+            info["Function"] != _SCAN or not columns.isdisjoint(_WORD.findall(json.dumps(info)))
+            for info in scans
+        )
+
     def _read_columns(self, sql: str, query: KeptQuery) -> set[str] | None:
         """Returns the columns that a query may need of a source; None if no plan is worth it."""
         sizes = [max(1, source.table().count) for source in query.sources]
@@ -233,7 +249,7 @@ class _CurrentRows:
 
     def __call__(self, calls: pa.Array) -> pa.Array:
         table = self._table()
-        arrow = table.arrow  # it writes what was deferred
+        arrow = table.arrow_with(self._columns)
         if table.version != self._version or self._rows is None:
             columns = [_array_of(arrow.column(name)) for name in self._columns]
             rows = pa.StructArray.from_arrays(columns, self._columns)

@@ -1,11 +1,12 @@
 """Rewrites users' SQL so that relations use all pairs of the tick, found at once.
 
 A statement is changed only where a relation is called for two rows of entities that come from a
-world's table unchanged; the rest of its text stays as it is. There are four forms:
+world's table unchanged; the rest of its text stays as it is. There are five forms:
 
 - A condition that all rows satisfy becomes a join with the table of pairs.
 - In the condition of an outer, SEMI or ANTI join, the table on its right is joined with the pairs
   first, in brackets.
+- An EXISTS whose subquery is joined with the pairs says whether the entity is one of theirs.
 - Elsewhere (under NOT, in OR, in the selected columns), a call becomes a check whether the pair is
   in the table. The macro answers for an entity whose pose is unknown.
 - A call whose pairs cannot be found at once becomes its formula, without the check that the row
@@ -19,9 +20,9 @@ rows.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import count, pairwise
+from itertools import count
 
 import sqlglot
 from sqlglot import exp
@@ -29,6 +30,7 @@ from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.database.statement_names import Scope, Source, WorldNames, is_inner, is_one_sided
 from ssduck.schema import ID_FACTOR
+from ssduck.sql.exists_conditions import ExistsCondition, NamedColumns, exists_condition
 from ssduck.sql.from_clause import pair_table
 from ssduck.sql.pair_lookup import JoinedPairs, PairLookup, pair_lookup
 from ssduck.sql.relation_calls import expanded
@@ -37,6 +39,7 @@ from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, in_schema
 from ssduck.sql.sql_values import SqlValue
 from ssduck.sql.statement_trees import MAX_LENGTH, statement_trees
+from ssduck.sql.text_edits import Edit, edited
 from ssduck.sql.types import DOUBLE, SqlType
 
 _RELATIONS = {
@@ -78,38 +81,8 @@ def rewritten(sql: str, tree: exp.Expr, names: WorldNames, *, only_joins: bool) 
         if only_joins and not call.is_joined:
             edits.append(Edit(call.start, call.end, call.formula()))
         else:
-            edits += call.edits(f"ssduck pairs {next(numbers)}")
+            edits += call.edits(f"ssduck pairs {next(numbers)}", tokens)
     return edited(sql, edits) if edits else None
-
-
-def numbered(sql: str) -> str:
-    """Returns a statement with numbers in place of the question marks of its parameters.
-
-    >>> numbered("SELECT * FROM entities WHERE z > ? AND name <> ?")
-    'SELECT * FROM entities WHERE z > $1 AND name <> $2'
-    """
-    marks = (t for t in sqlglot.tokenize(sql, dialect="duckdb") if t.text == "?")
-    edits = []
-    for number, mark in enumerate(marks, 1):
-        if mark.token_type != TokenType.PLACEHOLDER or sql[mark.end + 1 : mark.end + 2].isalnum():
-            return sql  # `?1` is the first parameter
-        edits.append(Edit(mark.start, mark.end + 1, f"${number}"))
-    return edited(sql, edits)
-
-
-def with_parameters(sql: str, value: Callable[[str], str]) -> str:
-    """Returns a statement with expressions in place of its parameters, which have names.
-
-    >>> with_parameters("SELECT * FROM entities WHERE z > $low", lambda name: f"(SELECT {name})")
-    'SELECT * FROM entities WHERE z > (SELECT low)'
-    """
-    tokens = sqlglot.tokenize(sql, dialect="duckdb")
-    edits = [
-        Edit(sign.start, name.end + 1, value(name.text))
-        for sign, name in pairwise(tokens)
-        if sign.token_type == TokenType.PARAMETER and name.start == sign.end + 1
-    ]
-    return edited(sql, edits)
 
 
 def number_parameters(sql: str, tree: exp.Expr, names: WorldNames) -> frozenset[str]:
@@ -144,24 +117,6 @@ def lookup_of(sql: str, tree: exp.Expr, names: WorldNames) -> PairLookup | None:
     tables = [source.text for source in call.entities]  # in the order of the pairs
     columns = [column.unalias() for column in tree.expressions]
     return pair_lookup(pairs, tables, list(call.scope.conditions()), columns)
-
-
-@dataclass(frozen=True)
-class Edit:
-    """A replacement of a part of a statement; the parts that are inserted are empty."""
-
-    start: int
-    end: int
-    text: str
-
-
-def edited(sql: str, edits: Iterable[Edit]) -> str:
-    """Returns a statement with parts of it replaced."""
-    parts, position = [], 0
-    for edit in sorted(set(edits), key=lambda edit: (edit.start, edit.end, edit.text)):
-        parts += [sql[position : edit.start], edit.text]
-        position = edit.end
-    return "".join((*parts, sql[position:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,11 +173,12 @@ class _Call:
                 return False
         return True
 
-    def edits(self, name: str) -> Iterator[Edit]:
+    def edits(self, name: str, tokens: list[Token]) -> Iterator[Edit]:
         """Yields the changes of the statement.
 
         Args:
             name: the name of the table of pairs.
+            tokens: the tokens of the statement.
         """
         search, place = self.search, self.join_place()
         if search is None:
@@ -232,12 +188,74 @@ class _Call:
         elif place is None:
             yield Edit(self.start, self.end, self._membership(search))
         else:
+            exists = self._exists(search, tokens)
+            if exists is not None:
+                yield from self._exists_edits(search, exists, name)
+                return
             yield Edit(place, place, f" CROSS JOIN {self._pair_table(search, name)}")
             yield from self._expanded_stars()
-            condition = " AND ".join(self._is_in_pair(place, name) for place in range(2))
-            if not search.is_exact:
-                condition += f" AND {self.formula()}"
-            yield Edit(self.start, self.end, f"({condition})")
+            yield self._paired(search, name, range(2))
+
+    def _paired(self, search: PairSearch, name: str, places: Iterable[int]) -> Edit:
+        """Returns the change of the call to the condition that entities are those of a pair.
+
+        Args:
+            search: the search for the pairs.
+            name: the name of the table of pairs.
+            places: which of the two entities.
+        """
+        condition = " AND ".join(self._is_in_pair(place, name) for place in places)
+        if not search.is_exact:
+            condition += f" AND {self.formula()}"
+        return Edit(self.start, self.end, f"({condition})")
+
+    def _exists_edits(
+        self, search: PairSearch, exists: ExistsCondition, name: str
+    ) -> Iterator[Edit]:
+        """Yields the changes of EXISTS to whether the entity around it is one of the pairs'.
+
+        The subquery gets a row of this entity of its own if it needs more than its id.
+
+        Args:
+            search: the search for the pairs.
+            exists: the EXISTS.
+            name: the name of the table of pairs.
+        """
+        place = self.join_place()
+        assert place is not None
+        outer = self._outer_place()
+        entity, places = self.entities[outer], [1 - outer]
+        joined = f" CROSS JOIN {self._pair_table(search, name)}"
+        if exists.reads_outer:
+            joined += f" CROSS JOIN {_quoted(self.schema)}.entities AS {_quoted(entity.text)}"
+            places.append(outer)
+        column = f"{name} {'ab'[outer]}"
+        selected = f"{_quoted(name)}.{_quoted(column)}"
+        # Of a row that a LEFT JOIN did not find, the id is NULL, and nothing exists.
+        yield Edit(exists.start, exists.list_start, f"COALESCE({_id_of(entity)} IN (")
+        yield Edit(exists.list_start, exists.list_end, f"SELECT {selected} ")
+        yield Edit(place, place, joined)
+        yield self._paired(search, name, places)
+        yield Edit(exists.end, exists.end, ", FALSE)")
+
+    def _outer_place(self) -> int:
+        """Returns which of the two entities is not of the call's own SELECT; 0 for none."""
+        own = self.scope.sources.values()
+        return next((n for n, entity in enumerate(self.entities) if entity not in own), 0)
+
+    def _exists(self, search: PairSearch, tokens: list[Token]) -> ExistsCondition | None:
+        """Returns the EXISTS that needs only the pairs and one of its entities; None for none."""
+        scope, outer = self.scope, self.entities[self._outer_place()]
+        if outer in scope.sources.values() or outer.columns is None:
+            return None
+        called = [call.name.lower() for call in scope.select.find_all(exp.Anonymous)]
+        called += ["contains" for _ in scope.select.find_all(exp.Contains)]
+        if sum(name in _RELATIONS for name in called) > 1:
+            return None
+        sources = {name: source.columns for name, source in scope.sources.items()}
+        is_read = not search.is_exact  # by the formula
+        names = NamedColumns(sources, outer.text.lower(), outer.columns, is_read)
+        return exists_condition(scope.select, self.node, self.start, tokens, names)
 
     def _is_in_pair(self, place: int, name: str) -> str:
         """Returns the condition that an entity is that of a row of a table of pairs."""
@@ -321,6 +339,8 @@ class _Call:
         """Checks whether no star would include the columns of the table of pairs."""
         select = self.scope.select
         stars = [star for star in select.find_all(exp.Star) if _owner(star) is select]
+        if isinstance(select.parent, exp.Exists):  # its columns do not matter
+            stars = []
         for star in stars:
             if isinstance(star.parent, exp.Count | exp.Column):
                 continue
@@ -336,6 +356,8 @@ class _Call:
     def _expanded_stars(self) -> Iterator[Edit]:
         """Yields the changes of `*` to the columns of all sources but the table of pairs."""
         select = self.scope.select
+        if isinstance(select.parent, exp.Exists):
+            return
         hidden = {j.this.alias_or_name for j in self.scope.joins if j.kind in ("SEMI", "ANTI")}
         sources = [s.text for s in self.scope.sources.values() if s.text not in hidden]
         columns = ", ".join(f"{_quoted(source)}.*" for source in sources)

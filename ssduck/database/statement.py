@@ -21,7 +21,7 @@ from ssduck.database.kept_plans import (
 )
 from ssduck.database.statement_names import may_read_unnamed
 from ssduck.errors import SelectScriptError, SqlError
-from ssduck.schema import RECORDED, TABLES, Column
+from ssduck.schema import BOX, RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
 # The names of ssduck's prepared statements: this prefix, a number and the tables that they read,
@@ -34,6 +34,8 @@ _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values(
 RUNS_BEFORE_PLAN = 3
 # What a plan depends on that reads no buffer.
 _LAYOUT = frozenset(("entities",))
+# What a tick writes when it is read (`LiveTable.defer`).
+_DEFERRED = frozenset(BOX)
 # No source can have this name, because it has a space.
 _PARAMETERS = "the parameters"
 
@@ -59,6 +61,8 @@ class PreparedPlans:
         self._kept = KeptPlans(connection)
         # The tables that ssduck's own valid statements read, by the statement's name.
         self._own: dict[str, frozenset[str]] = {}
+        # Those of them that read no boxes where DuckDB does not ask for them.
+        self._without_boxes: set[str] = set()
 
     def has(self, name: str) -> bool:
         """Checks whether one of ssduck's own statements is prepared and valid."""
@@ -75,9 +79,16 @@ class PreparedPlans:
         """
         if query is not None and self._kept.prepare(name, sql, query):
             tables = _LAYOUT  # it reads what the tables are at each run
+            self._without_boxes.add(name)
         else:
             self.connection.prepare(name, sql)
+            if not self._kept.may_read(name, sql, _DEFERRED):
+                self._without_boxes.add(name)
         self._own[name] = tables
+
+    def needs_settled(self, name: str) -> bool:
+        """Checks whether all columns have to be written before a statement runs."""
+        return name not in self._without_boxes
 
     def deallocate(self, name: str) -> None:
         """Drops one of ssduck's own prepared statements, if DuckDB keeps it."""
@@ -103,6 +114,7 @@ class PreparedPlans:
                     self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
+        self._without_boxes.discard(name)
         self.connection.deallocate(name)
         self._kept.drop(name)
 

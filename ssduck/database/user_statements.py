@@ -27,16 +27,12 @@ from ssduck.database.kept_plans import MARK, KeptQuery, RowSource, live_source
 from ssduck.database.pair_rows import pair_rows
 from ssduck.database.referenced_tables import ReadData
 from ssduck.database.relation_rewriting import (
-    Edit,
-    edited,
     lookup_of,
     mentions_relations,
     number_parameters,
-    numbered,
     parsed,
     rewritten,
     start_of,
-    with_parameters,
 )
 from ssduck.database.statement import (
     RUNS_BEFORE_PLAN,
@@ -54,6 +50,7 @@ from ssduck.database.statement_names import (
 from ssduck.errors import ArgumentError, SelectScriptError, SqlError
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.sql.pair_lookup import PairLookup
+from ssduck.sql.text_edits import Edit, edited, numbered, with_parameters
 
 # The number of texts that are known at a time.
 MAX_STATEMENTS = 256
@@ -204,7 +201,7 @@ class UserStatements:
     def rows(
         self, statement: UserStatement, parameters: Parameters, names: WorldNames
     ) -> FetchedRows | pa.Table:
-        """Returns the rows of a query; the caller pins the worlds.
+        """Returns the rows of a query; the caller pins the worlds, all columns written or not.
 
         Args:
             statement: the query.
@@ -222,6 +219,7 @@ class UserStatements:
             found = self._looked_up(statement, parameters)
             if found is not None:
                 return found
+            self._settle()
             return self._connection.table(statement.text, parameters)
         if is_rewritten or statement.has_plain_types is not None:
             try:
@@ -238,9 +236,17 @@ class UserStatements:
             except SelectScriptError:
                 self._release(statement)
                 raise
+        self._settle()
         table = self._connection.table(statement.text, parameters)
         statement.has_plain_types = has_plain_types(table)
         return table
+
+    def _settle(self) -> None:
+        """Writes the columns that were deferred, which DuckDB reads without asking."""
+        for bound in self._worlds.values():
+            world = bound.reference()
+            if world is not None and world.is_restored:
+                world.snapshot.tables["entities"].settle()
 
     def _release(self, statement: UserStatement) -> None:
         """Frees the memory that DuckDB keeps for a statement that failed."""
@@ -294,6 +300,8 @@ class UserStatements:
         header = None
         if self._is_ready(statement, sql, parameters, names):
             sql, parameters, header = statement.execute, None, statement.last_header
+        if sql != statement.execute or self._plans.needs_settled(statement.name):
+            self._settle()
         was_long = statement.last_header is not None and bool(statement.last_header.is_long)
         # The batches of an Arrow table are measured at once, tuples one by one.
         if was_long and self._connection.has_limited_rows:
@@ -411,7 +419,7 @@ class UserStatements:
         return None if live is None or bound is None else live_source(bound, live)
 
 
-def _depends_on_order(tree: exp.Expression) -> bool:
+def _depends_on_order(tree: exp.Expr) -> bool:
     """Checks whether the order in which rows are joined decides on the values of a result.
 
     Another plan may join them in another order.

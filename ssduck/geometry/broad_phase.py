@@ -89,7 +89,9 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
 
 def _compared_pairs(low: Array, high: Array) -> Pairs:
     """Returns the pairs of boxes that overlap, by a comparison of all of them."""
-    begins_before: Flags = np.asarray((low[:, :, None] <= high[:, None]).all(axis=0))
+    begins_before: Flags = low[0, :, None] <= high[0]
+    for begin, end in zip(low[1:], high[1:], strict=True):
+        begins_before &= begin[:, None] <= end
     overlaps: Flags = begins_before & begins_before.T
     is_box = begins_before.diagonal()
     if not is_box.all():

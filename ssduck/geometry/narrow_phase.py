@@ -8,10 +8,11 @@ shapes. `ssduck.geometry.shape_comparisons` compares these, unless their boxes a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from functools import cached_property, partial
-from itertools import pairwise, product
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from itertools import product
 from threading import RLock
+from typing import TypeVar
 
 import numpy as np
 
@@ -34,6 +35,8 @@ from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, Shape
 from ssduck.geometry.solids import PlacedSolids, Solid
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
 from ssduck.geometry.tick_solids import TickSolids
+
+T = TypeVar("T")
 
 # Shapes that are deeper collide, m.
 MIN_DEPTH = 1e-6
@@ -83,6 +86,9 @@ class NarrowPhase:
         self._tick = TickSolids(solids, solid_indices, positions, orientations, boxes, margins)
         self.shapes = ShapeComparisons(self._tick, calls)
         self.starts = list(starts)
+        # Each entity's shapes that have points, and whether all its poses and shapes are known.
+        self._shapes = _OfEntities(partial(_shapes_with_points, self._tick, self.starts))
+        self._are_known = _OfEntities(partial(_is_known, self._tick, self.starts))
         self._clearances: dict[tuple[int, int], float | None] = {}
         self._clearance_bounds: dict[tuple[int, int], float] = {}
         self._verdicts: dict[tuple[int, int, PairPredicate], bool | None] = {}
@@ -442,14 +448,28 @@ class NarrowPhase:
             if self._tick.are_known[shape] and not self._tick.solids[shape].is_empty
         ]
 
-    @cached_property
-    def _shapes(self) -> list[list[int]]:
-        """The shapes of each entity that have points."""
-        empty = [solid.is_empty for solid in self._tick.solids]
-        ranges = map(range, self.starts, self.starts[1:])
-        return [[shape for shape in shapes if not empty[shape]] for shapes in ranges]
 
-    @cached_property
-    def _are_known(self) -> list[bool]:
-        """Whether all poses and shapes of each entity are known."""
-        return [all(self._tick.are_known[a:b]) for a, b in pairwise(self.starts)]
+class _OfEntities(dict[int, T]):
+    """What belongs to each entity, found when it is asked for.
+
+    Args:
+        find: a function that returns what belongs to an entity.
+    """
+
+    def __init__(self, find: Callable[[int], T]) -> None:
+        self._find = find
+
+    def __missing__(self, e: int) -> T:
+        """Returns what belongs to an entity that nobody asked for yet."""
+        self[e] = found = self._find(e)
+        return found
+
+
+def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list[int]:
+    """Returns the shapes of an entity that have points."""
+    return [shape for shape in range(starts[e], starts[e + 1]) if not tick.solids[shape].is_empty]
+
+
+def _is_known(tick: TickSolids, starts: Sequence[int], e: int) -> bool:
+    """Checks whether all poses and shapes of an entity are known."""
+    return all(tick.are_known[starts[e] : starts[e + 1]])

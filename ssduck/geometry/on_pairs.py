@@ -20,9 +20,10 @@ from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
-from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, upward_verdicts
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
 from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
-from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
+from ssduck.geometry.proofs.kept_parts import KeptParts
+from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.separating_axes import box_axes
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
@@ -71,7 +72,12 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
         return result
     shapes = _touching_shapes(tick, narrow.starts, rows, a, b)
     ordered = shapes.first, shapes.second
-    upward = kept_verdicts(tick, tick.table.kept_upward, ordered, partial(_upward, tick))
+    upward = kept_verdicts(
+        tick,
+        tick.table.kept_upward,
+        ordered,
+        partial(decide_contacts, tick, min_height=MIN_UP, kept=tick.table.kept_parts),
+    )
     is_carried = np.zeros(len(a), dtype=bool)
     is_carried[shapes.rows[(upward == UPWARD) & shapes.touch]] = True
     result[is_carried & (over == OVER)] = True
@@ -83,12 +89,6 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
         if over[row] == OVER or narrow.is_over(int(a[row]), int(b[row])):
             result[row] = is_carried[row] or any(_is_upward(narrow, s, t) for s, t in pairs)
     return result
-
-
-def _upward(tick: TickShapes, first: Indices, second: Indices) -> Decisions:
-    """Decides whether contact normals are upward; a small motion may turn them."""
-    verdicts = contact_verdicts(tick, first, second, MIN_UP)
-    return Decisions(verdicts, np.zeros(len(first)))
 
 
 def _is_upward(narrow: NarrowPhase, s: int, t: int) -> bool:
@@ -130,18 +130,27 @@ def _of_rows(tick: TickShapes, shapes: Pairs, a: Indices, b: Indices) -> Pairs:
     return first[wanted], second[wanted]
 
 
-def contact_verdicts(
-    tick: TickShapes, first: Indices, second: Indices, min_height: float
-) -> Verdicts:
-    """Returns whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
+def decide_contacts(
+    tick: TickShapes,
+    first: Indices,
+    second: Indices,
+    min_height: float,
+    kept: KeptParts | None = None,
+) -> Decisions:
+    """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
+
+    The room of a verdict is how far the shapes may move relative to each other before a normal may
+    turn so far; it is 0 for boxes and half-spaces, whose normals turn with them.
 
     Args:
         tick: the shapes.
         first: (n,), shapes that touch the second ones.
         second: (n,), the normals point to them.
         min_height: the least z of an upward unit normal, from 0 to 1.
+        kept: see `decide_upward`.
     """
-    table, verdicts = tick.table, np.full(len(first), UNDECIDED, np.int8)
+    table, decisions = tick.table, Decisions.none(len(first))
+    verdicts = decisions.verdicts
     are_boxes = pairs_of_boxes(table, first, second)
     if len(are_boxes):
         of_boxes = first[are_boxes], second[are_boxes]
@@ -152,11 +161,12 @@ def contact_verdicts(
         verdicts[on_planes[heights >= min_height + _UP_ROOM]] = UPWARD
         verdicts[on_planes[heights <= min_height - _UP_ROOM]] = NOT_UPWARD
     are_bounded = table.is_convex & ~table.is_plane
-    for decide in (upward_round_verdicts, upward_verdicts):
+    for decide in (decide_upward_round, partial(decide_upward, kept=kept)):
         left = np.flatnonzero((verdicts == UNDECIDED) & are_bounded[first] & are_bounded[second])
         if len(left) and not are_few_boxes(table, first[left], second[left]):
-            verdicts[left] = decide(tick.placed_cores, first[left], second[left], min_height)
-    return verdicts
+            found = decide(tick.placed_cores, first[left], second[left], min_height)
+            decisions.decide(left, found.verdicts, found.room)
+    return decisions
 
 
 def _upward_boxes(tick: TickShapes, first: Indices, second: Indices, min_height: float) -> Verdicts:

@@ -20,7 +20,7 @@ from ssduck.geometry.batch import comparable_pairs, matching_pairs, proven_verdi
 from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.contact_support import MIN_RISING, MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
-from ssduck.geometry.on_pairs import contact_verdicts
+from ssduck.geometry.on_pairs import decide_contacts
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Verdicts
@@ -371,7 +371,7 @@ class PairBatch:
     def _upward(self, pairs: Indices, min_height: float) -> Verdicts:
         """Returns whether the contact normals of pairs of shapes point up."""
         first, second = self._first[pairs], self._second[pairs]
-        return contact_verdicts(self._scene, first, second, min_height)
+        return decide_contacts(self._scene, first, second, min_height).verdicts
 
     def _over_footprints(self, rows: Indices) -> tuple[Flags, Flags]:
         """Returns whether the centres of the second entities are surely over the first ones.

@@ -13,6 +13,7 @@ from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
+from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.proofs.proposals import Proposer
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
@@ -127,6 +128,7 @@ class ShapeTable:
         self.proposer = Proposer(solids, solid_indices)
         self._kept: dict[PairPredicate, KeptPairs] = {}
         self.kept_touching, self.kept_upward = KeptVerdicts(), KeptVerdicts()
+        self.kept_parts = KeptParts()
         self._regrouped: dict[tuple[bytes, bytes], ShapeTable] = {}
         self._extended: tuple[tuple[tuple[str, ...], bytes], ShapeTable] | None = None
 

@@ -39,7 +39,9 @@ class TickSolids:
         boxes: Array,
         margins: Array | None = None,
     ) -> None:
-        indices = np.asarray(solid_indices).tolist()
+        self._distinct = solids
+        self._indices = np.asarray(solid_indices, dtype=np.intp)
+        indices = self._indices.tolist()
         self.margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
         self.solids: list[Solid] = [solids[index] for index in indices]
         self.positions, self.orientations, self.boxes = positions, orientations, boxes
@@ -89,7 +91,8 @@ class TickSolids:
     @cached_property
     def bounding_radii(self) -> list[float]:
         """The radius of the sphere around each solid, m; infinite for half-spaces."""
-        return [solid.bounding_radius for solid in self.solids]
+        distinct = [solid.bounding_radius for solid in self._distinct]
+        return [distinct[index] for index in self._indices.tolist()]
 
     @cached_property
     def _are_unbounded(self) -> Flags:
@@ -109,8 +112,8 @@ class TickSolids:
     @cached_property
     def are_known(self) -> list[bool]:
         """Whether the pose and the solid of each shape are known."""
-        known = np.array([solid.is_known for solid in self.solids], dtype=bool)
-        are_known: list[bool] = (self.are_finite & known).tolist()
+        known = np.array([solid.is_known for solid in self._distinct], dtype=bool)
+        are_known: list[bool] = (self.are_finite & known[self._indices]).tolist()
         return are_known
 
     @cached_property
@@ -122,16 +125,16 @@ class TickSolids:
     @cached_property
     def centres(self) -> list[list[float]]:
         """The centre of the sphere around each shape."""
-        return self._to_world([solid.centre for solid in self.solids])
+        return self._to_world([solid.centre for solid in self._distinct])
 
     @cached_property
     def inscribed_centres(self) -> list[list[float]]:
         """The centre of the sphere in each shape."""
-        return self._to_world([solid.inscribed_centre for solid in self.solids])
+        return self._to_world([solid.inscribed_centre for solid in self._distinct])
 
     def _to_world(self, points: list[Point]) -> list[list[float]]:
-        """Returns a point of each shape, transformed to the world."""
-        local = np.array(points, dtype=np.float64).reshape(-1, 3)
+        """Returns a point of each shape in the world; `points` are those of the solids."""
+        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
         with np.errstate(invalid="ignore"):
             moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
         return moved

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import RecordError
-from ssduck.gym.episodes import EpisodeSteps, recorded_steps
 from ssduck.gym.terms import Judge, Judgement, Reward, Terms
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.limits import Limits
+from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 

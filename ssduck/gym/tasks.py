@@ -14,11 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, SceneError, SelectScriptError
-from ssduck.gym.episodes import plain
 from ssduck.gym.terms import Judge, Terms
 from ssduck.gym.wrapper import INFO, described
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
+from ssduck.recording.episode_steps import plain
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.simulators.scene_files import check_files_inside
@@ -27,7 +27,7 @@ from ssduck.simulators.toml_reader import TomlTable, Vector
 from ssduck.world.world import World
 
 WORLD = "sim"
-# The largest number of steps of the simulator in a step of a task.
+# The largest number of steps of the simulator, or of parts of these, in a step of a task.
 MAX_STEPS = 100_000
 # The largest size of a task file, bytes.
 MAX_BYTES = 10_000_000
@@ -193,11 +193,13 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         Raises:
             SceneError: the simulator makes too many steps in it.
         """
-        count = self.task.step_time / self._world.timestep
+        substeps = self.task.scene.engine.substeps or 1
+        count = max(1.0, self.task.step_time / self._world.timestep) * substeps
         if count > MAX_STEPS:
+            parts = f" ({substeps:,} substeps each)" if substeps > 1 else ""
             raise SceneError(
                 f"{self.task.path}: step_time: {self.task.step_time:g} s are {count:.3g} steps of "
-                f"the simulator, more than {MAX_STEPS:,}"
+                f"the simulator{parts}, more than {MAX_STEPS:,}"
             )
 
     def _record_past(self) -> None:

@@ -54,9 +54,10 @@ class Term:
         Raises:
             ArgumentError: it is of the wrong type.
         """
-        is_right = isinstance(value, bool) if self.is_condition else validation.is_number(value)
-        if is_right:
-            return value if self.is_condition else float(value)
+        if self.is_condition and isinstance(value, bool):
+            return value
+        if not self.is_condition and validation.is_number(value):
+            return self._number(value)
         if value is None:
             hint = "an entity, a joint or a past that it names is not there at this step"
         elif self.is_condition:
@@ -69,6 +70,20 @@ class Term:
         raise ArgumentError(
             f"{self.key}: {self.text!r} is {short_repr(value)}, not {expected}: {hint}"
         )
+
+    def _number(self, value: Any) -> float:
+        """Returns a number as a float.
+
+        Raises:
+            ArgumentError: it is an integer beyond all floats.
+        """
+        try:
+            return float(value)
+        except OverflowError:
+            raise ArgumentError(
+                f"{self.key}: {self.text!r} is {short_repr(value)}, and a reward or an observation "
+                "is a float, at most 1.8e308"
+            ) from None
 
 
 @dataclass(frozen=True)

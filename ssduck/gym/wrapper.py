@@ -11,11 +11,11 @@ import gymnasium
 from ssduck import validation
 from ssduck.errors import ArgumentError, SimulatorError
 from ssduck.formatting import short_repr
-from ssduck.gym.episodes import EpisodeSteps, plain, recordable
 from ssduck.gym.terms import Judge, Judgement, Reward, Terms
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits
+from ssduck.recording.episode_steps import EpisodeSteps, action_numbers, plain, recordable
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
@@ -142,6 +142,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Steps the environment, and evaluates the terms."""
+        taken = action_numbers(action)  # before the environment may change it
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._steps is None:
             raise ArgumentError("step: call reset first")
@@ -159,6 +160,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         terminated = bool(terminated or judgement.stop)
         self._steps.add_tick(simulation.time, values)
         self._steps.rewards.append(float(reward))
+        self._steps.add_action(taken)
         self._steps.success = judgement.success
         self._is_saved = False
         if terminated or truncated:

@@ -7,7 +7,9 @@
     data/chunk-000/file-000.parquet           the frames, with a row group for each episode
 
 A frame of a dataset is a tick. `observation.environment_state` has the poses of entities and links,
-`observation.state` the positions of joints. A record has neither actions nor videos of a robot.
+`observation.state` the positions of joints. Episodes of gymnasium environments have `action`,
+`next.reward` and `next.done`; their last tick, after which there is no action, is no frame. A
+record has no videos.
 
 The layout is that of `LeRobotDatasetMetadata` in https://github.com/huggingface/lerobot, v3.0.
 """
@@ -35,6 +37,7 @@ from ssduck.schema import POSE
 
 CODEBASE_VERSION = "v3.0"
 POSES, JOINTS = "observation.environment_state", "observation.state"
+ACTION, REWARD, DONE = "action", "next.reward", "next.done"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES_PATH = f"meta/episodes/{DATA_PATH.removeprefix('data/')}"
 TASKS_PATH, INFO_PATH, STATS_PATH = "meta/tasks.parquet", "meta/info.json", "meta/stats.json"
@@ -139,11 +142,13 @@ class _Dataset:
             self.fps = found
         assert self.fps is not None
         chosen = _ticks_of_frames(motion.times, self.fps)
-        features = _features(motion, chosen, which)
+        outcomes = _outcomes(motion, chosen, self.fps, which)
+        chosen = chosen[: len(outcomes[ACTION])] if outcomes else chosen
+        features = _features(motion, chosen, which) | outcomes
         names = _names(motion)
         if not self.names:
             self.names = names
-        for feature in (POSES, JOINTS):
+        for feature in (POSES, JOINTS, ACTION):
             here, others = names.get(feature, []), self.names.get(feature, [])
             if here != others:
                 odd = sorted(set(here) ^ set(others)) or here
@@ -154,6 +159,8 @@ class _Dataset:
         count = len(chosen)
         task = self.tasks.setdefault(_task(motion), len(self.tasks))
         columns: dict[str, Any] = {name: _vectors(values) for name, values in features.items()}
+        if outcomes:
+            columns[DONE] = columns[DONE].cast(pa.bool_())
         numbers = np.arange(count)
         columns["timestamp"] = pa.array((numbers / self.fps).astype(np.float32))
         features["timestamp"] = (numbers / self.fps)[:, None]
@@ -210,6 +217,9 @@ class _Dataset:
             for name, names in self.names.items()
         }
         features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
+        if ACTION in self.names:
+            features[REWARD] = {"dtype": "float64", "shape": [1], "names": None}
+            features[DONE] = {"dtype": "bool", "shape": [1], "names": None}
         features |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in _INDICES}
         return {
             "codebase_version": CODEBASE_VERSION,
@@ -307,9 +317,43 @@ def _features(motion: Motion, ticks: Indices, which: str) -> dict[str, Array]:
     return features
 
 
+def _outcomes(motion: Motion, ticks: Indices, fps: int, which: str) -> dict[str, Array]:
+    """Returns what is done in each frame before the last tick: action, reward and whether it ends.
+
+    A frame has the action of the step that it is in. The reward of a step is in its last frame.
+
+    Raises:
+        ArgumentError: a step has no frame.
+    """
+    steps = motion.steps
+    if steps is None or not steps.actions:
+        return {}
+    moments = motion.times[0] + (np.arange(len(ticks)) + _TOLERANCE) / fps
+    places = np.searchsorted(np.array(steps.times), moments, side="right") - 1
+    places = places[places < len(steps.actions)]
+    missing = np.setdiff1d(np.arange(len(steps.actions)), places)
+    if len(missing) or (places < 0).any():
+        raise ArgumentError(
+            f"{which} has {len(steps.actions)} steps with actions, and no frame in "
+            f"{len(missing)} of them: give more frames per second (--fps)"
+        )
+    is_last = np.append(places[1:] != places[:-1], True)
+    rewards = np.where(is_last, np.array(steps.rewards)[places], 0.0)
+    done = np.arange(len(places)) == len(places) - 1
+    return {
+        ACTION: np.array(steps.actions)[places],
+        REWARD: rewards[:, None],
+        DONE: done[:, None].astype(np.float64),
+    }
+
+
 def _names(motion: Motion) -> dict[str, list[str]]:
     names = {POSES: [f"{frame}.{column}" for frame in motion.names for column in POSE]}
-    return names | ({JOINTS: list(motion.joints)} if motion.joints else {})
+    if motion.joints:
+        names[JOINTS] = list(motion.joints)
+    if motion.steps is not None and motion.steps.actions:
+        names[ACTION] = [f"action_{n}" for n in range(len(motion.steps.actions[0]))]
+    return names
 
 
 def _vectors(values: Array) -> pa.Array:

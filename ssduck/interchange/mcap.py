@@ -213,18 +213,33 @@ class _Poses:
 
     names: list[str] = field(default_factory=list)
     poses: list[tuple[float, ...]] = field(default_factory=list)
-    exact_times: dict[int, float] = field(default_factory=dict)
     moments: list[int] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
     ignored: set[str] = field(default_factory=set)
     # Frames by the frame that they are relative to; a file may change it from message to message.
     children: dict[str, str] = field(default_factory=dict)
+    # The number of poses when the last tick was told of.
+    told: int = 0
 
     def add(self, moment: int, parent: str, name: str, position: Any, turn: Any) -> None:
         """Adds the pose of a frame in another one at a time, ns."""
+        if abs(moment) >= _END * _NANO:
+            raise ValueError(f"a message of {name!r} has a time of {moment} ns")
         self.children.setdefault(parent, name)
         self.moments.append(moment)
+        self.times.append(moment / _NANO)
         self.names.append(name)
         self.poses.append((position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z))
+
+    def tell_tick(self, moment: int, time: float) -> None:
+        """Gives the poses of a tick its time to the last digit, s.
+
+        Ticks may have the same nanosecond: the poses of each come before what tells of it.
+        """
+        for place in range(self.told, len(self.moments)):
+            if self.moments[place] == moment:
+                self.times[place] = time
+        self.told = len(self.moments)
 
 
 def read_poses(file: Path) -> tuple[pa.Table, dict[str, Any]]:
@@ -266,7 +281,7 @@ def _read(stream: Any, file: Path) -> tuple[pa.Table, dict[str, Any]]:
             about = {name: json.loads(value) for name, value in record.metadata.items()}
     for schema, channel, message in reader.iter_messages():
         if channel.topic == TICKS and channel.message_encoding == "json":
-            found.exact_times[message.log_time] = float(json.loads(message.data)["time"])
+            found.tell_tick(message.log_time, float(json.loads(message.data)["time"]))
             continue
         kind = None if schema is None else schema.name
         decode = factory.decoder_for(channel.message_encoding, schema)
@@ -314,13 +329,12 @@ def _table(found: _Poses, about: Mapping[str, Any], file: Path) -> tuple[pa.Tabl
             f"{found.children[fixed[0]]!r} to {fixed[0]!r}: ssduck reads poses that are all "
             "relative to one frame"
         )
-    moments = np.array(found.moments, dtype=np.int64)
-    order = np.argsort(moments, kind="stable")
-    times = [found.exact_times.get(m, m / _NANO) for m in moments[order].tolist()]
+    times = np.array(found.times)
+    order = np.argsort(times, kind="stable")
     poses = np.array(found.poses)[order]
     rows = pa.table(
         {
-            "time": times,
+            "time": times[order],
             "name": pa.array(found.names).take(pa.array(order)),
             **{name: poses[:, place] for place, name in enumerate(POSE)},
         }

@@ -1,4 +1,4 @@
-"""Reads what moves in a recorded episode: the poses of its frames, and the positions of joints."""
+"""Reads what moves in a recorded episode: poses of frames, positions of joints, and actions."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.static_tables import members_of, with_joint_numbers
 from ssduck.recording.stores.parquet_layout import FolderRun
@@ -46,6 +47,7 @@ class Motion:
         joints: the names of the joints whose position is a number, `entity.joint`; empty if joints
             are not recorded.
         positions: their positions, rad or m, (ticks, joints); NaN for unknown ones.
+        steps: the steps of an episode of a gymnasium environment; None for others.
     """
 
     run: FolderRun
@@ -55,6 +57,7 @@ class Motion:
     poses: Array
     joints: tuple[str, ...]
     positions: Array
+    steps: EpisodeSteps | None = None
 
     @property
     def names(self) -> list[str]:
@@ -91,7 +94,10 @@ def motion_of(run: FolderRun) -> Motion:
     if links in run.tables:
         _fill(poses, _rows(run, links, ("entity", "link"), POSE), ticks, numbers)
     joints, positions = _joints(run, members, ticks)
-    return Motion(run, frames, ticks, buffer.times, poses, joints, positions)
+    steps = None
+    if (run.world, run.number) in recorded_steps(run.path):
+        steps = EpisodeSteps.read(run.path, run.world, run.number)
+    return Motion(run, frames, ticks, buffer.times, poses, joints, positions, steps)
 
 
 def _frames(members: Sequence[EntityInfo]) -> Iterator[Frame]:

@@ -118,11 +118,12 @@ class BatchInterpreter:
             recording, tables, models, run, connection.reader(expand_path(source)), connection.run
         )
         members = members_of(models)
-        ticks = TickBuffer()
-        rows = CheckedRows(self._archive, members, ticks, source)
+        # Blocks of rows may reach into other episodes than the present one.
+        self._ticks = TickBuffer()
+        rows = self._rows = CheckedRows(self._archive, members, self._ticks, source)
         self._record = Record(
             None,
-            ticks,
+            TickBuffer(),
             members,
             self._archive.tables,
             rows.fetch,
@@ -153,6 +154,8 @@ class BatchInterpreter:
         self._episodes = episodes
         self._numbers = np.concatenate([episode.numbers for episode in episodes])
         self._times = np.concatenate([episode.times for episode in episodes])
+        self._ticks.replace(self._numbers, self._times)
+        self._rows.recheck()
         if not hasattr(self, "world"):
             self._record.ticks.replace(episodes[0].numbers, episodes[0].times)
             self.world = ReplayedWorld(self._name, self._record, self._archive, self._camera)

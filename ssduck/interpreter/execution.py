@@ -48,6 +48,8 @@ from ssduck.world.world import World
 
 # The types of values that are neither worlds nor contain any.
 _PLAIN = frozenset((type(None), bool, int, float, str))
+# The largest length of lists whose elements are looked at whenever a program runs again.
+_SHORT = 16
 
 
 class Execution(Namespace):
@@ -218,7 +220,7 @@ class Execution(Namespace):
     def explanation(self, program: Program) -> str:
         """Returns the SQL of the last statement's queries, and what Python evaluates."""
         program = self._reader.read(program)
-        with self._rehearsal(program) as frame:
+        with self.rehearsal(program) as frame:
             program = self._with_overrides(program)
             plan_of = partial(self.planner.plan, frame=frame)
             stand_ins = {
@@ -232,7 +234,7 @@ class Execution(Namespace):
 
     def sql_of(self, program: Program, dialect: str) -> str:
         """Returns the SQL of the query that ends a program, in a dialect."""
-        with self.transaction(program), self._rehearsal(program) as frame:
+        with self.transaction(program), self.rehearsal(program) as frame:
             program = self.read(program)
             query = program.statements[-1] if program.statements else None
             if not isinstance(query, Query):
@@ -241,7 +243,7 @@ class Execution(Namespace):
             return in_dialect(query, plan, values, dialect)
 
     @contextmanager
-    def _rehearsal(self, program: Program) -> Iterator[Frame]:
+    def rehearsal(self, program: Program) -> Iterator[Frame]:
         """Runs all statements but the last, yields their frame, and restores the variables."""
         before = dict(self.variables)
         frame = Frame(self)
@@ -376,7 +378,7 @@ class Execution(Namespace):
             if isinstance(value, World):
                 worlds.append(value)
                 meaning.append(value.serial)
-            elif type(value) in _PLAIN:
+            elif type(value) in _PLAIN or _is_short_plain_list(value):
                 meaning.append(type(value))
             else:
                 return None
@@ -386,6 +388,11 @@ class Execution(Namespace):
             known = self._reads[node] = (meaning, self.tables_read(node), is_open)
         _, tables, is_open = known
         return tables, None if is_open else worlds
+
+
+def _is_short_plain_list(value: object) -> bool:
+    """Checks whether a value is a short list of plain values, such as a position."""
+    return type(value) is list and len(value) <= _SHORT and _PLAIN.issuperset(map(type, value))
 
 
 def _accept_columns(_: object) -> None:

@@ -157,7 +157,7 @@ def _column_reader(handle: Handle, column: str) -> _Reader:
     if not isinstance(handle, Entity) or row is None:
         return lambda _: handle.column(column)
     place = row
-    return lambda _: world.snapshot.tables["entities"].value(column, place)
+    return lambda _: world.snapshot.value(place, column)
 
 
 def _variable_reader(name: str, sql_type: SqlType) -> _Reader:

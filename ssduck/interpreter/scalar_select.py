@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import operator
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
@@ -22,8 +23,10 @@ from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 from ssduck.sql.types import EXACT, SqlType
 
 Kind: TypeAlias = Literal["double", "integer", "decimal", "boolean", "string", "list"]
+# The values of parameters by name, and those of expressions that occur more than once.
+Values: TypeAlias = dict[str, Any]
 # A function from the values of parameters to that of an expression.
-Compute: TypeAlias = Callable[[Mapping[str, Any]], Any]
+Compute: TypeAlias = Callable[[Values], Any]
 
 # The clauses that such a SELECT may have; of one row, the order does not matter.
 _CLAUSES = frozenset(("expressions", "from_", "order"))
@@ -43,6 +46,8 @@ _ARITHMETIC: dict[type[exp.Expr], Callable[[Any, Any], Any]] = {
 }
 # The types of elements, by their names in the language.
 _ELEMENTS: dict[str, Kind] = {"integer": "integer", "double": "double"}
+# Expressions that are as fast to evaluate again as to look up.
+_LEAVES = (exp.Parameter, exp.Column, exp.Literal, exp.Boolean)
 # Literals of more digits may round in another way as a DECIMAL.
 _MAX_DIGITS = 15
 
@@ -201,6 +206,11 @@ class _Compiler:
         functions: Mapping[str, Callable[..., Any]],
     ) -> None:
         self._kinds, self._functions = kinds, functions
+        # How often each expression occurs, and that around the one that is being compiled.
+        self._counts = Counter(part for whole in plan.select.expressions for part in whole.walk())
+        self._count = 1
+        # The expressions that occur more than once; each is evaluated once.
+        self._shared: dict[exp.Expr, _Scalar] = {}
         self._columns: dict[tuple[str, str], _Scalar] = {}
         if list_name is not None:
             (source,) = plan.source_types
@@ -211,6 +221,22 @@ class _Compiler:
 
     def scalar(self, sql: exp.Expr) -> _Scalar:
         """Returns an expression that Python evaluates.
+
+        Raises:
+            _LeftToDuckDBError: DuckDB has to.
+        """
+        count = self._counts[sql]
+        # The parts of one that occurs as often need no note of their own.
+        if count <= self._count or isinstance(sql, _LEAVES):
+            return self._compiled(sql)
+        if sql not in self._shared:
+            around, self._count = self._count, count
+            self._shared[sql] = _once(self._compiled(sql), f"shared {len(self._shared)}")
+            self._count = around
+        return self._shared[sql]
+
+    def _compiled(self, sql: exp.Expr) -> _Scalar:
+        """Returns an expression that Python evaluates, whether or not it occurs again.
 
         Raises:
             _LeftToDuckDBError: DuckDB has to.
@@ -295,7 +321,7 @@ class _Compiler:
             raise _LeftToDuckDBError
         a, b = left.compute, right.compute
 
-        def compute(values: Mapping[str, Any]) -> float:
+        def compute(values: Values) -> float:
             x, y = float(a(values)), float(b(values))
             result: float = operate(x, y)
             if math.isfinite(result):
@@ -355,7 +381,7 @@ class _Compiler:
             raise _LeftToDuckDBError
         texts = [other.compute for other in others]
 
-        def compute(values: Mapping[str, Any]) -> bool:
+        def compute(values: Values) -> bool:
             return part.compute(values) in [text(values) for text in texts]
 
         return _Scalar("boolean", compute)
@@ -377,7 +403,7 @@ class _Compiler:
         if len(kinds) != 1:
             raise _LeftToDuckDBError
 
-        def compute(values: Mapping[str, Any]) -> Any:
+        def compute(values: Values) -> Any:
             for holds, result in branches:
                 if holds(values):
                     return _of(result, values)
@@ -411,7 +437,7 @@ class _Compiler:
             raise _LeftToDuckDBError
         arguments = [part.compute for part in (*parts, *numbers)]
 
-        def compute(values: Mapping[str, Any]) -> Any:
+        def compute(values: Values) -> Any:
             value = function(*[argument(values) for argument in arguments])
             if value is None:
                 raise _LeftToDuckDBError
@@ -440,11 +466,23 @@ class _Compiler:
         return None if self._has_unknown(sql) else self.scalar(sql)
 
 
-def _left(_: Mapping[str, Any]) -> bool:
+def _once(part: _Scalar, key: str) -> _Scalar:
+    """Returns an expression that is evaluated once for the same parameters."""
+    inner = part.compute
+
+    def compute(values: Values) -> Any:
+        if key not in values:
+            values[key] = inner(values)
+        return values[key]
+
+    return _Scalar(part.kind, compute)
+
+
+def _left(_: Values) -> bool:
     raise _LeftToDuckDBError
 
 
-def _of(result: _Scalar | None, values: Mapping[str, Any]) -> Any:
+def _of(result: _Scalar | None, values: Values) -> Any:
     if result is None:
         raise _LeftToDuckDBError
     return result.compute(values)

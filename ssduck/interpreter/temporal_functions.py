@@ -344,27 +344,12 @@ class TemporalEvaluator:
             UnsupportedError: the expression contains a query, or entities of two worlds.
         """
         expression = call.arguments[0]
-        places = list(_places(expression, call))
-        values = [frame.value(place) for place in places]
-        handles = [isinstance(value, Handle) and value.moment is None for value in values]
-        worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
-        if not worlds:
-            raise ArgumentError(
-                f"{call.name} takes an expression of entities, such as near(gripper, cup, 0.02)",
-                span=expression.span,
-            )
-        if len(worlds) > 1:
-            raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
-        record = record_of(worlds.pop())
+        query, world, values, handles = self._query_and_values(call, frame)
+        record = record_of(world)
         record.world.warn_of_unrecorded_start()
-        query = self._query(call, places, tuple(handles))
 
         def rows(past: Past) -> Sequence[Sequence[Any]]:
-            placeholders = {
-                f"value_{number}": _of_entity(past, value) if is_entity else value
-                for number, (value, is_entity) in enumerate(zip(values, handles, strict=True))
-            }
-            return run(query, placeholders)
+            return run(query, _placeholders(values, handles, past))
 
         reader, least = self.reader, None
         are_entities = all(handles) and all(value.TABLE == "entities" for value in values)
@@ -380,6 +365,37 @@ class TemporalEvaluator:
             ),
         )
         return TickSeries(record, lambda past: reader.rows(key, past, rows), expression, least)
+
+    def query_over_ticks(
+        self, call: Call, frame: Frame, record_of: Callable[[World], Record]
+    ) -> tuple[Query, dict[str, Any]]:
+        """Returns the query of the values of the first argument of a call, over all ticks.
+
+        Its rows are [tick, time, value]. The arguments and errors are those of `series`.
+
+        Returns:
+            The query, and the values of its placeholders.
+        """
+        query, world, values, handles = self._query_and_values(call, frame)
+        return query, _placeholders(values, handles, past_of(record_of(world), None))
+
+    def _query_and_values(
+        self, call: Call, frame: Frame
+    ) -> tuple[Query, World, list[Any], list[bool]]:
+        """Returns the query of a call, the world, its values, and which of them are entities."""
+        expression = call.arguments[0]
+        places = list(_places(expression, call))
+        values = [frame.value(place) for place in places]
+        handles = [isinstance(value, Handle) and value.moment is None for value in values]
+        worlds = {v.world for v, is_entity in zip(values, handles, strict=True) if is_entity}
+        if not worlds:
+            raise ArgumentError(
+                f"{call.name} takes an expression of entities, such as near(gripper, cup, 0.02)",
+                span=expression.span,
+            )
+        if len(worlds) > 1:
+            raise UnsupportedError(f"{call.name} takes entities of one world", span=call.span)
+        return self._query(call, places, tuple(handles)), worlds.pop(), values, handles
 
     def _least_clearance(
         self, meter: UsageMeter, a: int, b: int, past: Past
@@ -405,6 +421,14 @@ def _is_clearance(expression: Node) -> bool:
         and expression.name == "clearance"
         and len(expression.arguments) == 2
     )
+
+
+def _placeholders(values: Sequence[Any], handles: Sequence[bool], past: Past) -> dict[str, Any]:
+    """Returns the values of the placeholders of a query: entities at some ticks, and others."""
+    return {
+        f"value_{number}": _of_entity(past, value) if is_entity else value
+        for number, (value, is_entity) in enumerate(zip(values, handles, strict=True))
+    }
 
 
 def _of_entity(past: Past, entity: Handle) -> Past:

@@ -32,9 +32,11 @@ from ssduck.lakes.scan import (
     records_of,
     size_and_time,
 )
+from ssduck.lakes.statements import SqlDialect, statement
 from ssduck.lakes.where import condition
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.descriptions import checked_description
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
@@ -322,6 +324,39 @@ class Lake:
         kept = KeptAnswers(None if resume is None else expand_path(resume), question)
         return _in_order(question, batches, answer, kept, progress)
 
+    def sql(
+        self,
+        program: str,
+        where: str | None = None,
+        dialect: SqlDialect = "duckdb",
+        *,
+        limits: Limits | None = None,
+    ) -> str:
+        """Returns one statement of SQL that answers a program of formulas without ssduck.
+
+        It reads the Parquet files where they are. A program is one query of a world, or one
+        expression of entities, perhaps in a function over time; relations of shapes, contacts and
+        joints are not written as SQL.
+
+        Args:
+            program: the program.
+            where: a condition on the columns of `episodes`; None for all episodes.
+            dialect: `"duckdb"` or `"spark"`, for a session of Spark.
+            limits: the limits of the program.
+
+        Returns:
+            A SELECT with the columns and rows of `ask`. Where an entity is missing, it gives NULL
+            in place of an error; `changes`, `least` and `greatest` give structs of `time` and
+            `value`. It does not check that files are as they were.
+
+        Raises:
+            ParseError: the text is no program.
+            UnsupportedError: SQL alone cannot answer it, or an episode is in no Parquet files.
+            UnknownNameError: there is no such dialect, or the program names nothing.
+            ArgumentError: the condition is none, or no episode is without an error.
+        """
+        return statement(self._selected(where), program, dialect, limits)
+
     # -- tags -------------------------------------------------------------------------------
 
     def tag(
@@ -425,14 +460,18 @@ def _with_tags(entry: EpisodeEntry, tags: Mapping[str, Tag] | None) -> EpisodeEn
         return entry
     name = f"episodes/{entry.world}-{entry.episode}.json"
     place = expand_path(entry.path) / name
-    (size, modified), checksum = size_and_time(place), zlib.crc32(place.read_bytes())
+    # In this order: if another process writes it meanwhile, it is read again next time.
+    (_, modified), content = size_and_time(place), place.read_bytes()
+    size, checksum = len(content), zlib.crc32(content)
     files = tuple(
         replace(file, size=size, modified=modified, checksum=checksum)
         if file.name == name
         else file
         for file in entry.files
     )
-    return replace(entry, tags={**entry.tags, **tags}, files=files)
+    # Others may have given it further tags.
+    own = checked_description(content, str(place)).get("tags", {})
+    return replace(entry, tags=checked_tags(own), files=files)
 
 
 def _single_value(value: Any) -> Any:

@@ -13,7 +13,6 @@ import numpy as np
 from ssduck.adapters.display import RowsOfColumns
 from ssduck.errors import ArgumentError
 from ssduck.formatting import short_repr
-from ssduck.gym.episodes import EpisodeSteps
 from ssduck.gym.scoring import score_with
 from ssduck.gym.terms import Terms
 from ssduck.interpreter.episode_batches import reads_present
@@ -23,6 +22,7 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.language.parser import parse
 from ssduck.language.tree import Call, Name, Node, Program, QualifiedName
 from ssduck.limits import Limits
+from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.paths import expand_path
 from ssduck.world.handles import Handle
 

@@ -44,7 +44,7 @@ from ssduck.schema import RECORDABLE
 # The answer as a text of JSON, and the error: one of them is None.
 Answer: TypeAlias = tuple[str | None, str | None]
 # What reading a forged file may raise: its columns and their types may be any.
-_UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
+UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
 # The number of groups whose models and plans a process keeps.
 MAX_READERS = 4
 
@@ -102,7 +102,7 @@ class _Reader:
         for index, entry in enumerate(entries):
             try:
                 episodes[index] = self._episode(entry)
-            except _UNREADABLE:
+            except UNREADABLE:
                 continue
         while episodes:
             try:
@@ -200,7 +200,7 @@ def answer_episodes(question: Question, entries: Sequence[EpisodeEntry]) -> list
 def _answers_of_group(question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
     try:
         reader = _reader_of(entries[0], question.limits)
-    except _UNREADABLE:  # others of the group may be whole
+    except UNREADABLE:  # others of the group may be whole
         return [None] * len(entries)
     return reader.answers(question, entries)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import io
-import json
 from typing import Any, Literal, Protocol
 
-from ssduck.adapters.display import RowsOfColumns, as_json, numbered_duplicates
+from ssduck.adapters.display import RowsOfColumns, numbered_duplicates
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.shown_rows import rows_to_show
 from ssduck.mcp.guide import description
+from ssduck.mcp.texts import as_text
 
 # The largest size of a result, letters, and of a picture, pixels along a side.
 MAX_LETTERS, MAX_PIXELS = 50_000, 2_000
@@ -92,11 +92,11 @@ def _text(value: Any, max_rows: int) -> str:
         names = numbered_duplicates(value.columns)
         value = [dict(zip(names, row, strict=True)) for row in value]
     if not isinstance(value, list):
-        return _sized(json.dumps(as_json(value), ensure_ascii=False))
+        return _sized(as_text(value))
     lines: list[str] = []
     size = 0
     for row in value[: max(0, max_rows)]:
-        line = json.dumps(as_json(row), ensure_ascii=False)
+        line = as_text(row)
         size += len(line) + 2
         if size > MAX_LETTERS:
             break

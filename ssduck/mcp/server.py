@@ -7,7 +7,6 @@ of agents under `Limits.strict()`, in a process of their own. Results have a lar
 from __future__ import annotations
 
 import contextlib
-import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +20,7 @@ from ssduck.errors import SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.mcp.answers import Answers, InterpreterAnswers, Language, WorkerError
+from ssduck.mcp.texts import as_text, printable
 
 
 def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPServer[Any]:
@@ -66,7 +66,7 @@ class _Asking:
             return self._answers.help(name)
 
     def query(self, program: str, language: Language = "selectscript", max_rows: int = 100) -> str:
-        """Runs a program, and returns its result as JSON.
+        """Runs a program, and returns its result as JSON; infinities and NaN are texts.
 
         Args:
             program: the program.
@@ -105,7 +105,7 @@ def _episodes_of(record: Path) -> Callable[[], str]:
                 }
                 for episode in episodes(record)
             ]
-            return json.dumps(rows)
+            return as_text(rows)
 
     list_episodes.__name__ = "episodes"
     return list_episodes
@@ -118,6 +118,6 @@ def _errors_as_texts() -> Iterator[None]:
         with contextlib.redirect_stdout(sys.stderr):
             yield
     except WorkerError as error:
-        raise ToolError(error.message) from error
+        raise ToolError(printable(error.message, kept="\n")) from error
     except SelectScriptError as error:
-        raise ToolError(f"{type(error).__name__}: {error}") from error
+        raise ToolError(printable(f"{type(error).__name__}: {error}", kept="\n")) from error

@@ -8,7 +8,7 @@ quaternions w, x, y, z.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal, Protocol, TypeAlias
 
@@ -149,20 +149,38 @@ class Body:
         return any(shape.exact is False for shape in self.shapes)
 
 
-@dataclass(frozen=True, eq=False)
 class LinkPoses:
     """The poses and velocities of n links in the world.
 
-    Attributes:
+    Args:
         positions: (n, 3), the origins of the link frames.
         matrices: (n, 3, 3), the orientations of the link frames.
-        states: (n, 13): a point of the link (its centre of mass) x y z, the orientation of the
-            link frame w x y z, the velocity of the point x y z, the angular velocity x y z.
+        states: (n, 13), or a function that returns them when they are needed: a point of the link
+            (its centre of mass) x y z, the orientation of the link frame w x y z, the velocity of
+            the point x y z, the angular velocity x y z.
+        are_finite: whether the states are surely finite.
+
+    Attributes:
+        positions, matrices, are_finite: see above.
     """
 
-    positions: Array
-    matrices: Array
-    states: Array
+    def __init__(
+        self,
+        positions: Array,
+        matrices: Array,
+        states: Array | Callable[[], Array],
+        *,
+        are_finite: bool = False,
+    ) -> None:
+        self.positions, self.matrices, self.are_finite = positions, matrices, are_finite
+        self._states = states
+
+    @property
+    def states(self) -> Array:
+        """The states, (n, 13)."""
+        if callable(self._states):
+            self._states = self._states()
+        return self._states
 
     def states_at(self, points: Array, links: Indices) -> Array:
         """Returns the states of some links, stated at other points of them.

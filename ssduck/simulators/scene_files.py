@@ -1,29 +1,53 @@
-"""Checks that the files of a scene from a stranger are in the folder of the scene."""
+"""Checks that the files of a scene from a stranger are in the folder of the scene.
+
+Simulators differ in where they look for a file: beside the model or the file that includes it, in
+folders that `<compiler>` names anywhere, with or without the folders in its name. Every such path
+is made of the words between the slashes of names. So whatever can be reached in the folder by these
+words, in any order, is to be a file or a folder inside.
+"""
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import NoReturn
+from typing import Literal, NoReturn, TypeAlias
 from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
+from ssduck.simulators.model_xml import read_xml
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
 from ssduck.simulators.scenes import Scene
 
+# What a file is read as, and so which files it names.
+Role: TypeAlias = Literal["model", "OBJ", "COLLADA", "materials", "picture"]
+
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
 # The elements of URDF files that name a file that is read.
-_NAMED = frozenset(("mesh", "texture", "visual", "collision"))
+_NAMED = frozenset(("mesh", "texture", "visual", "collision", "cdf"))
 # The attributes of any element of MJCF files that name one: of a mesh, a picture, another model.
 _MJCF_FILE = re.compile(r"file(?!name)(?:right|left|up|down|front|back)?")
-# The elements of SDF files whose text is the name of a file.
-_URI = (".//mesh/uri", ".//heightmap/uri")
+# The elements of MJCF files that name another model, whatever its name ends in.
+_MODELS = frozenset(("include", "model"))
+# The elements of SDF files whose <uri> is the name of a file.
+_WITH_URI = frozenset(("mesh", "heightmap"))
 # The attributes of <compiler> in MJCF files that name a folder.
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-# The keys of materials that end in the name of a picture.
-_PICTURES = ("map_", "bump", "disp", "decal", "refl", "norm")
+# The meshes that name other files by the ends of their names.
+_MESHES: dict[str, Role] = {".obj": "OBJ", ".dae": "COLLADA"}
+# The names of files of materials in OBJ files; trimesh joins lines, and finds the word anywhere.
+_MATERIALS = re.compile(r"mtllib([^\n]*)")
+_JOINED_LINES = re.compile(r"\\\r?\n")
+# The names of pictures in files of materials, after options.
+_PICTURES = re.compile(r"(?:^|\s)(?:map_|bump|disp|decal|refl|norm)\S*([^\n]*)", re.IGNORECASE)
+_WORD = re.compile(r"\S+")
+# The largest length of a name, letters, and number of words of a line that has one.
+MAX_NAME, MAX_WORDS = 500, 16
+# Where PyBullet looks beside the working directory.
+_DATA = ("", "data", "../data", "../../data")
 
 
 def check_files_inside(scene: Scene) -> None:
@@ -32,101 +56,248 @@ def check_files_inside(scene: Scene) -> None:
     A simulator looks for a file in other folders, too, if it is not there.
 
     Raises:
-        SceneError: a file is elsewhere, or a model file cannot be checked.
+        SceneError: a file is elsewhere, is no regular file, or cannot be checked.
     """
-    folder = scene.path.resolve().parent
+    files = _SceneFiles(scene.path.resolve().parent)
     for body in scene.bodies:
         if isinstance(body.model, Path):
-            if not body.model.resolve().is_relative_to(folder):
-                _refuse(scene.path, str(body.model), folder)
-            _check_model(body.model, folder, set())
+            files.add_model(body.model.resolve(), scene.path)
+    files.check()
 
 
-def _check_model(model: Path, folder: Path, checked: set[Path]) -> None:
-    """Checks the files that a model file names, and those that included ones name.
+@dataclass(frozen=True)
+class _NamedFile:
+    """A file that has to be there: the file that names it, and the name."""
+
+    source: Path
+    name: str
+    is_mjcf: bool
+
+
+class _SceneFiles:
+    """The files of a scene by their names.
 
     Args:
-        model: the model file.
-        folder: the folder of the scene.
-        checked: the model files that were checked; receives this one.
+        folder: the folder of the scene, without links.
     """
-    if model in checked:
-        return
-    checked.add(model)
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._words: set[str] = set()
+        self._roles: dict[str, set[Role]] = {}
+        self._checked: set[tuple[Path, Role]] = set()
+        self._required: dict[_NamedFile, None] = {}
+        self._model_folders: dict[Path, None] = {}
+        self._inner: dict[str, None] = {}
+
+    def add_model(self, model: Path, source: Path) -> None:
+        """Adds a model file that the scene names.
+
+        Raises:
+            SceneError: it is not in the folder, or a file that it names is not.
+        """
+        if not model.is_relative_to(self._folder):
+            _refuse(source, str(model), self._folder)
+        self._add_words(str(model.relative_to(self._folder)))
+        self._read(model, "model")
+
+    def check(self) -> None:
+        """Checks all files that a simulator may read.
+
+        Raises:
+            SceneError: one is elsewhere, is no regular file, or cannot be checked.
+        """
+        known = -1
+        while known != len(self._checked):  # a file that is read may name others
+            known = len(self._checked)
+            for file in self._reachable():
+                for role in sorted(self._roles.get(_flat(file.name), ())):
+                    self._read(file, role)
+        for named in self._required:
+            self._check_place(named)
+
+    def _reachable(self) -> Iterator[Path]:
+        """Yields the files in the folder whose paths are made of the words.
+
+        Raises:
+            SceneError: such a path leaves the folder, or is no regular file.
+        """
+        waiting, seen = [self._folder], {self._folder}
+        while waiting:
+            folder = waiting.pop()
+            for name in _names_in_folder(folder):
+                if _flat(name) not in self._words:
+                    continue
+                path = folder / name
+                real = Path(os.path.realpath(path))
+                if not real.is_relative_to(self._folder):
+                    _refuse(path, str(real), self._folder)
+                if real.is_dir():
+                    waiting += [real] if real not in seen else []
+                    seen.add(real)
+                elif real.is_file():
+                    yield path
+                elif real.exists():
+                    raise SceneError(f"{path} is no regular file (Limits: files)")
+
+    def _read(self, file: Path, role: Role) -> None:
+        """Adds the names in a file, once."""
+        if (file, role) in self._checked:
+            return
+        self._checked.add((file, role))
+        match role:
+            case "model":
+                self._read_model(file)
+            case "OBJ":
+                text = _text(file)
+                self._add_parts(file, _MATERIALS, text, "materials")
+                self._add_parts(file, _MATERIALS, _JOINED_LINES.sub("", text), "materials")
+            case "materials":
+                self._add_parts(file, _PICTURES, _text(file), "picture")
+            case "COLLADA":
+                for part in _root(file).iter("init_from"):
+                    self._add_name(file, _SCHEME.sub("", "".join(part.itertext()).strip()))
+
+    def _read_model(self, model: Path) -> None:
+        """Adds the names of files and folders in a model file."""
+        root = _root(model)
+        self._model_folders[model.parent] = None
+        for part in root.iter("compiler"):
+            for key in _FOLDERS:
+                if name := part.get(key, ""):
+                    self._add_name(model, name)
+                    self._inner[name] = None
+        is_mjcf = root.tag not in ("robot", "sdf", "gazebo", "world")
+        for tag, text in _names_in(root):
+            self._add_words(text)
+            name = _SCHEME.sub("", text, count=1)
+            self._add_name(model, name)
+            self._required[_NamedFile(model, name, is_mjcf)] = None
+            if tag in _MODELS or name.lower().endswith(MODEL_SUFFIXES):
+                self._add_role(name, "model")
+            for suffix, role in _MESHES.items():
+                if name.lower().endswith(suffix):
+                    self._add_role(name, role)
+
+    def _add_parts(self, file: Path, pattern: re.Pattern[str], text: str, role: Role) -> None:
+        """Adds what readers may take for names in the lines that a pattern finds."""
+        for found in pattern.finditer(text):
+            for name in _parts(file, found[1]):
+                self._add_name(file, name)
+                self._add_role(name, role)
+                self._check_elsewhere(file, name, [file.parent / name])
+
+    def _add_name(self, source: Path, name: str) -> None:
+        self._check_name(source, name)
+        self._add_words(name)
+
+    def _add_words(self, name: str) -> None:
+        for parts in (name.split("/"), re.split(r"[/\\]", name)):
+            self._words.update(_flat(form) for word in parts for form in (word, word.strip()))
+
+    def _add_role(self, name: str, role: Role) -> None:
+        for last in (name.rpartition("/")[2], re.split(r"[/\\]", name)[-1]):
+            self._roles.setdefault(_flat(last), set()).add(role)
+
+    def _check_name(self, source: Path, name: str) -> None:
+        path = PurePosixPath(name.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or "\0" in name or ":" in name:
+            _refuse(source, name, self._folder)
+        if len(name) > MAX_NAME:
+            raise SceneError(f"{source}: {short_repr(name)} has more than {MAX_NAME} letters")
+
+    def _check_place(self, named: _NamedFile) -> None:
+        """Checks that a file is where a simulator looks first, and not elsewhere, too."""
+        names = [named.name]
+        folders = [named.source.parent]
+        if named.is_mjcf:
+            folders += self._model_folders
+            names += [f"{inner}/{named.name}" for inner in self._inner]
+        bare = re.split(r"[/\\]", named.name)[-1] if named.is_mjcf else named.name
+        bares = [bare, *(f"{inner}/{bare}" for inner in self._inner if named.is_mjcf)]
+        files = [folder / name for folder in folders for name in (*names, *bares)]
+        there = [file for file in files if os.path.isfile(file)]  # noqa: PTH113  # of any name
+        if not there:
+            raise SceneError(
+                f"{named.source}: there is no file {short_repr(named.name)} beside it "
+                "(Limits: files)"
+            )
+        for name in names:
+            self._check_elsewhere(named.source, name, there)
+
+    def _check_elsewhere(self, source: Path, name: str, files: list[Path]) -> None:
+        """Checks that no other file has a name in the working directory or above the folder."""
+        places = [Path(data) for data in _DATA] + list(self._folder.parents)
+        for place in places:
+            other = place / name
+            if os.path.exists(other) and not any(_are_same(other, file) for file in files):  # noqa: PTH110
+                _refuse(source, str(other), self._folder)
+
+
+def _are_same(file: Path, other: Path) -> bool:
+    return os.path.exists(other) and file.samefile(other)  # noqa: PTH110
+
+
+def _names_in_folder(folder: Path) -> list[str]:
     try:
-        content = model.read_bytes()
-        if b"<!DOCTYPE" in content:  # readers differ in what they take entities for
+        return sorted(path.name for path in folder.iterdir())
+    except OSError as error:  # what cannot be listed may still be opened by its name
+        raise SceneError(f"{folder} cannot be read: {error.strerror}") from error
+
+
+def _root(model: Path) -> ET.Element:
+    """Returns the root of a model file.
+
+    Raises:
+        SceneError: it cannot be read, or has a <!DOCTYPE>.
+    """
+    try:
+        if not model.is_file():  # a pipe would be waited for
+            raise SceneError(f"{model} is no regular file (Limits: files)")
+        if b"<!DOCTYPE" in model.read_bytes():  # readers differ in what they take entities for
             raise SceneError(f"{model}: <!DOCTYPE> is not allowed (Limits: files)")
-        root = ET.fromstring(content)  # noqa: S314  # without <!DOCTYPE>, it has no entities
+        return read_xml(model)
     except (ET.ParseError, OSError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
         raise SceneError(f"{model} cannot be read: {error}") from error
-    compilers = root.findall(".//compiler")
-    inner = [part.get(key, "") for part in compilers for key in _FOLDERS if part.get(key)]
-    places = [model.parent]
-    for name in inner:
-        _check_name(model, name, folder)
-        places.append(model.parent / name)
-    for name in _names_in(root):
-        file = _file_inside(model, name, places, folder)
-        if file.suffix.lower() == ".obj":
-            _check_materials(file, folder)
-        elif file.suffix.lower() in MODEL_SUFFIXES:
-            _check_model(file.resolve(), folder, checked)
 
 
-def _names_in(root: ET.Element) -> Iterator[str]:
-    """Yields the names of files in a model file, without schemes."""
+def _names_in(root: ET.Element) -> Iterator[tuple[str, str]]:
+    """Yields the names of files in a model file, each with its element."""
     for part in root.iter():
         for attribute, name in part.attrib.items():
             is_urdf = attribute == "filename" and part.tag in _NAMED
             if name and (is_urdf or _MJCF_FILE.fullmatch(attribute)):
-                yield _SCHEME.sub("", name, count=1)
-    for path in _URI:
-        for part in root.iterfind(path):
-            yield _SCHEME.sub("", (part.text or "").strip(), count=1)
+                yield part.tag, name
+        if part.tag in _WITH_URI:
+            for uri in part.iterfind("uri"):
+                yield part.tag, (uri.text or "").strip()
 
 
-def _file_inside(model: Path, name: str, places: Iterable[Path], folder: Path) -> Path:
-    """Returns the file of a name in one of some folders, all of which are in a folder."""
-    _check_name(model, name, folder)
-    files = [place / name for place in places if (place / name).is_file()]
-    inside = [file for file in files if file.resolve().is_relative_to(folder)]
-    if not files:
-        raise SceneError(f"{model}: there is no file {short_repr(name)} beside it (Limits: files)")
-    # A simulator may look into the working directory first.
-    other = Path(name)
-    if inside != files or (other.exists() and not other.samefile(inside[0])):
-        _refuse(model, name, folder)
-    return inside[0]
+def _parts(file: Path, line: str) -> Iterator[str]:
+    """Yields the words of a line, and all that lie side by side: names may have blanks.
+
+    Raises:
+        SceneError: there are too many.
+    """
+    spans = [word.span() for word in _WORD.finditer(line)]
+    if len(spans) > MAX_WORDS:
+        raise SceneError(
+            f"{file}: {short_repr(line.strip())} has more than {MAX_WORDS} words (Limits: files)"
+        )
+    for index, (start, _) in enumerate(spans):
+        for _, end in spans[index:]:
+            yield line[start:end]
 
 
-def _check_name(source: Path, name: str, folder: Path) -> None:
-    path = PurePosixPath(name.replace("\\", "/"))
-    if path.is_absolute() or ".." in path.parts or "\0" in name or ":" in name:
-        _refuse(source, name, folder)
+def _flat(name: str) -> str:
+    """Returns a name in a form that is equal for readers that differ in white space and case."""
+    return re.sub(r"\s", " ", name).casefold()
 
 
-def _check_materials(mesh: Path, folder: Path) -> None:
-    """Checks the files of materials that a mesh names, and the pictures that these name."""
-    for line in _lines(mesh):
-        if line[:1] == ["mtllib"]:
-            for name in line[1:]:
-                _check_name(mesh, name, folder)
-                materials = mesh.parent / name
-                if not materials.resolve().is_relative_to(folder):
-                    _refuse(mesh, name, folder)
-                for key, *words in _lines(materials) if materials.is_file() else ():
-                    if key.lower().startswith(_PICTURES) and words:
-                        _check_name(materials, words[-1], folder)
-
-
-def _lines(file: Path) -> Iterator[list[str]]:
-    """Yields the words of each line that has some."""
-    for line in file.read_text("utf-8", errors="replace").splitlines():
-        if words := line.split():
-            yield words
+def _text(file: Path) -> str:
+    return file.read_bytes().decode("utf-8", errors="surrogateescape")
 
 
 def _refuse(source: Path, name: str, folder: Path) -> NoReturn:

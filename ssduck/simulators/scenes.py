@@ -75,9 +75,10 @@ class Engine:
     """Settings of the physics solver; None for PyBullet's default.
 
     Attributes:
-        substeps: the number of parts of a step; 0 for none.
-        iterations: the greatest number of solver iterations in a step.
-        joint_iterations: the number of iterations for joints and constraints in each of them.
+        substeps: the number of parts of a step, at most 10,000; 0 for none.
+        iterations: the greatest number of solver iterations in a step, at most 10,000.
+        joint_iterations: the number of iterations for joints and constraints in each of them, at
+            most 100.
     """
 
     substeps: int | None = None
@@ -261,9 +262,9 @@ def _scene(table: TomlTable, path: Path) -> Scene:
         elastic=table.flag("elastic", False),
         constraints=constraints,
         engine=Engine(
-            engine.whole("substeps", at_least=0),
-            engine.whole("iterations", at_least=1),
-            engine.whole("joint_iterations", at_least=1),
+            engine.whole("substeps", at_least=0, at_most=10_000),
+            engine.whole("iterations", at_least=1, at_most=10_000),
+            engine.whole("joint_iterations", at_least=1, at_most=100),
         ),
         simulator=table.text("simulator", "") or None,
     )

@@ -13,6 +13,8 @@ from ssduck.errors import SceneError, nearest
 Vector: TypeAlias = tuple[float, float, float]
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
+# The largest whole number: simulators take 32 bits.
+MAX_WHOLE = 2**31 - 1
 # The default of required keys.
 REQUIRED: Any = object()
 
@@ -144,12 +146,14 @@ class TomlTable:
         """Returns the numbers of all keys."""
         return {key: self.number(key) for key in list(self.values)}
 
-    def whole(self, key: str, at_least: float = -math.inf) -> int | None:
-        """Returns an integer; None if the key is missing."""
+    def whole(
+        self, key: str, at_least: float = -MAX_WHOLE, at_most: float = MAX_WHOLE
+    ) -> int | None:
+        """Returns an integer within bounds; None if the key is missing."""
         if key not in self.values:
             self.read_keys.add(key)
             return None
-        value = self.number(key, at_least=at_least)
+        value = self.number(key, at_least=at_least, at_most=at_most)
         if not value.is_integer():
             self.fail(key, f"{value:g} is no whole number")
         return int(value)

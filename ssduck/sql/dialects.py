@@ -46,6 +46,21 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
         raise UnknownNameError(
             f"there is no SQL dialect {short_repr(dialect)}", suggestions=nearest(dialect, names)
         )
+    select = select_for(query, plan, values, dialect)
+    try:
+        return select.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
+    except SqlglotError as error:
+        raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
+
+
+def select_for(query: Query, plan: Plan | None, values: dict[str, Any], dialect: str) -> exp.Expr:
+    """Returns the SQL of a query as sqlglot's tree, which has nothing that an engine lacks.
+
+    The arguments are those of `in_dialect`.
+
+    Raises:
+        UnsupportedError: Python evaluates a part, or the engine lacks it.
+    """
     if plan is None:
         raise UnsupportedError("this query runs row by row in Python", span=query.span)
     for node in plan.python_parts:
@@ -59,10 +74,7 @@ def in_dialect(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     if dialect != "duckdb":
         select = select.transform(_without_infinity)
         _refuse(select, query, dialect)
-    try:
-        return select.sql(dialect=dialect, unsupported_level=sqlglot.ErrorLevel.RAISE, pretty=True)
-    except SqlglotError as error:
-        raise UnsupportedError(f"{dialect}: {error}", span=query.span) from error
+    return select
 
 
 def _without_infinity(part: exp.Expr) -> exp.Expr:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
 
+from ssduck.errors import EvaluationError
 from ssduck.geometry.arrays import Array, Indices
+from ssduck.simulators.contact_pairs import Columns, ContactPairs
 from ssduck.simulators.interface import ContactPoints
+from ssduck.world.layout import TableLayout
+from ssduck.world.live_tables import LiveTable
 
 # A body and a link as one number: the link in the lower bits.
 _LINK_BITS = 32
@@ -15,6 +20,43 @@ _LINK = (1 << _LINK_BITS) - 1
 
 # a, its link, b and its link, (n,) each.
 Sides: TypeAlias = tuple[Indices, Indices, Indices, Indices]
+
+
+def write_contacts(table: LiveTable, contacts: ContactPoints, layout: TableLayout) -> None:
+    """Writes contacts into their table, sorted by a, its link, b, its link, and the points."""
+    table.resize(len(contacts))
+    if not len(contacts):
+        return
+    sides, numbers = contact_rows(contacts, layout.ids_of_handles[contacts.bodies])
+    for name, column in zip(("a", "link_a", "b", "link_b"), sides, strict=True):
+        table[name][:] = column
+    table.doubles("ax", "fz")[:] = numbers
+
+
+def contact_pairs(
+    unwritten: ContactPoints | None, layout: TableLayout, table: Callable[[], LiveTable]
+) -> ContactPairs:
+    """Returns the contacts of a tick.
+
+    Args:
+        unwritten: the contacts, if they are not in the table yet; else None.
+        layout: the entities.
+        table: a function that returns the table of contacts, written.
+
+    Raises:
+        EvaluationError: a number in the table is unknown, which is NULL in SQL.
+    """
+
+    def columns() -> Columns:
+        rows = table()
+        if not rows.is_complete:
+            raise EvaluationError("a contact has an unknown number")
+        return rows["a"], rows["b"], rows["force"], rows.doubles("nx", "nz")
+
+    if unwritten is not None:
+        return ContactPairs(layout.ids_of_handles[unwritten.bodies], unwritten.forces, columns)
+    a, b, forces, _ = columns()
+    return ContactPairs(np.stack((a, b), axis=1), forces, columns)
 
 
 def contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Sides, Array]:

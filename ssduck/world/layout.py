@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate
 
 import numpy as np
@@ -20,6 +20,7 @@ from ssduck.geometry.poses import IDENTITY, compose, multiply, rotate, rotation_
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
+from ssduck.world.live_tables import LiveTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,6 +205,24 @@ class BodyGroup:
         """Writes the rows of the bodies and of their sensors; `block` is (19, entities)."""
         self.write_states(link_poses, block)
         self.write_boxes(link_poses, block)
+
+    def write_later(self, link_poses: LinkPoses, table: LiveTable) -> None:
+        """Writes these rows of the table of entities when they are read: few programs read all.
+
+        Numbers that may not be finite are written at once, and those of sensors' poses.
+        """
+        block = table.doubles("x", "zmax")
+        if link_poses.are_finite and table.is_complete and not self._mounts:
+            table.defer("x", "z", partial(self._write_positions, link_poses, block))
+            table.defer("qw", "wz", partial(self.write_states, link_poses, block))
+        elif not (self.write_states(link_poses, block) and table.is_complete):
+            self.write_boxes(link_poses, block)
+            return
+        table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
+
+    def _write_positions(self, link_poses: LinkPoses, block: Array) -> None:
+        """Writes the positions of these rows, if there are no sensors."""
+        block[:3, self._rows] = link_poses.positions.take(self._row_frames, axis=0).T
 
     def write_states(self, link_poses: LinkPoses, block: Array) -> bool:
         """Writes the poses and velocities of these rows; returns whether all are finite."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Collection, Iterable
 from itertools import count
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,9 @@ ARROW_TYPES: dict[ColumnType, pa.DataType] = {
     "points": pa.list_(pa.list_(pa.float64(), 3)),
     "triples": pa.list_(pa.list_(pa.int32(), 3)),
 }
+
+# Rows of a block that are still to be written, and the function that writes them.
+_Deferred: TypeAlias = tuple[range, Callable[[], object]]
 
 _versions = count(1)
 # A table that becomes larger than its buffers gets such a part of its size more.
@@ -66,8 +69,7 @@ class LiveTable:
     def fill(self, count: int, values: dict[str, Any]) -> None:
         """Resets the table to a number of rows; columns of numbers without values start at 0."""
         self.count = count
-        # The rows of the block that are still to be written, and the function that writes them.
-        self._deferred: tuple[range, Callable[[], None]] | None = None
+        self._deferred: list[_Deferred] = []
         kinds: dict[str, ColumnType] = {column.name: column.type for column in self.columns}
         self._numbers: dict[str, npt.NDArray[Any]] = {}
         # Columns of numbers without missing values get buffers; the others stay Arrow arrays.
@@ -148,6 +150,16 @@ class LiveTable:
         It is made when it is asked for: that takes longer than to fill a table that is recorded.
         """
         self.settle()
+        return self._shared()
+
+    def arrow_with(self, names: Iterable[str]) -> pa.Table:
+        """Returns the Arrow table, in which only these columns are certain to be written."""
+        for name in names:
+            self._settle(name)
+        return self._shared()
+
+    def _shared(self) -> pa.Table:
+        """Returns the Arrow table; deferred columns have numbers of an earlier tick."""
         if self._arrow is None:
             unknown = np.logical_or.reduce(np.isnan(self._block), axis=1)
             self._arrow = pa.table(
@@ -211,7 +223,7 @@ class LiveTable:
         column = self._numbers.get(name)
         if column is None:
             return self.values(name)[row]
-        if self._deferred is not None:
+        if self._deferred:
             self._settle(name)
         number = column[row].item()
         return None if number != number else number  # noqa: PLR0124  # NaN is unknown
@@ -227,34 +239,37 @@ class LiveTable:
         self.settle()
         return self._block
 
-    def defer(self, first: str, last: str, write: Callable[[], None]) -> None:
-        """Has adjacent columns of doubles written later, before anything reads them.
+    def defer(self, first: str, last: str, write: Callable[[], object]) -> None:
+        """Has adjacent columns of doubles written later, before anything reads any of them.
 
         Their numbers must all be finite. Until then, the columns have those of an earlier tick.
+        Several functions may write different columns.
         """
-        self._deferred = range(self._row[first], self._row[last] + 1), write
+        rows = range(self._row[first], self._row[last] + 1)
+        self._deferred = [*self._deferred, (rows, write)]  # a clone has the same list
 
     def settle(self) -> None:
         """Writes the columns that were deferred."""
-        deferred = self._deferred
-        if deferred is not None:
-            deferred[1]()
-            if self._deferred is deferred:
-                self._deferred = None
+        if self._deferred:
+            self._write(self._deferred)
+
+    def _write(self, deferred: list[_Deferred]) -> None:
+        """Writes some columns that were deferred; they stay so if that fails."""
+        for entry in list(deferred):
+            entry[1]()
+            self._deferred = [other for other in self._deferred if other is not entry]
 
     def overwritten(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns that the caller overwrites, deferred or not."""
-        self._deferred = None
+        self._deferred = []
         return self.doubles(first, last)
 
     def _settle(self, first: str, last: str | None = None) -> None:
-        """Writes the columns that were deferred if any of some adjacent ones is of them."""
-        deferred = self._deferred
-        if deferred is None or first not in self._row:
+        """Writes the deferred columns that are written together with any of some adjacent ones."""
+        if not self._deferred or first not in self._row:
             return
-        rows = deferred[0]
-        if self._row[first] < rows.stop and self._row[last or first] >= rows.start:
-            self.settle()
+        low, high = self._row[first], self._row[last or first]
+        self._write([d for d in self._deferred if low < d[0].stop and high >= d[0].start])
 
     @property
     def names_of_doubles(self) -> list[str]:

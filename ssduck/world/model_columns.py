@@ -1,10 +1,11 @@
-"""Computes the columns of links and joints that no tick changes, from the bodies."""
+"""Computes the columns of links, joints and shapes that no tick changes, from the bodies."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias
 
+from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.interface import Body
 
 # The number of rows, and the columns by name.
@@ -34,3 +35,34 @@ def joint_columns(bodies: Iterable[tuple[int, Body]]) -> Rows:
     values = {name: [getattr(joint, name) for _, _, joint in joints] for name in columns}
     owners, numbers = [id for id, _, _ in joints], [n for _, n, _ in joints]
     return len(joints), {"entity": owners, "joint": numbers, **values}
+
+
+def shape_columns(
+    bodies: Iterable[tuple[int, Body]], geometry_id: Callable[[Geometry], int]
+) -> tuple[Rows, Rows]:
+    """Returns the rows of the shapes of bodies, and those of their distinct geometries.
+
+    Args:
+        bodies: the bodies, each with the id of its entity.
+        geometry_id: a function that returns the id of a geometry.
+    """
+    shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
+    ids = [geometry_id(shape.geometry) for _, _, shape in shapes]
+    distinct = {id: s.geometry for id, (_, _, s) in zip(ids, shapes, strict=True)}
+    geometries = distinct.values()
+    of_shapes: dict[str, Sequence[Any]] = {
+        "entity": [entity for entity, _, _ in shapes],
+        "link": [shape.frame for _, _, shape in shapes],
+        "shape": [number for _, number, _ in shapes],
+        "geometry": ids,
+        "margin": [shape.margin for _, _, shape in shapes],
+        "exact": [shape.exact for _, _, shape in shapes],
+    }
+    of_geometries: dict[str, Sequence[Any]] = {
+        "id": list(distinct),
+        "type": [geometry.type for geometry in geometries],
+        **{f"size_{axis}": [g.size[n] for g in geometries] for n, axis in enumerate("xyz")},
+        "vertices": [geometry.vertices.tolist() for geometry in geometries],
+        "faces": [geometry.faces.tolist() for geometry in geometries],
+    }
+    return (len(shapes), of_shapes), (len(distinct), of_geometries)

@@ -7,7 +7,7 @@ its last reading remains valid. All rays of a tick are cast in one call.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,6 +20,7 @@ from ssduck.schema import FORGOTTEN_AFTER
 from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
+from ssduck.world.live_tables import LiveTable
 
 # Sums of time steps deviate by less than this, s.
 _ROUNDING = 1e-9
@@ -340,3 +341,25 @@ def _contact_reading(info: EntityInfo, context: TickContext, contacts: ContactPo
         contacts.points[rows, sides],
         forces=contacts.forces[rows],
     )
+
+
+def write_sensings(
+    table: LiveTable, readings: Mapping[int, Reading], entities: Container[int]
+) -> None:
+    """Writes readings, by the ids of their sensors, into the table of sensings.
+
+    Args:
+        table: the table.
+        readings: the readings.
+        entities: the ids of the entities that are there; others were removed since.
+    """
+    rows = [
+        (sensor, entity, hits, reading.rays, reading.time)
+        for sensor, reading in sorted(readings.items())
+        for entity, hits in reading.hits.items()
+        if entity in entities
+    ]
+    table.resize(len(rows))
+    numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
+    for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
+        table[name][:] = numbers[:, column]

@@ -14,7 +14,6 @@ import copy
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import accumulate, chain
 from typing import Any
 
@@ -30,13 +29,21 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
+from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
-from ssduck.world.contact_rows import contact_rows
+from ssduck.world.contact_rows import contact_pairs, write_contacts
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
-from ssduck.world.model_columns import joint_columns, link_columns
+from ssduck.world.model_columns import joint_columns, link_columns, shape_columns
 from ssduck.world.run_numbers import new_run
-from ssduck.world.sensor_readings import Reading, SensorReader, TickContext, has_rays, sensor_poses
+from ssduck.world.sensor_readings import (
+    Reading,
+    SensorReader,
+    TickContext,
+    has_rays,
+    sensor_poses,
+    write_sensings,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +71,6 @@ class Snapshot:
     """The tables of the current tick of one world.
 
     Attributes:
-        tables: the tables by name.
         number: the number of the tick, from 1.
         time: the simulated time of the tick, s.
         load_order: the entities in load order, as passed to `take`.
@@ -81,7 +87,10 @@ class Snapshot:
 
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
         self.run = new_run() if run is None else run
-        self.tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
+        self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
+        # The contacts of this tick, and those that are not in the table yet; see `tables`.
+        self._contacts: ContactPoints = ContactPoints.none()
+        self._are_contacts_written = True
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
         self.unavailable: Mapping[str, str] = {}
@@ -116,6 +125,22 @@ class Snapshot:
         self.masses: dict[int, list[float]] = {}
 
     @property
+    def tables(self) -> Mapping[str, LiveTable]:
+        """The tables by name."""
+        if not self._are_contacts_written:
+            self._write_contacts()
+        return self._tables
+
+    def settle(self) -> None:
+        """Writes all rows of this tick that were left for later: DuckDB reads without asking."""
+        self.tables["entities"].settle()
+
+    def contacts(self) -> ContactPairs:
+        """Returns the contacts of this tick, whose table must have been requested."""
+        unwritten = None if self._are_contacts_written else self._contacts
+        return contact_pairs(unwritten, self._layout, lambda: self.tables["contacts"])
+
+    @property
     def entities(self) -> Sequence[EntityInfo]:
         """The entities by row: sensors first, then bodies."""
         return self._layout.entities
@@ -147,7 +172,7 @@ class Snapshot:
 
         The table of joints must have been requested.
         """
-        states = self.tables["joints"].doubles("position", "effort").T.copy()
+        states = self._tables["joints"].doubles("position", "effort").T.copy()
         first = 0
         by_body = {}
         for _, body in self._layout.bodies:
@@ -166,14 +191,15 @@ class Snapshot:
             unavailable: the tables whose rows are unknown there, with the reason.
             run: the number of the run of its ticks; None for a new one.
         """
+        self.settle()
         clone = copy.copy(self)
         # The two snapshots must not write to each other's buffers.
-        clone.tables = {
+        clone._tables = {  # noqa: SLF001  # one class
             name: copy.copy(table) if name in ("geometries", *unavailable) else table.clone()
             for name, table in self.tables.items()
         }
         for name in unavailable:
-            clone.tables[name].fill(0, {})
+            clone._tables[name].fill(0, {})  # noqa: SLF001
         clone.unavailable = unavailable
         clone.calls, clone._shapes, clone._boxes = CallCounter(), None, None  # noqa: SLF001
         clone._shapes_and_sites = None  # noqa: SLF001
@@ -193,7 +219,7 @@ class Snapshot:
     def _set_run(self, run: int) -> None:
         """Sets the run that the ticks belong to."""
         self.run = run
-        self.tables["entities"]["run"].fill(run)
+        self._tables["entities"]["run"].fill(run)
 
     def past(self, number: int, unavailable: Mapping[str, str]) -> Snapshot:
         """Returns a clone to be taken of the past tick of a number; see `clone`."""
@@ -213,7 +239,7 @@ class Snapshot:
         """Resets the tables for the entities of a layout."""
         self._layout, self._written = layout, {}
         entities = layout.entities
-        self.tables["entities"].fill(
+        self._tables["entities"].fill(
             len(entities),
             {
                 "id": [info.id for info in entities],
@@ -225,12 +251,12 @@ class Snapshot:
                 "run": np.full(len(entities), self.run),
             },
         )
-        self.tables["links"].fill(*link_columns(layout.bodies))
-        self.tables["joints"].fill(*joint_columns(layout.bodies))
+        self._tables["links"].fill(*link_columns(layout.bodies))
+        self._tables["joints"].fill(*joint_columns(layout.bodies))
         self._fill_shapes(layout.bodies)
-        self.tables["contacts"].fill(0, {})
-        self.tables["sensings"].fill(0, {})
-        self.tables["ticks"].fill(1, {})
+        self._tables["contacts"].fill(0, {})
+        self._tables["sensings"].fill(0, {})
+        self._tables["ticks"].fill(1, {})
 
     def _flag_columns(self) -> dict[str, list[bool]]:
         """Returns the columns `enabled` and `visible` of the entities; False for sensors."""
@@ -241,33 +267,9 @@ class Snapshot:
         }
 
     def _fill_shapes(self, bodies: Sequence[tuple[int, Body]]) -> None:
-        shapes = [(id, n, shape) for id, body in bodies for n, shape in enumerate(body.shapes)]
-        geometries = [self.geometry_id(shape.geometry) for _, _, shape in shapes]
-        self.tables["shapes"].fill(
-            len(shapes),
-            {
-                "entity": [entity for entity, _, _ in shapes],
-                "link": [shape.frame for _, _, shape in shapes],
-                "shape": [number for _, number, _ in shapes],
-                "geometry": geometries,
-                "margin": [shape.margin for _, _, shape in shapes],
-                "exact": [shape.exact for _, _, shape in shapes],
-            },
-        )
-        distinct = {id: s.geometry for id, (_, _, s) in zip(geometries, shapes, strict=True)}
-        sizes = np.array([geometry.size for geometry in distinct.values()]).reshape(-1, 3)
-        self.tables["geometries"].fill(
-            len(distinct),
-            {
-                "id": list(distinct),
-                "type": [geometry.type for geometry in distinct.values()],
-                "size_x": sizes[:, 0],
-                "size_y": sizes[:, 1],
-                "size_z": sizes[:, 2],
-                "vertices": [geometry.vertices.tolist() for geometry in distinct.values()],
-                "faces": [geometry.faces.tolist() for geometry in distinct.values()],
-            },
-        )
+        shapes, geometries = shape_columns(bodies, self.geometry_id)
+        self._tables["shapes"].fill(*shapes)
+        self._tables["geometries"].fill(*geometries)
 
     def geometry_id(self, geometry: Geometry) -> int:
         """Returns the id of a geometry in the table of geometries, the same for equal ones."""
@@ -277,7 +279,7 @@ class Snapshot:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
             solids, solid_indices, starts, numbers, shape_table = self._comparable
-            table = self.tables["shapes"]
+            table = self._tables["shapes"]
             narrow = NarrowPhase(
                 solids,
                 solid_indices,
@@ -288,7 +290,7 @@ class Snapshot:
                 self.calls,
                 shape_table.margins,
             )
-            entities = self.tables["entities"]
+            entities = self._tables["entities"]
             boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
             self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, table["link"])
         return self._shapes
@@ -309,7 +311,7 @@ class Snapshot:
     def boxes(self) -> BoxQueries:
         """Returns the boxes and the positions of the entities of this tick."""
         if self._boxes is None:
-            entities = self.tables["entities"]
+            entities = self._tables["entities"]
             boxes, positions = entities.doubles("xmin", "zmax"), entities.doubles("x", "z")
             self._boxes = BoxQueries(boxes.copy(), positions.copy(), entities["id"].copy())
         return self._boxes
@@ -325,7 +327,7 @@ class Snapshot:
             solid_indices = np.array(
                 [indices[shape.geometry.key] for shape in shapes], dtype=np.intp
             )
-            margins = self.tables["shapes"]["margin"].copy()
+            margins = self._tables["shapes"]["margin"].copy()
             solids = list(map(solid_of, distinct.values()))
             counts = [len(body.shapes) for _, body in bodies]
             starts = list(accumulate(counts, initial=0))
@@ -343,7 +345,7 @@ class Snapshot:
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
-        return self.tables[table].value(column, row)
+        return (self._tables if table == "entities" else self.tables)[table].value(column, row)
 
     # -- a tick ---------------------------------------------------------------------------
 
@@ -402,8 +404,8 @@ class Snapshot:
         self._masses_tick = self.number
         bodies = self._layout.bodies
         masses = simulator.read_masses([body for _, body in bodies])
-        self.tables["links"]["mass"][:] = list(chain(*masses))
-        entities = self.tables["entities"]["mass"]
+        self._tables["links"]["mass"][:] = list(chain(*masses))
+        entities = self._tables["entities"]["mass"]
         for (id, _), link_masses in zip(bodies, masses, strict=True):
             entities[self.rows[id]] = sum(link_masses)
             self.masses[id] = link_masses
@@ -416,7 +418,7 @@ class Snapshot:
         self._margins_tick = self.number
         bodies = [body for _, body in self._layout.bodies]
         current = np.array([*chain(*simulator.read_margins(bodies))], np.float64)
-        shapes = self.tables["shapes"]
+        shapes = self._tables["shapes"]
         if not np.array_equal(current, shapes["margin"]):
             shapes["margin"][:] = current
             shapes.publish()
@@ -425,7 +427,7 @@ class Snapshot:
     @property
     def margins(self) -> float:
         """The largest distance of two shapes whose margins touch, m."""
-        return 2.0 * float(self.tables["shapes"]["margin"].max(initial=0.0))
+        return 2.0 * float(self._tables["shapes"]["margin"].max(initial=0.0))
 
     # A diverging simulation has infinite numbers; `_finish` warns of them.
     @np.errstate(invalid="ignore")
@@ -455,13 +457,12 @@ class Snapshot:
         self._link_poses = state.static, state.moving
         self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
-            self.tables["joints"].doubles("position", "effort")[:] = state.joints.T
-        if "contacts" in tables:
-            self._write_contacts(state.contacts)
+            self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
+        self._contacts, self._are_contacts_written = state.contacts, "contacts" not in tables
         self.sensing.readings = state.readings
         self._read_sensors = state.sensors
         if "sensings" in tables:
-            self._write_sensings(state.readings)
+            write_sensings(self._tables["sensings"], state.readings, self.rows)
         self._finish()
 
     def _read_state(
@@ -510,7 +511,7 @@ class Snapshot:
             return
         self.disabled, self.hidden = disabled, hidden
         if same:  # otherwise `_lay_out` resets all columns
-            self.tables["entities"].set_columns(self._flag_columns())
+            self._tables["entities"].set_columns(self._flag_columns())
 
     def _sensors_to_read(
         self, layout: TableLayout, number: int, *, all_sensors: bool
@@ -527,20 +528,17 @@ class Snapshot:
 
     def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
         """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
-        table, bodies = self.tables["entities"], self._layout.moving_bodies
+        table, bodies = self._tables["entities"], self._layout.moving_bodies
         block = table.overwritten("x", "zmax")
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
-        if bodies.write_states(moving, block) and table.is_complete:  # many read only poses
-            table.defer("xmin", "zmax", partial(bodies.write_boxes, moving, block))
-        else:
-            bodies.write_boxes(moving, block)
+        bodies.write_later(moving, table)
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
 
     def _write_parts(self, name: str) -> None:
         """Writes the rows of links or shapes; those of bodies that cannot move are written once."""
-        block = self.tables[name].doubles("x", "zmax")
+        block = self._tables[name].doubles("x", "zmax")
         for group, poses in self.body_groups:
             if self._written.get(name) is not poses:
                 (group.write_links if name == "links" else group.write_shapes)(poses, block)
@@ -549,16 +547,16 @@ class Snapshot:
     def _finish(self) -> None:
         """Writes tick and time into the tables that were read, and publishes them."""
         if not self._is_past:
-            self.tables["ticks"]["wall_time"].fill(time.time())
-        for name in ("entities", "ticks", *self._read):
+            self._tables["ticks"]["wall_time"].fill(time.time())
+        for name in ("entities", "ticks", *self._read.difference(("contacts",))):
             self._publish(name)
         # The warning for a past tick was given when it was taken.
-        if not self.tables["entities"].is_complete and not self._is_past:
-            self._warn_of_unknown(self.tables["entities"].doubles("x", "zmax"))
+        if not self._tables["entities"].is_complete and not self._is_past:
+            self._warn_of_unknown(self._tables["entities"].doubles("x", "zmax"))
 
     def _publish(self, name: str) -> None:
         """Writes tick and time into a table, and publishes it."""
-        table = self.tables[name]
+        table = self._tables[name]
         table["tick"].fill(self.number)
         table["time"].fill(self.time)
         if name != "ticks":  # its numbers are always known
@@ -575,26 +573,11 @@ class Snapshot:
                     "what depends on it is NULL",
                 )
 
-    def _write_contacts(self, contacts: ContactPoints) -> None:
-        """Writes the contacts, sorted by a, its link, b, its link, and the points."""
-        table = self.tables["contacts"]
-        table.resize(len(contacts))
-        if not len(contacts):
-            return
-        sides, numbers = contact_rows(contacts, self._layout.ids_of_handles[contacts.bodies])
-        for name, column in zip(("a", "link_a", "b", "link_b"), sides, strict=True):
-            table[name][:] = column
-        table.doubles("ax", "fz")[:] = numbers
-
-    def _write_sensings(self, readings: Mapping[int, Reading]) -> None:
-        table = self.tables["sensings"]
-        rows = [
-            (sensor, entity, hits, reading.rays, reading.time)
-            for sensor, reading in sorted(readings.items())
-            for entity, hits in reading.hits.items()
-            if entity in self.rows  # it may have been removed since
-        ]
-        table.resize(len(rows))
-        numbers = np.array(rows, dtype=np.float64).reshape(-1, 5)
-        for column, name in enumerate(("sensor", "entity", "hits", "rays", "measured")):
-            table[name][:] = numbers[:, column]
+    def _write_contacts(self) -> None:
+        """Writes the contacts of this tick into their table."""
+        self._are_contacts_written = True
+        table = self._tables["contacts"]
+        write_contacts(table, self._contacts, self._layout)
+        table["tick"].fill(self.number)
+        table["time"].fill(self.time)
+        table.publish_unknown()

@@ -425,7 +425,7 @@ class SteppedSimulation(Observable):
             if tables:
                 self.request_tables(tables)
             if is_settled and self.is_restored:
-                self.snapshot.tables["entities"].settle()
+                self.snapshot.settle()
             self._queries += 1
         except BaseException:
             self.lock.release()

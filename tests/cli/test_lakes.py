@@ -2,6 +2,7 @@
 
 import json
 
+import duckdb
 import pytest
 
 import ssduck
@@ -40,6 +41,20 @@ def test_lake_ask_and_tag(runs):
     rows = json.loads(answer("ask", runs, "z(kitchen.fridge);", "-F", "json", "-w", "episode = 1"))
     assert [(row["episode"], row["error"]) for row in rows] == [(1, None)]
     assert rows[0]["answer"] == pytest.approx(1.55, abs=0.1)
+
+
+def test_ask_writes_sql(runs, tmp_path):
+    program = "SELECT id FROM kitchen WHERE z(this) > 1;"
+    told = answer("ask", runs, program, "-w", "episode = 1", "--sql", "duckdb")
+    asked = json.loads(answer("ask", runs, program, "-w", "episode = 1", "-F", "json"))
+    with duckdb.connect() as connection:
+        rows = connection.execute(told).fetchall()
+    assert [row[3] for row in rows] == [row["id"] for row in asked]
+    assert len(rows) > 1
+    assert answer("ask", runs, program, "--sql", "spark", "-o", str(tmp_path / "above.sql")) == ""
+    assert f"parquet.`{runs}/entities/world=kitchen`" in (tmp_path / "above.sql").read_text()
+    result = ssduck_("ask", runs, "on(kitchen.table, kitchen.can);", "--sql", "spark")
+    assert "on, which compares shapes, is not written as SQL" in result.stderr
 
 
 def test_errors_of_episodes_end_with_1(runs):

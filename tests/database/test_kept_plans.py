@@ -12,6 +12,7 @@ import ssduck
 from ssduck.database import kept_plans
 from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.schema import TABLES
+from ssduck.world.layout import BodyGroup
 
 RUNS = RUNS_BEFORE_PLAN + 3
 # Statements, and whether their plans are kept.
@@ -248,6 +249,52 @@ def test_a_new_body_drops_the_plan_and_its_functions(traced):
         ss.call_variable("sim").tick()
         ss.sql("SELECT 1").fetchall()
     assert found > 0
+
+
+# Statements, and whether they read boxes; None if that depends on what DuckDB plans.
+BOXES = [
+    ("SELECT name FROM entities WHERE kind = 'kinbody'", False),
+    ("SELECT count(*), max(z) FROM entities", False),
+    ("SELECT name FROM entities WHERE id IN (SELECT id FROM entities WHERE z > 0.2)", False),
+    ("SELECT * EXCLUDE (xmin, ymin, zmin, xmax, ymax, zmax) FROM entities", None),
+    ("SELECT max(zmax) FROM entities", True),
+    ("SELECT name FROM entities WHERE ZMIN > 0.1", True),
+    ("SELECT name FROM entities ORDER BY zmin DESC LIMIT 3", True),
+    ("SELECT * FROM entities", True),
+    ("FROM sim.entities", True),
+    ("SELECT COLUMNS('^zm') FROM entities", True),
+    ("SELECT max(e)::TEXT FROM entities e", True),
+    ("SELECT e.m.zmax FROM (SELECT e AS m FROM entities e) e", True),
+    ("SELECT highest(e) FROM entities e", True),
+    ("SELECT name FROM entities e WHERE EXISTS (FROM entities o WHERE above(o, e))", True),
+    ("SELECT clearance(a, b) FROM entities a, entities b WHERE a.id < b.id AND a.z < 0.3", True),
+    ("SELECT #23 FROM entities", True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("most", [0, kept_plans.MAX_ROWS], ids=["scanned", "kept"])
+@pytest.mark.parametrize(("sql", "reads"), BOXES)
+def test_boxes_are_written_for_statements_that_read_them(traced, monkeypatch, sql, reads, most):
+    ss, client, statements = traced
+    monkeypatch.setattr(kept_plans, "MAX_ROWS", most)
+    ss.sql("CREATE MACRO highest(e) AS e.zmax")
+    calls = []
+    write = BodyGroup.write_boxes
+    monkeypatch.setattr(
+        BodyGroup, "write_boxes", lambda *arguments: calls.append(1) or write(*arguments)
+    )
+    for _ in range(RUNS + 2):
+        move(ss, client)
+        statements.clear()
+        calls.clear()
+        found = ss.sql(sql).fetchall()
+        asked = len(calls)
+        with ss._database.pinned():  # all columns are written
+            expected = ss._database.connection.table(sql, None).to_pylist()
+        assert sorted(map(repr, found)) == sorted(repr(tuple(row.values())) for row in expected)
+    assert statements[0].startswith("EXECUTE")
+    if reads is not None:
+        assert bool(asked) == reads
 
 
 def test_no_plan_is_kept_of_many_rows(traced, monkeypatch):

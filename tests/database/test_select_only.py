@@ -19,6 +19,8 @@ def strict():
 
 
 PERMITTED = [
+    "SELECT string_agg(name, ', ' ORDER BY name) FROM entities",
+    "SELECT kind, group_concat(name), listagg(name, ';') FROM entities GROUP BY kind ORDER BY kind",
     "SELECT name FROM entities WHERE kind = 'robot'",
     "FROM entities SELECT max(z) GROUP BY kind HAVING count(*) > 1 ORDER BY 1 LIMIT 3",
     "SELECT count(*) FROM kitchen.entities_history",
@@ -131,7 +133,6 @@ REFUSED = [
     ("SELECT 1 LIMIT length(rpad('a', 1000000000, 'b'))", "rpad"),
     ("SELECT sum(length(printf('%1000000000d', 1))) OVER () FROM entities", "printf"),
     ("SELECT COLUMNS(c -> format('{:1000000000}', c) = 'a') FROM entities", "format"),
-    ("SELECT string_agg(name, '') FROM entities", "string_agg"),
     ("SELECT list_transform([1], x -> sleep_ms(100000))", "sleep_ms"),
     ("SELECT current_setting('home_directory')", "current_setting"),
     ("SELECT getvariable('a')", "getvariable"),
@@ -170,7 +171,7 @@ REFUSED = [
     ("COPY entities FROM '/etc/passwd'", "not COPY"),
     ("DETACH memory", "one SELECT"),
     ("VACUUM", "one SELECT"),
-    ("FROM (PIVOT entities ON kind IN ('robot') USING string_agg(name))", "string_agg"),
+    ("FROM (PIVOT entities ON kind IN ('robot') USING getenv(name))", "getenv"),
 ]
 
 
@@ -202,6 +203,13 @@ ENDED = [
     ("SELECT list(range) FROM range(1000000000)", LARGE),
     ("SELECT json_group_array(range) FROM range(1000000000)", LARGE),
     ("SELECT histogram(range) FROM range(1000000000)", LARGE),
+    (f"SELECT length(string_agg('{'a' * 100_000}', ',')) FROM range(1000000)", LARGE),
+    (f"SELECT length(group_concat('a', '{'a' * 100_000}')) FROM range(1000000)", LARGE),
+    (
+        f"SELECT max(a) FROM (SELECT listagg('{'a' * 9_000}') OVER (ORDER BY range) AS a "
+        "FROM range(9000))",
+        LARGE,
+    ),
     ("SELECT count(*) FROM range(10000000) a, range(10000000) b WHERE a.range*b.range=-7", SLOW),
     (
         "SELECT a.range FROM range(100000) a, range(100000) b ORDER BY hash(b.range + a.range)",

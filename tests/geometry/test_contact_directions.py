@@ -15,13 +15,10 @@ from ssduck.geometry.proofs import contact_directions
 from ssduck.geometry.proofs.contact_directions import (
     NOT_UPWARD,
     UPWARD,
-    _bounds,
-    _classes,
-    _mesh,
-    _stretch,
-    upward_verdicts,
+    decide_upward,
 )
-from ssduck.geometry.proofs.nearest_points import upward_round_verdicts
+from ssduck.geometry.proofs.direction_triangles import bounds_of, classes_of, mesh_of, stretch_of
+from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.verdicts import UNDECIDED
 from tests.support import pairs
 from tests.support.pairs import Shape, gap
@@ -39,7 +36,7 @@ def unit(vectors):
 
 @pytest.mark.parametrize("min_height", HEIGHTS)
 def test_triangles_cover_all_directions_in_their_classes(min_height):
-    mesh = _mesh(min_height)
+    mesh = mesh_of(min_height)
     directions = unit(np.random.default_rng(1).normal(size=(3, 3000)))
     corners = mesh.directions[:, mesh.corners]  # (axis, corner, triangle)
     weights = np.linalg.solve(corners.transpose(2, 0, 1)[:, None], directions.T[None, :, :, None])
@@ -55,8 +52,8 @@ def test_bounds_are_below_all_overlaps_in_a_triangle():
     random = np.random.default_rng(2)
     corners = unit(random.normal(size=(3, 3, 400)).swapaxes(0, 1)).swapaxes(0, 1)
     points = random.normal(size=(3, 3, 400)) + random.choice([-1.0, 0.0, 1.0], (1, 3, 400))
-    stretch = _stretch(corners)
-    bounds, facets = _bounds(np.einsum("kcn,icn->kin", points, corners), stretch)
+    stretch = stretch_of(corners)
+    bounds, facets = bounds_of(np.einsum("kcn,icn->kin", points, corners), stretch)
     weights = np.concatenate((random.dirichlet((0.5, 0.5, 0.5), 500), np.eye(3)))
     directions = np.einsum("wi,icn->cwn", weights, corners)
     directions /= np.linalg.norm(directions, axis=0)
@@ -69,7 +66,7 @@ def test_bounds_are_below_all_overlaps_in_a_triangle():
     assert is_facet.sum() > 20
     assert np.ptp(least, axis=0).max() < 1e-9
     assert (bounds[is_facet] <= least[0] + 1e-9).all()
-    classes = _classes(corners[:, 2], stretch, 0.5)
+    classes = classes_of(corners[:, 2], stretch, 0.5)
     assert ((directions[2] >= 0.5).any(axis=0) <= (classes & 1 > 0)).all()
     assert ((directions[2] < 0.5).any(axis=0) <= (classes & 2 > 0)).all()
 
@@ -89,9 +86,9 @@ def test_verdicts_are_what_the_normals_of_single_pairs_say(kinds):
     assert undecided < 0.12 * len(HEIGHTS) * 2 * len(two)
 
 
-def verdict(first, second, min_height=MIN_UP, decide=upward_verdicts):
+def verdict(first, second, min_height=MIN_UP, decide=decide_upward):
     cores = pairs.bodies([first, second])
-    return int(decide(cores, np.array([0]), np.array([1]), min_height)[0])
+    return int(decide(cores, np.array([0]), np.array([1]), min_height).verdicts[0])
 
 
 @pytest.mark.parametrize("kinds", [("sphere", kind) for kind in KINDS[:4]])
@@ -103,7 +100,7 @@ def test_the_cores_of_spheres_decide(kinds):
         result = gap(first, second)
         radii = sum(s.geometry.size[0] for s in (first, second) if s.geometry.type == "sphere")
         are_apart = result.distance + radii > 1e-3
-        found = verdict(first, second, decide=upward_round_verdicts)
+        found = verdict(first, second, decide=decide_upward_round)
         assert found == UNDECIDED or (found == UPWARD) == (-result.normal[2] >= MIN_UP)
         is_clear = abs(-result.normal[2] - MIN_UP) > 0.1
         assert found != UNDECIDED or not (are_apart and is_clear)

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from ssduck.errors import SceneError, SelectScriptError
+from ssduck.errors import ArgumentError, SceneError, SelectScriptError
 from ssduck.gym import make_task
 from ssduck.gym.tasks import MAX_BYTES
 from tests.support.gym_environments import PUSH
@@ -139,6 +139,55 @@ def test_files_of_the_scene_stay_in_the_folder(folder):
 def test_a_hostile_scene_is_refused(folder, part, message):
     (folder / "push.xml").write_text(MODEL.replace("<worldbody>", f"{part}<worldbody>", 1))
     with pytest.raises(SelectScriptError, match=message):
+        make_task(folder / "task.toml")
+
+
+BALL = """
+[[body]]
+name = "ball"
+sphere = 0.1
+
+[[body]]
+name = "pusher"
+sphere = 0.1
+position = [1, 1, 1]
+"""
+GEAR = """
+[[constraint]]
+type = "gear"
+on = "ball"
+to = "pusher"
+gear_link = 1e30
+"""
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ("[engine]\nsubsteps = 10000\n", r"task.toml: step_time: .*10,000 substeps each"),
+        ("[engine]\nsubsteps = 1000000000\n", r"scene.toml: engine.substeps: .* more than 10000"),
+        ("[engine]\nsubsteps = 1e30\n", r"engine.substeps: 1e\+30 is more than"),
+        ("[engine]\niterations = 1e30\n", r"engine.iterations: 1e\+30 is more than"),
+        ("[engine]\njoint_iterations = 101\n", r"engine.joint_iterations: 101 is more than 100"),
+        (GEAR, r"gear_link: 1e\+30 is more than"),
+        (GEAR.replace("1e30", "-1e30"), r"gear_link: -1e\+30 is less than"),
+    ],
+)
+def test_a_scene_with_numbers_beyond_bounds_is_refused(folder, part, message):
+    (folder / "scene.toml").write_text(BALL + part)
+    task = TASK.split("[[actions]]", maxsplit=1)[0].replace("push.xml", "scene.toml")
+    (folder / "task.toml").write_text(task.replace("step_time = 0.02", "step_time = 1"))
+    with pytest.raises(SceneError, match=message):
+        make_task(folder / "task.toml")
+
+
+@pytest.mark.parametrize("term", ["10^400", "-(10^400)"])
+@pytest.mark.parametrize(
+    ("before", "key"), [('"x(sim.ball)"', "ball"), ('"10 * int(success)"', "done")]
+)
+def test_a_number_that_is_no_float_is_an_error(folder, before, key, term):
+    (folder / "task.toml").write_text(TASK.replace(before, f'"{term}"'))
+    with pytest.raises(ArgumentError, match=rf"task.toml: reward\['{key}'\].*a float"):
         make_task(folder / "task.toml")
 
 

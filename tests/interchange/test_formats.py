@@ -324,6 +324,19 @@ def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path:
         assert imported.eval(asked) == original.eval(asked)
 
 
+def test_ticks_of_one_nanosecond_keep_their_times(tmp_path: Path) -> None:
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    times = [0.0, 1e-10, 2e-10, 1.0, 1.0 + 4e-16, 1.5]
+    poses = np.arange(3.0 * len(times)).reshape(-1, 1, 3)
+    ssduck.write_record(tmp_path / "r", ["can"], poses, times, world="lab")
+    write_runs(runs_in(tmp_path / "r"), tmp_path / "out.mcap", "mcap")
+    with pytest.warns(UserWarning, match="its record has no shapes"):
+        ssduck.import_poses(tmp_path / "out.mcap", tmp_path / "again")
+    with ssduck.open(tmp_path / "again") as ss:
+        assert ss.eval("SELECT time FROM lab{} AS list;") == times
+        assert ss.eval("SELECT x FROM lab{} AS list;") == poses[:, 0, 0].tolist()
+
+
 @pytest.mark.parametrize("time", [-0.5, 1e10])
 def test_times_that_mcap_has_not_are_an_error(tmp_path: Path, time: float) -> None:
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")

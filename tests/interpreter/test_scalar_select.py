@@ -11,6 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from ssduck.database import functions
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.scalar_select import ScalarSelect
 from ssduck.sql.relations.registry import RELATIONS
@@ -41,6 +42,8 @@ EXPRESSIONS = [
     "n == 3 AND a > n",
     "text == 'cup'",
     "text != 'cup' AND a > 0",
+    "sqrt(a * a + b * b) < c OR sqrt(a * a + b * b) > 2 * c",
+    "IF(a * b < c; a * b; c - a * b)",
 ]
 # Those that neither computes as doubles.
 OTHERS = ["n * n", "sin(a)", "text + 'x' == 'cupx'", "round(a, 2)", "[1, 2]", "min([a, b])"]
@@ -182,3 +185,14 @@ def test_relations_are_the_same(monkeypatch, ss, name):
         given = [next(entities) if p.type == "entity" else ARGUMENTS[p.type] for p in required]
         ours, theirs, _ = both(monkeypatch, ss, f"{name}({', '.join(given)});")
         assert ours == theirs
+
+
+def test_what_occurs_again_is_computed_once(monkeypatch):
+    calls, margins = [], functions._margins
+    monkeypatch.setattr(functions, "_margins", lambda *of: calls.append(1) or margins(*of))
+    with ssduck.load("kitchen") as ss:
+        on = ss.compile("SELECT on(kitchen.table, kitchen.plate_835a) FROM [0] AS list;")
+        values = [ss.eval(on) for _ in range(2)]  # it is planned, then only computed
+        calls.clear()
+        assert [ss.eval(on)] == values[1:]
+    assert calls == [1]

@@ -160,6 +160,15 @@ def test_a_half_written_episode(folder):
     assert ask(folder)[4] == by_itself(folder, 4, QUESTION)
 
 
+def test_tags_of_two_lakes_are_kept(folder):
+    first, second = ssduck.lake(folder), ssduck.lake(folder)
+    assert first.set_tags({"seen": 1}, "episode = 3") == 1
+    assert second.set_tags({"heard": 2}, "episode = 3") == 1  # it has not read of the first
+    for lake in (second, ssduck.lake(folder)):
+        (row,) = lake.select("episode = 3").to_pylist()
+        assert (row["seen"], row["heard"]) == (1, 2)
+
+
 def test_patterns_files_and_folders(recorded, tmp_path):
     for name in ("a/night", "b/day", "b/night", "c[1]/night"):
         shutil.copytree(recorded, tmp_path / name)

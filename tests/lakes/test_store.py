@@ -50,6 +50,15 @@ def test_the_manifest_is_there_and_tags_are_written(address, monkeypatch):
     assert again.select("task = 'pick'")["episode"].to_pylist() == [1]
 
 
+def test_tags_of_two_lakes_are_kept(address):
+    first, second = ssduck.lake(address), ssduck.lake(address)
+    assert first.set_tags({"seen": 1}, "episode = 3") == 1
+    assert second.set_tags({"heard": 2}, "episode = 3") == 1  # it has not read of the first
+    for lake in (second, ssduck.lake(address)):
+        (row,) = lake.select("episode = 3").to_pylist()
+        assert (row["seen"], row["heard"]) == (1, 2)
+
+
 def test_damage_is_one_row(address):
     lake = ssduck.lake(address)
     place = ObjectPath(f"{address}/record/entities/world=sim/episode=2/part-000000.parquet")

@@ -34,9 +34,9 @@ days_in_month decade decimal_average decimal_division decode degrees dense_rank 
 element_at encode ends_with entropy epoch epoch_ms epoch_ns epoch_us era even exp factorial favg
 fdiv fill filter first first_value flatten floor fmod formatReadableDecimalSize formatReadableSize
 format_bytes from_base64 from_binary from_hex fsum gamma gcd gen_random_uuid geomean geometric_mean
-get_bit get_current_time get_current_timestamp grade_up greatest greatest_common_divisor hamming
-hash hex histogram hour if ilike_escape instr isfinite isinf isnan isodow isoyear jaccard
-json_array json_array_length json_contains
+get_bit get_current_time get_current_timestamp grade_up greatest greatest_common_divisor
+group_concat hamming hash hex histogram hour if ilike_escape instr isfinite isinf isnan isodow
+isoyear jaccard json_array json_array_length json_contains
 json_exists json_extract json_extract_path json_extract_path_text json_extract_string
 json_group_array json_group_object json_insert json_keys json_object json_quote json_remove
 json_replace json_set json_strip_nulls json_type json_valid json_value julian kahan_sum kurtosis
@@ -51,7 +51,7 @@ list_last list_mad list_max list_median list_min list_mode list_negative_dot_pro
 list_negative_inner_product list_pack list_position list_prepend list_product list_reverse
 list_reverse_sort list_select list_sem list_skewness list_slice list_sort list_stddev_pop
 list_stddev_samp list_sum list_transform list_unique list_value list_var_pop list_var_samp
-list_where list_zip ln log log10 log2 lower ltrim mad make_date make_time make_timestamp
+list_where list_zip listagg ln log log10 log2 lower ltrim mad make_date make_time make_timestamp
 make_timestamp_ms make_timestamp_ns make_timestamptz make_type map map_concat map_contains
 map_contains_entry map_contains_value map_entries map_extract map_extract_value map_from_entries
 map_keys map_values max max_by md5 md5_number mean median microsecond millennium millisecond min
@@ -63,8 +63,8 @@ regexp_escape regexp_extract regexp_extract_all regexp_full_match regexp_matches
 regexp_split_to_array regr_avgx regr_avgy regr_count regr_intercept regr_r2 regr_slope regr_sxx
 regr_sxy regr_syy reverse right right_grapheme round round_even roundbankers row row_number
 row_to_json rtrim second sem set_bit sha1 sha256 sign signbit sin sinh skewness split split_part
-sqrt starts_with stddev stddev_pop stddev_samp str_split str_split_regex strftime string_split
-string_split_regex string_to_array strip_accents strlen strpos strptime struct_concat
+sqrt starts_with stddev stddev_pop stddev_samp str_split str_split_regex strftime string_agg
+string_split string_split_regex string_to_array strip_accents strlen strpos strptime struct_concat
 struct_contains struct_extract struct_extract_at struct_has struct_indexof struct_insert struct_keys
 struct_pack struct_position struct_values substr substring substring_grapheme subtract suffix sum
 sum_no_overflow sumkahan switch tan tanh time_bucket timezone timezone_hour timezone_minute to_base
@@ -77,6 +77,8 @@ uuidv4 uuidv7 var_pop var_samp variance wavg week weekday weekofyear weighted_av
 
 OPERATORS = frozenset(_OPERATORS.split())
 FUNCTIONS = frozenset(_FUNCTIONS.split())
+# Aggregates that join texts: DuckDB counts the memory of these for groups of rows, not of lists.
+JOINING = frozenset(("group_concat", "listagg", "string_agg"))
 # Functions whose second argument is the name of an aggregate.
 AGGREGATING = frozenset(
     ("aggregate", "array_aggr", "array_aggregate", "list_aggr", "list_aggregate")

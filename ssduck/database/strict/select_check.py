@@ -19,6 +19,7 @@ from ssduck.database.macros import TABLE_MACROS
 from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
+    JOINING,
     LIKES,
     MAX_EXPRESSION,
     OPERATORS,
@@ -238,9 +239,9 @@ class _Walk:
             for argument in node["arguments"][1:2]:
                 literal = argument["expression"].get("literal") or {}
                 aggregate = folded(str(literal.get("text")))
-                if aggregate not in FUNCTIONS:
+                if aggregate not in FUNCTIONS - JOINING:
                     message = f"{name} takes the name of an aggregate that SQL may call"
-                    self._refuse(node, message, aggregate, FUNCTIONS)
+                    self._refuse(node, message, aggregate, FUNCTIONS - JOINING)
 
     def _check_expression(self, node: Node, what: str) -> None:
         """Checks that an expression or a pattern is short, and known before the statement runs."""

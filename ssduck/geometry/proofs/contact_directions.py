@@ -11,27 +11,44 @@ from below. A triangle whose bound is above the least overlap found has no conta
 others are divided, until all that are left agree. Most pairs are decided before, since one of the
 points is far above in all upward directions. Every verdict is proved, with more room than rounding
 errors and the tolerances of `ssduck.geometry.distance` need.
+
+Overlaps change by no more than the points of the shapes move relative to each other. A verdict
+therefore holds until they have moved by half of what the overlaps of the other directions exceed
+the least one by.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.proofs.columns import column_lengths, unit_columns
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.direction_triangles import (
+    BOTH,
+    HEIGHT_ROOM,
+    LAST,
+    NEXT,
+    OTHER_ONLY,
+    UPWARD_ONLY,
+    Mesh,
+    Triangles,
+    classes_of,
+    corner_bounds,
+    facet_directions,
+    mesh_of,
+    stretch_of,
+)
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.verdicts import Verdicts
+from ssduck.geometry.proofs.kept_parts import KeptParts, Parts
+from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
+from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 
 UPWARD, NOT_UPWARD = 1, -1
 # Overlaps that differ by less, metres, may be that of the contact normal.
 _ROOM = 2e-6
-# Heights of normals that are nearer to the least one are not decided here.
-HEIGHT_ROOM = 1e-9
 # The number of times that triangles are divided, and the greatest number of triangles of a pair.
 _MAX_DIVISIONS = 12
 _MAX_TRIANGLES = 96
@@ -39,163 +56,7 @@ _MAX_TRIANGLES = 96
 _TRIANGLES_AT_ONCE = 1 << 15
 # Edges are divided where the support point changes, but not near their ends.
 _MIN_FRACTION = 0.25
-_EACH, _NEXT, _LAST = np.array([0, 1, 2]), np.array([1, 2, 0]), np.array([2, 0, 1])
-
-
-# -- triangles of directions --------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Mesh:
-    """Directions, and the triangles of which they are the corners.
-
-    Attributes:
-        directions: (3, m), unit vectors.
-        corners: (3, k), the places of the corners of each triangle.
-        stretch: (k,), see `_stretch`.
-        classes: (k,), which directions may be in the triangle.
-    """
-
-    directions: Array
-    corners: Indices
-    stretch: Array
-    classes: Indices
-
-
-@lru_cache(maxsize=8)
-def _mesh(min_height: float) -> _Mesh:
-    """Returns triangles all around; the directions of the least height separate some of them."""
-    from scipy.spatial import ConvexHull
-
-    tilt = math.acos(min_height)
-    step = (math.pi - tilt) / round((math.pi - tilt) / math.radians(37.0))
-    tilts = [0.0, tilt / 2, *np.arange(tilt, math.pi + 1e-9, step).tolist()]
-    rings = []
-    for row, angle in enumerate(tilts):
-        count = max(1, round(2.0 * math.pi * math.sin(angle) / math.radians(34.0)))
-        turns = 2.0 * math.pi * (np.arange(count) + row % 2 / 2) / count
-        height = np.full(count, math.cos(angle))
-        rings.append(math.sin(angle) * np.stack((np.cos(turns), np.sin(turns), 0.0 * turns)))
-        rings[-1][2] = height
-    directions = np.concatenate(rings, axis=1)
-    corners = ConvexHull(directions.T).simplices.T
-    vectors = directions[:, corners].transpose(1, 0, 2)
-    stretch = _stretch(vectors)
-    return _Mesh(directions, corners, stretch, _classes(vectors[:, 2], stretch, min_height))
-
-
-def _stretch(corners: Array) -> Array:
-    """Returns the greatest sum of weights of corners (3, 3, n) whose combination has length 1."""
-    edges = corners[1:] - corners[0]
-    normals = _cross(edges[:1], edges[1:])[0]
-    volumes = np.abs(np.einsum("cn,cn->n", corners[0], normals))
-    stretch: Array = column_lengths(normals) / np.maximum(volumes, 1e-300)
-    return stretch
-
-
-def _classes(heights: Array, stretch: Array, min_height: float) -> Indices:
-    """Returns which directions may be in triangles: those above a height, others, or both.
-
-    Args:
-        heights: (3, n), those of the corners.
-        stretch: (n,), that of the triangles.
-        min_height: the least height of upward directions, not negative.
-    """
-    highest = heights.max(axis=0)
-    upward = highest * np.where(highest > 0.0, stretch, 1.0) >= min_height - HEIGHT_ROOM
-    other = heights.min(axis=0) <= min_height + HEIGHT_ROOM
-    classes: Indices = upward * _UPWARD_ONLY + other * _OTHER_ONLY
-    return classes
-
-
-# Which directions may be in a triangle: upward ones, others, or both.
-_UPWARD_ONLY, _OTHER_ONLY, _BOTH = 1, 2, 3
-
-
-@dataclass(frozen=True, eq=False)
-class _Triangles:
-    """Triangles of directions of several pairs.
-
-    Attributes:
-        owners: (n,), the pair of each.
-        classes: (n,), which directions may be in it.
-        numbers: (31, n), all other properties.
-    """
-
-    owners: Indices
-    classes: Indices
-    numbers: Array
-
-    @property
-    def corners(self) -> Array:
-        """The directions at the corners, (3, 3, n): (corner, axis, triangle)."""
-        return self.numbers[:9].reshape(3, 3, -1)
-
-    @property
-    def points(self) -> Array:
-        """The support points of the pair's difference in these directions, (3, 3, n)."""
-        return self.numbers[9:18].reshape(3, 3, -1)
-
-    @property
-    def products(self) -> Array:
-        """The products of points and directions, (3, 3, n): (point, corner, triangle)."""
-        return self.numbers[18:27].reshape(3, 3, -1)
-
-    @property
-    def facets(self) -> Array:
-        """The weights of the corners for the direction of the facet, (3, n); see `_bounds`."""
-        return self.numbers[27:30]
-
-    @property
-    def bounds(self) -> Array:
-        """Lower bounds of the overlaps in the triangles, (n,), metres."""
-        bounds: Array = self.numbers[30]
-        return bounds
-
-    def select(self, places: Indices) -> _Triangles:
-        """Returns the selected triangles."""
-        return _Triangles(
-            self.owners[places], self.classes[places], self.numbers.take(places, axis=1)
-        )
-
-    def joined(self, other: _Triangles) -> _Triangles:
-        """Returns the triangles of both."""
-        return _Triangles(
-            np.concatenate((self.owners, other.owners)),
-            np.concatenate((self.classes, other.classes)),
-            np.concatenate((self.numbers, other.numbers), axis=1),
-        )
-
-
-def _bounds(products: Array, stretch: Array) -> tuple[Array, Array]:
-    """Returns lower bounds of overlaps in triangles, and the directions of facets.
-
-    The overlap at a direction is at least the product of the direction with any mean of the support
-    points. Its least product in the triangle is at a corner. The best mean is that of a matrix
-    game: one of the points, or the mean whose products with the corners are equal.
-
-    Args:
-        products: (3, 3, n), of support points and corners (point, corner, triangle).
-        stretch: (n,), that of the triangles.
-
-    Returns:
-        The bounds, (n,); and the weights (3, n) of the corners whose sum is normal to the plane
-        through the three points. They have a meaning if all are positive.
-    """
-    crossed = _cross(products[_NEXT], products[_LAST])
-    weights, facets = crossed.sum(axis=1), crossed.sum(axis=0)
-    total = weights.sum(axis=0)
-    weights = np.maximum(np.copysign(weights, weights * total), 0.0)
-    total = weights.sum(axis=0)
-    weights /= np.where(total > 0.0, total, 1.0)
-    mixed = (weights[:, None] * products).sum(axis=0).min(axis=0)
-    mixed[~(total > 0.0)] = -math.inf
-    bounds = np.maximum(products.min(axis=1).max(axis=0), mixed)
-    bounds *= np.where(bounds < 0.0, stretch, 1.0)
-    return bounds, np.copysign(facets, facets * facets.sum(axis=0))
-
-
-# -- pairs --------------------------------------------------------------------------------------
+_EACH = np.array([0, 1, 2])
 
 
 def contact_room(cores: PlacedCores, first: Indices, second: Indices) -> Array:
@@ -257,8 +118,12 @@ class _Differences:
 
     def points_all_around(self, directions: Array) -> Array:
         """Returns the support points of all pairs in directions (3, m), (3, m, n)."""
-        points = self.cores.support_points_all_around(self.first, directions)
-        points -= self.cores.support_points_all_around(self.second, -directions)
+        count, pairs = directions.shape[1], len(self)
+        unique, places = np.unique(np.concatenate((self.first, self.second)), return_inverse=True)
+        both = np.concatenate((directions, -directions), axis=1)
+        supports = self.cores.support_points_all_around(unique, both)
+        points = supports[:, :count].take(places[:pairs], axis=2)
+        points -= supports[:, count:].take(places[pairs:], axis=2)
         points += self.offsets[:, None]
         overlaps = np.einsum("cmn,cm->mn", points, directions)
         best = overlaps.argmin(axis=0)
@@ -281,33 +146,38 @@ class _Differences:
         return points
 
 
-def upward_verdicts(
-    cores: PlacedCores, first: Indices, second: Indices, min_height: float
-) -> Verdicts:
-    """Returns whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
+def decide_upward(
+    cores: PlacedCores,
+    first: Indices,
+    second: Indices,
+    min_height: float,
+    kept: KeptParts | None = None,
+) -> Decisions:
+    """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
     Args:
         cores: the shapes.
         first: (n,), bounded convex shapes.
         second: (n,), the same; normals point from the first to the second.
         min_height: the least z of an upward unit normal, from 0 to 1.
+        kept: how directions were divided at the tick before, for the same height.
     """
-    mesh = _mesh(min_height)
-    verdicts = np.zeros(len(first), np.int8)
+    mesh = mesh_of(min_height)
+    decisions = Decisions.none(len(first))
     step = max(1, _TRIANGLES_AT_ONCE // len(mesh.stretch))
     for start in range(0, len(first), step):
         batch = slice(start, start + step)
         pairs = _Differences.of(cores, first[batch], second[batch])
         points = pairs.points_all_around(mesh.directions)
         upward = points.compress(mesh.directions[2] >= min_height - HEIGHT_ROOM, axis=1)
-        is_above = _upward_bounds(upward, min_height - HEIGHT_ROOM) > pairs.limits
-        verdicts[batch][is_above] = NOT_UPWARD
-        left = np.flatnonzero(~is_above)
+        above = _upward_bounds(upward, min_height - HEIGHT_ROOM) - pairs.limits
+        decisions.part(batch).decide(above > 0.0, NOT_UPWARD, above[above > 0.0] / 2.0)
+        left = np.flatnonzero(~(above > 0.0))
         if len(left):
-            found = np.zeros(len(left), np.int8)
-            _classify(pairs.select(left), points.take(left, axis=2), mesh, min_height, found)
-            verdicts[start + left] = found
-    return verdicts
+            some = pairs.select(left)
+            found = _classified(some, points.take(left, axis=2), mesh, min_height, kept)
+            decisions.decide(start + left, found.verdicts, found.room)
+    return decisions
 
 
 def _upward_bounds(points: Array, min_height: float) -> Array:
@@ -327,95 +197,216 @@ def _upward_bounds(points: Array, min_height: float) -> Array:
     return bounds
 
 
-def _classify(
-    pairs: _Differences, points: Array, mesh: _Mesh, min_height: float, verdicts: Verdicts
-) -> None:
-    """Writes the verdicts of pairs, whose support points in the directions of a mesh are given."""
-    triangles, count = _initial_triangles(pairs, points, mesh), len(pairs)
+def _classified(
+    pairs: _Differences, points: Array, mesh: Mesh, min_height: float, kept: KeptParts | None
+) -> Decisions:
+    """Decides pairs, whose support points in the directions of a mesh are given."""
+    keys = pair_keys(pairs.first, pairs.second)
+    parts = None if kept is None else kept.find(keys)
+    least = np.full((len(pairs), 4), math.inf)
+    record = _Record()
+    known = None if parts is None else _known_parts(pairs, parts, least, record)
+    triangles = _mesh_triangles(pairs, points, mesh, parts, least)
+    if known is not None:
+        triangles = triangles.joined(known)
+    decisions = Decisions.none(len(pairs))
     for division in range(_MAX_DIVISIONS + 1):
-        places = np.flatnonzero(triangles.bounds <= pairs.limits[triangles.owners])
-        owners, classes = triangles.owners[places], triangles.classes[places]
-        counts = np.bincount(4 * owners + classes, minlength=4 * count).reshape(count, 4)
-        upward, other = counts[:, _UPWARD_ONLY] > 0, counts[:, _OTHER_ONLY] > 0
-        is_open = (upward & other) | (counts[:, _BOTH] > 0)
-        verdicts[upward & ~is_open] = UPWARD
-        verdicts[other & ~is_open] = NOT_UPWARD
-        is_open &= counts.sum(axis=1) <= _MAX_TRIANGLES
+        is_left = triangles.bounds <= pairs.limits[triangles.owners]
+        is_open = _decide(decisions, pairs, triangles, is_left, least)
+        if division == 0 and is_open.any():
+            _refine(pairs, triangles.select(np.flatnonzero(is_open[triangles.owners])))
+            is_left &= triangles.bounds <= pairs.limits[triangles.owners]
+            is_open = _decide(decisions, pairs, triangles, is_left, least)
         if division == _MAX_DIVISIONS or not is_open.any():
-            return
+            break
+        is_left &= is_open[triangles.owners]
         # Those that contradict the best direction are divided.
-        contradicted = np.where(pairs.heights >= min_height, _OTHER_ONLY, _UPWARD_ONLY)
-        is_divided = (classes & contradicted[owners] > 0) & is_open[owners]
-        divided = _divided(triangles.select(places[is_divided]), pairs, min_height)
-        triangles = triangles.select(places[~is_divided & is_open[owners]]).joined(divided)
+        contradicted = np.where(pairs.heights >= min_height, OTHER_ONLY, UPWARD_ONLY)
+        is_divided = is_left & (triangles.classes & contradicted[triangles.owners] > 0)
+        record.add(triangles, ~is_left, is_divided)
+        divided = _divided(triangles.select(np.flatnonzero(is_divided)), pairs, min_height)
+        triangles = triangles.select(np.flatnonzero(is_left & ~is_divided)).joined(divided)
+    if kept is not None and record.divided:
+        record.add(triangles, np.ones(len(triangles.owners), dtype=bool))
+        record.keep(kept, keys)
+    return decisions
 
 
-def _initial_triangles(pairs: _Differences, points: Array, mesh: _Mesh) -> _Triangles:
-    """Returns the triangles of a mesh that may contain the contact normals of pairs."""
+def _decide(
+    decisions: Decisions, pairs: _Differences, triangles: Triangles, is_left: Flags, least: Array
+) -> Flags:
+    """Decides the pairs whose triangles that are left agree.
+
+    Args:
+        decisions: those that were found; it adds others.
+        pairs: the pairs.
+        triangles: their triangles.
+        is_left: (triangles,), whether the contact normal may be in it.
+        least: (pairs, 4), the least bound of the others of each pair and class, metres; it lowers
+            them.
+
+    Returns:
+        Whether further divisions may decide a pair, (pairs,).
+    """
+    groups = 4 * triangles.owners + triangles.classes
+    excluded = np.flatnonzero(~is_left)
+    np.minimum.at(least.reshape(-1), groups[excluded], triangles.bounds[excluded])
+    counts = np.bincount(groups[is_left], minlength=4 * len(pairs)).reshape(-1, 4)
+    upward, other = counts[:, UPWARD_ONLY] > 0, counts[:, OTHER_ONLY] > 0
+    is_open = (upward & other) | (counts[:, BOTH] > 0)
+    is_new = ~is_open & (decisions.verdicts == UNDECIDED)
+    for verdict, are, others in ((UPWARD, upward, OTHER_ONLY), (NOT_UPWARD, other, UPWARD_ONLY)):
+        decided = np.flatnonzero(are & is_new)
+        above = np.minimum(least[decided, others], least[decided, BOTH])
+        decisions.decide(decided, verdict, (above - pairs.limits[decided]) / 2.0)
+    is_open &= counts.sum(axis=1) <= _MAX_TRIANGLES
+    return is_open
+
+
+class _Record:
+    """The parts of triangles that need no more division, for the next tick.
+
+    Attributes:
+        divided: the pairs of which a triangle was divided.
+    """
+
+    def __init__(self) -> None:
+        self._known: tuple[Parts, Flags] | None = None
+        self._finished: list[Triangles] = []
+        self.divided: set[int] = set()
+
+    def add_known(self, parts: Parts, finished: Flags) -> None:
+        """Adds those parts of the tick before that are finished."""
+        self._known = parts, finished
+
+    def add(self, triangles: Triangles, finished: Flags, divided: Flags | None = None) -> None:
+        """Adds parts that are finished, and pairs of which others are divided."""
+        self._finished.append(triangles.select(np.flatnonzero(finished & (triangles.faces >= 0))))
+        if divided is not None:
+            self.divided.update(triangles.owners[divided].tolist())
+
+    def keep(self, kept: KeptParts, keys: Keys) -> None:
+        """Keeps the parts of the pairs of which a triangle was divided."""
+        finished = self._finished[0]
+        for more in self._finished[1:]:
+            finished = finished.joined(more)
+        for pair in self.divided:
+            found = finished.select(np.flatnonzero(finished.owners == pair))
+            faces, classes, stretch = found.faces, found.classes, found.stretch
+            corners = found.corners
+            if self._known is not None:
+                known, are = self._known
+                places = np.flatnonzero(are & (known.owners == pair))
+                faces = np.concatenate((faces, known.faces[places]))
+                classes = np.concatenate((classes, known.classes[places]))
+                stretch = np.concatenate((stretch, known.stretch[places]))
+                corners = np.concatenate((corners, known.at_corners(places)), axis=2)
+            kept.keep(int(keys[pair]), faces, classes, stretch, corners)
+
+
+def _mesh_triangles(
+    pairs: _Differences, points: Array, mesh: Mesh, parts: Parts | None, least: Array
+) -> Triangles:
+    """Returns the triangles of a mesh that may contain the contact normals of pairs.
+
+    Known parts take the place of their triangles.
+
+    Args:
+        pairs: the pairs.
+        points: (3, directions, pairs), their support points in the directions of the mesh.
+        mesh: the mesh.
+        parts: the known parts.
+        least: (pairs, 4), see `_decide`; it lowers them.
+    """
     directions, corners = mesh.directions, mesh.corners
     count, size = directions.shape[1], len(pairs)
     products = np.matmul(directions.T, points.swapaxes(0, 1))  # (point, direction, pair)
     places = corners[:, None] * count + corners  # (corner's point, corner, triangle)
     products = products.reshape(-1, size).take(places.ravel(), axis=0).reshape(3, 3, -1)
-    bounds = products.min(axis=1).max(axis=0)
     stretch = np.repeat(mesh.stretch, size)
-    bounds *= np.where(bounds < 0.0, stretch, 1.0)
-    kept = np.flatnonzero(bounds <= np.tile(pairs.limits, len(mesh.stretch)))
-    faces, owners = np.divmod(kept, size)
-    products = products[..., kept]
-    bounds, facets = _bounds(products, stretch[kept])
-    at_corners = directions[:, corners[:, faces]].transpose(1, 0, 2)
-    # The facet of the least bound has a direction of less overlap than the corners.
-    lowest = np.lexsort((bounds, owners))
-    lowest = lowest[np.diff(owners[lowest], prepend=-1) > 0]
-    pairs.points(owners[lowest], _facet_directions(at_corners[..., lowest], facets[:, lowest]))
-    kept_points = points[:, corners[:, faces], owners].transpose(1, 0, 2)
-    vectors = np.concatenate((at_corners, kept_points, products)).reshape(27, -1)
-    numbers = np.concatenate((vectors, facets, bounds[None]))
-    return _Triangles(owners, mesh.classes[faces], numbers)
+    bounds = corner_bounds(products, stretch)
+    if parts is not None:
+        bounds[parts.faces * size + parts.owners] = math.inf
+    is_left = bounds <= np.tile(pairs.limits, len(mesh.stretch))
+    excluded = np.where(is_left, math.inf, bounds).reshape(-1, size)
+    for kind in (UPWARD_ONLY, OTHER_ONLY, BOTH):
+        found = excluded[mesh.classes == kind].min(axis=0, initial=math.inf)
+        least[:, kind] = np.minimum(least[:, kind], found)
+    left = np.flatnonzero(is_left)
+    faces, owners = np.divmod(left, size)
+    at_corners = directions[:, corners[:, faces]].swapaxes(0, 1)
+    points = points[:, corners[:, faces], owners].swapaxes(0, 1)
+    return Triangles.of(
+        owners, ~faces, mesh.classes[faces], at_corners, points, products[..., left], stretch[left]
+    )
 
 
-def _facet_directions(corners: Array, weights: Array) -> Array:
-    """Returns the unit normals of the facets of triangles (3, 3, n), or their middles, (3, n)."""
-    weights = np.where(weights.min(axis=0) > 0.0, weights, 1.0)
-    weights /= weights.max(axis=0)
-    return unit_columns((weights[:, None] * corners).sum(axis=0))
+def _known_parts(pairs: _Differences, parts: Parts, least: Array, record: _Record) -> Triangles:
+    """Returns the known parts that may contain the contact normals of pairs.
+
+    Args:
+        pairs: the pairs.
+        parts: the known parts.
+        least: see `_mesh_triangles`.
+        record: where the others are added.
+    """
+    points = pairs.points(parts.corner_owners, parts.directions)
+    points = points.take(parts.corners, axis=1).swapaxes(0, 1)
+    at_corners = parts.at_corners(np.arange(len(parts.owners)))
+    products = np.einsum("kcn,icn->kin", points, at_corners)
+    bounds = corner_bounds(products, parts.stretch)
+    is_left = bounds <= pairs.limits[parts.owners]
+    record.add_known(parts, ~is_left)
+    excluded, left = np.flatnonzero(~is_left), np.flatnonzero(is_left)
+    groups = 4 * parts.owners[excluded] + parts.classes[excluded]
+    np.minimum.at(least.reshape(-1), groups, bounds[excluded])
+    return Triangles.of(
+        parts.owners[left],
+        parts.faces[left],
+        parts.classes[left],
+        at_corners[..., left],
+        points[..., left],
+        products[..., left],
+        parts.stretch[left],
+    )
 
 
-def _divided(triangles: _Triangles, pairs: _Differences, min_height: float) -> _Triangles:
+def _refine(pairs: _Differences, triangles: Triangles) -> None:
+    """Finds lesser overlaps of pairs, in the facet of the least bound of each."""
+    lowest = np.lexsort((triangles.bounds, triangles.owners))
+    lowest = lowest[np.diff(triangles.owners[lowest], prepend=-1) > 0]
+    best = triangles.select(lowest)
+    pairs.points(best.owners, facet_directions(best.corners, best.facets))
+
+
+def _divided(triangles: Triangles, pairs: _Differences, min_height: float) -> Triangles:
     """Returns the four parts of each triangle, with a new corner on each edge."""
     corners, products, count = triangles.corners, triangles.products, len(triangles.owners)
     # Along the edge from each corner to the next one: where their points are equally far.
     own = products[_EACH, _EACH]
-    rise, fall = own - products[_NEXT, _EACH], own[_NEXT] - products[_EACH, _NEXT]
+    rise, fall = own - products[NEXT, _EACH], own[NEXT] - products[_EACH, NEXT]
     total = rise + fall
     fraction = np.where(total > 0.0, rise / np.where(total > 0.0, total, 1.0), 0.5)
     fraction = np.clip(fraction, _MIN_FRACTION, 1.0 - _MIN_FRACTION)[:, None]
-    middles = corners + fraction * (corners[_NEXT] - corners)
+    middles = corners + fraction * (corners[NEXT] - corners)
     middles /= np.sqrt((middles * middles).sum(axis=1))[:, None]
-    facets = _facet_directions(corners, triangles.facets)
+    facets = facet_directions(corners, triangles.facets)
     new = pairs.points(np.tile(triangles.owners, 4), np.concatenate((*middles, facets), axis=1))
     new_points = new[:, : 3 * count].reshape(3, 3, count).swapaxes(0, 1)
-    numbers = np.zeros((31, 4 * count))
+    vectors = np.zeros((18, 4 * count))
     # (corner or point, corner of the part, axis, part, triangle)
-    parts = numbers[:18].reshape(2, 3, 3, 4, count)
+    parts = vectors.reshape(2, 3, 3, 4, count)
     for place, old, middle in ((0, corners, middles), (1, triangles.points, new_points)):
         parts[place, 0, :, :3] = old.swapaxes(0, 1)
         parts[place, 1, :, :3] = middle.swapaxes(0, 1)
-        parts[place, 2, :, :3] = middle[_LAST].swapaxes(0, 1)
+        parts[place, 2, :, :3] = middle[LAST].swapaxes(0, 1)
         parts[place, :, :, 3] = middle
-    part_corners, part_points = numbers[:18].reshape(2, 3, 3, 4 * count)
-    products = np.einsum("kcn,icn->kin", part_points, part_corners)
-    stretch = _stretch(part_corners)
-    bounds, numbers[27:30] = _bounds(products, stretch)
-    numbers[18:27] = products.reshape(9, -1)
-    numbers[30] = np.maximum(bounds, np.tile(triangles.bounds, 4))
-    classes = _classes(part_corners[:, 2], stretch, min_height)
-    return _Triangles(np.tile(triangles.owners, 4), classes, numbers)
-
-
-def _cross(first: Array, second: Array) -> Array:
-    """Returns the cross products of vectors (k, 3, n)."""
-    crossed: Array = first[:, _NEXT] * second[:, _LAST]
-    crossed -= first[:, _LAST] * second[:, _NEXT]
-    return crossed
+    corners, points = vectors.reshape(2, 3, 3, 4 * count)
+    products = np.einsum("kcn,icn->kin", points, corners)
+    stretch = stretch_of(corners)
+    classes = classes_of(corners[:, 2], stretch, min_height)
+    owners = np.tile(triangles.owners, 4)
+    faces = np.tile(np.maximum(triangles.faces, ~triangles.faces), 4)
+    divided = Triangles.of(owners, faces, classes, corners, points, products, stretch)
+    np.maximum(divided.bounds, np.tile(triangles.bounds, 4), out=divided.bounds)
+    return divided

@@ -189,27 +189,26 @@ class PlacedCores:
         """Returns the support points (3, m, n) of cores, relative to their centres, in world axes.
 
         Args:
-            shapes: (n,), the indices of the shapes.
+            shapes: (n,), the indices of different shapes.
             directions: (3, m), the same directions for all of them.
         """
-        unique, places = np.unique(shapes, return_inverse=True)
-        cores, rotations = self.cores, self.rotations.take(unique, axis=1).reshape(3, 3, -1)
+        cores, rotations = self.cores, self.rotations.take(shapes, axis=1).reshape(3, 3, -1)
         local = np.einsum("jin,jm->imn", rotations, directions)
-        points = np.copysign(cores.half_extents.take(unique, axis=1)[:, None], local)
-        if cores.is_swept.take(unique).any():
-            points += _ellipsoid_points(cores.semi_axes.take(unique, axis=1)[:, None], local)
-        kinds = cores.kind.take(unique)
+        points = np.copysign(cores.half_extents.take(shapes, axis=1)[:, None], local)
+        if cores.is_swept.take(shapes).any():
+            points += _ellipsoid_points(cores.semi_axes.take(shapes, axis=1)[:, None], local)
+        kinds = cores.kind.take(shapes)
         for kind, hulls in enumerate(cores.points):
             selected = np.flatnonzero(kinds == kind)
             step = max(1, MAX_POINTS // (hulls.shape[2] * directions.shape[1]))
             for start in range(0, len(selected), step):
                 some = selected[start : start + step]
-                corners = hulls.take(cores.row[unique[some]], axis=0)
+                corners = hulls.take(cores.row[shapes[some]], axis=0)
                 heights = np.matmul(local[..., some].transpose(2, 1, 0), corners)
                 farthest = heights.argmax(axis=2)[:, None]
                 points[..., some] = np.take_along_axis(corners, farthest, 2).transpose(1, 2, 0)
         in_world: Array = np.einsum("ijn,jmn->imn", rotations, points)
-        return in_world.take(places, axis=2)
+        return in_world
 
 
 def _ellipsoid_points(semi_axes: Array, directions: Array) -> Array:

@@ -175,6 +175,8 @@ def _over_bounded(
 def shapes_of(tick: TickShapes, starts: Indices, entities: Indices) -> tuple[Indices, Indices]:
     """Returns the shapes of entities that have points, and the place of each one's entity."""
     counts = starts[entities + 1] - starts[entities]
+    if (counts == 1).all() and tick.table.has_points.all():
+        return starts[entities], np.arange(len(entities))
     owners = np.repeat(np.arange(len(entities)), counts)
     offsets = np.arange(len(owners)) - np.repeat(np.cumsum(counts) - counts, counts)
     shapes = starts[entities][owners] + offsets

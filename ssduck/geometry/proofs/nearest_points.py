@@ -13,27 +13,25 @@ which the one bound is below the other.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths
-from ssduck.geometry.proofs.contact_directions import (
-    HEIGHT_ROOM,
-    NOT_UPWARD,
-    UPWARD,
-    contact_room,
-)
+from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, contact_room
 from ssduck.geometry.proofs.cores import PlacedCores
-from ssduck.geometry.proofs.verdicts import UNDECIDED, Verdicts
+from ssduck.geometry.proofs.direction_triangles import HEIGHT_ROOM
+from ssduck.geometry.proofs.verdicts import Decisions
 
 # The number of further projections on each of two cores, if none is a point.
 _MORE_PROJECTIONS = 2
 
 
-def upward_round_verdicts(
+def decide_upward_round(
     cores: PlacedCores, first: Indices, second: Indices, min_height: float
-) -> Verdicts:
-    """Returns whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
+) -> Decisions:
+    """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
     Args:
         cores: the shapes.
@@ -41,17 +39,18 @@ def upward_round_verdicts(
         second: (n,), the same; normals point from the first to the second.
         min_height: the least z of an upward unit normal, from 0 to 1.
     """
-    verdicts = np.full(len(first), UNDECIDED, np.int8)
+    decisions = Decisions.none(len(first))
     has_projection, radius = (cores.cores.kind < 0) & ~cores.cores.is_ellipsoid, cores.cores.radius
     has_formula = has_projection[first] & has_projection[second]
     places = np.flatnonzero(has_formula & (radius[first] + radius[second] > 0.0))
     if len(places):
-        verdicts[places] = _verdicts(cores, first[places], second[places], min_height)
-    return verdicts
+        found = _decide(cores, first[places], second[places], min_height)
+        decisions.decide(places, found.verdicts, found.room)
+    return decisions
 
 
-def _verdicts(cores: PlacedCores, first: Indices, second: Indices, min_height: float) -> Verdicts:
-    """Returns the verdicts of pairs without hulls and ellipsoids."""
+def _decide(cores: PlacedCores, first: Indices, second: Indices, min_height: float) -> Decisions:
+    """Decides pairs without hulls and ellipsoids."""
     points = _difference_points(cores, first, second)
     lengths = column_lengths(points)
     directions = points / np.maximum(lengths, 1e-300)
@@ -61,16 +60,15 @@ def _verdicts(cores: PlacedCores, first: Indices, second: Indices, min_height: f
     # Of the cores' distance: that of the support point is less, that of the points is greater.
     distances = np.einsum("cn,cn->n", directions, support)
     reached = distances - contact_room(cores, first, second)
-    angles = np.arccos(np.clip(reached / np.maximum(lengths, 1e-300), 0.0, 1.0))
     tilts = np.arccos(np.clip(-directions[2], -1.0, 1.0))
-    lowest, highest = (
-        np.cos(np.minimum(tilts + angles, np.pi)),
-        np.cos(np.maximum(tilts - angles, 0.0)),
-    )
-    verdicts = np.full(len(first), UNDECIDED, np.int8)
-    verdicts[(reached > 0.0) & (lowest >= min_height + HEIGHT_ROOM)] = UPWARD
-    verdicts[(reached > 0.0) & (highest <= min_height - HEIGHT_ROOM)] = NOT_UPWARD
-    return verdicts
+    decisions = Decisions.none(len(first))
+    for verdict, sign in ((UPWARD, 1.0), (NOT_UPWARD, -1.0)):
+        # The cone reaches the least height at this angle. A motion changes both bounds.
+        angles = sign * (math.acos(min(min_height + sign * HEIGHT_ROOM, 1.0)) - tilts)
+        needed = lengths * np.cos(np.minimum(angles, math.pi / 2.0))
+        decided = np.flatnonzero((angles > 0.0) & (reached > needed))
+        decisions.decide(decided, verdict, (reached - needed)[decided] / 2.0)
+    return decisions
 
 
 def _difference_points(cores: PlacedCores, first: Indices, second: Indices) -> Array:

@@ -29,6 +29,8 @@ from ssduck.geometry.solids import Solid
 
 # Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
 _SHRINK = 1e-8
+# The number of pairs that are remembered to be apart.
+_MAX_APART = 4096
 
 
 class Proposer:
@@ -42,6 +44,7 @@ class Proposer:
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
         self.interiors = ConvexInteriors(solids, solid_indices)
         self._solids, self._solid_indices = solids, solid_indices
+        self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
 
     @cached_property
     def _objects(self) -> list[Any]:
@@ -84,18 +87,27 @@ class Proposer:
         for shape in {shape for pair in pairs for shape in pair}:
             objects[shape].setRotation(matrices[shape])
             objects[shape].setTranslation(positions[shape])
+        were_apart = self._apart
+        if len(were_apart) > _MAX_APART:
+            were_apart.clear()
         rows: list[Array] = []
-        for i, j in pairs:
-            one, other = objects[i], objects[j]
-            meeting = fcl.CollisionResult()
-            collide(one, other, contact, meeting)
-            if contacts := meeting.contacts:
-                deepest = contacts[0]
-                rows += (deepest.pos, deepest.pos, -deepest.normal)
-                continue
-            apart = fcl.DistanceResult()  # a new object each time: FCL only lowers its distance
-            distance(one, other, wanted, apart)
-            rows += (*apart.nearest_points, _NO_DIRECTION)
+        for pair in pairs:
+            one, other = objects[pair[0]], objects[pair[1]]
+            # Both probably are as they were; FCL compares twice where they are not.
+            nearest = fcl.DistanceResult()  # a new object each time: FCL only lowers its distance
+            is_apart = pair in were_apart and distance(one, other, wanted, nearest) > 0.0
+            if not is_apart:
+                meeting = fcl.CollisionResult()
+                collide(one, other, contact, meeting)
+                if contacts := meeting.contacts:
+                    were_apart.discard(pair)
+                    deepest = contacts[0]
+                    rows += (deepest.pos, deepest.pos, -deepest.normal)
+                    continue
+                were_apart.add(pair)
+                nearest = fcl.DistanceResult()
+                distance(one, other, wanted, nearest)
+            rows += (*nearest.nearest_points, _NO_DIRECTION)
         proposals = np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
         return proposals[:2], proposals[2]
 

@@ -68,6 +68,10 @@ class CheckedRows:
             self._check_keys(table, rows)
         return rows
 
+    def recheck(self) -> None:
+        """Forgets which tables were checked: the archive has other rows now."""
+        self._checked.clear()
+
     def check_ticks(self, table: str) -> None:
         """Checks that all rows of a table have the number and the time of a tick of the record.
 

@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ssduck.recording.stores.conditional_objects import create_object
 from ssduck.recording.stores.object_store import ObjectPath, written
 
 _fcntl: Any = import_module("fcntl") if os.name == "posix" else None
@@ -62,14 +63,10 @@ def is_temporary(file: Path) -> bool:
 def create_file(place: Path, text: str) -> bool:
     """Creates a file with a text unless there is one; returns whether there was none.
 
-    Of several processes that create it at the same time, one does, and the others see all of it; in
-    an object store, the last one does.
+    Of several processes that create it at the same time, one does, and the others see all of it.
     """
     if isinstance(place, ObjectPath):
-        if place.exists():
-            return False
-        place.write_bytes(text.encode())
-        return True
+        return create_object(place, text.encode())
     temporary = place.with_name(f".{secrets.token_hex(8)}.unfinished")
     try:
         with temporary.open("w", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Reads the JSON objects that describe records, and checks their values.
+"""Reads and changes the JSON objects that describe records, and checks their values.
 
 A record may come from a stranger, so that any value may be of any type, missing, or nested deeply.
 """
@@ -15,7 +15,16 @@ from typing import Any
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.recording.recorded_visuals import is_camera
-from ssduck.recording.stores.checksums import CHECKSUM_KEY, WRONG_CHECKSUM, pop_checksum
+from ssduck.recording.stores.atomic_files import sole_writer, write_atomically
+from ssduck.recording.stores.checksums import (
+    CHECKSUM_KEY,
+    WRONG_CHECKSUM,
+    json_text,
+    pop_checksum,
+    write_json,
+)
+from ssduck.recording.stores.conditional_objects import change_object
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.tags import are_tags
 from ssduck.schema import RECORDED
 
@@ -124,12 +133,42 @@ def read_description(file: Path) -> dict[str, Any]:
         raise RecordError(f"{file} cannot be read: {error.strerror}") from error
     if is_too_long:  # not within `try`: a RecordError is an OSError
         raise RecordError(f"{file} is damaged: it has more than {MAX_DESCRIPTION:,} bytes")
-    description = parse_description(content, str(file))
+    return checked_description(content, str(file))
+
+
+def checked_description(content: bytes, source: str) -> dict[str, Any]:
+    """Returns the JSON object in the content of a file, whose checksum is right.
+
+    Raises:
+        RecordError: there is no JSON object, or its checksum is wrong.
+    """
+    description = parse_description(content, source)
     if not pop_checksum(description):
         raise RecordError(
-            f"{file} {WRONG_CHECKSUM}; remove its key {CHECKSUM_KEY!r} if you edited it"
+            f"{source} {WRONG_CHECKSUM}; remove its key {CHECKSUM_KEY!r} if you edited it"
         )
     return description
+
+
+def change_description(file: Path, change: Callable[[dict[str, Any]], Mapping[str, Any]]) -> None:
+    """Replaces the JSON object in a file by what a function makes of it.
+
+    Of several processes that do so at the same time, each sees what the one before has written.
+
+    Raises:
+        RecordError: the file cannot be read, or has no JSON object.
+        OSError: it cannot be written.
+    """
+    if isinstance(file, ObjectPath):
+        source = str(file)
+        change_object(
+            file,
+            lambda content: json_text(change(checked_description(content, source))).encode(),
+        )
+        return
+    with sole_writer(file.parent):
+        content = change(read_description(file))
+        write_atomically(file, lambda place: write_json(content, place))
 
 
 def parse_description(text: str | bytes, source: str) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """Lets records be in an object store: `ObjectPath` is an address there with the methods of a path.
 
 An object is there as a whole or not at all, as a file is here once it was renamed. There are no
-folders, links and renames, and nothing creates an object only if there is none.
+folders, links and renames. What is created or changed by several processes goes through
+`ssduck.recording.stores.conditional_objects`.
 """
 
 from __future__ import annotations
@@ -180,9 +181,13 @@ def file_system() -> FileSystem:
     Raises:
         RecordError: this pyarrow cannot reach one.
     """
+    return _s3(*endpoint_and_region(), os.getpid())
+
+
+def endpoint_and_region() -> tuple[str | None, str | None]:
+    """Returns the address of the store and its region, as the environment has them."""
     endpoint = next(filter(None, map(os.environ.get, _ENDPOINTS)), None)
-    region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
-    return _s3(endpoint, region, os.getpid())
+    return endpoint, os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
 
 
 @lru_cache(maxsize=4)

@@ -29,15 +29,13 @@ from ssduck.recording.static_tables import IdProvider, model_rows
 from ssduck.recording.stores.atomic_files import (
     create_file,
     is_temporary,
-    sole_writer,
     sync_folder,
     temporary_path,
-    write_atomically,
 )
 from ssduck.recording.stores.base import TickStore
-from ssduck.recording.stores.checksums import json_text, write_json, write_parquet
+from ssduck.recording.stores.checksums import json_text, write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
-from ssduck.recording.stores.descriptions import EPISODE, check_description, read_description
+from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import (
@@ -171,13 +169,14 @@ class ParquetStore(TickStore):
             RecordError: the file cannot be written.
         """
         parts = {"ticks": self._part_count, "models": self._model_count}
+
+        def finished(about: dict[str, Any]) -> dict[str, Any]:
+            return {key: about[key] for key in about if key != "exporting"} | {"parts": parts}
+
         try:
             self._index.write()
             self._move_staged()
-            with sole_writer(self.run.about_file.parent):
-                about = read_description(self.run.about_file) | {"parts": parts}
-                about.pop("exporting", None)
-                write_atomically(self.run.about_file, lambda file: write_json(about, file))
+            change_description(self.run.about_file, finished)
         except OSError as error:
             raise RecordError(f"{self.run.about_file} cannot be written: {error}") from error
 
@@ -230,12 +229,13 @@ def write_tags(run: FolderRun, tags: Tags) -> None:
     """
     added = checked_tags(tags)
     check_inside(run.path, run.about_file)
-    with sole_writer(run.about_file.parent):
-        about = read_description(run.about_file)
+
+    def with_tags(about: dict[str, Any]) -> dict[str, Any]:
         check_description(about, EPISODE, str(run.about_file), "what is recorded")
-        content = about | {"tags": checked_tags({**about.get("tags", {}), **added})}
-        with _writing(run.about_file):
-            write_atomically(run.about_file, lambda file: write_json(content, file))
+        return about | {"tags": checked_tags({**about.get("tags", {}), **added})}
+
+    with _writing(run.about_file):
+        change_description(run.about_file, with_tags)
 
 
 def _fill_a_part(rows: Mapping[str, pa.Table]) -> bool:
@@ -250,6 +250,8 @@ def _writing(place: Path) -> Iterator[None]:
     """Turns errors of the system into ssduck's while a folder is written."""
     try:
         yield
+    except RecordError:
+        raise
     except OSError as error:
         raise RecordError(
             f"{place} cannot be written: {error}; the rows that were stored before are intact, "

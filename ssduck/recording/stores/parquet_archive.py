@@ -176,7 +176,8 @@ class ParquetArchive(TickArchive):
     def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
         """Returns the number and the time of a stored row that are those of no tick."""
         logged = self._log[table].arrow if self._log else None
-        return stray_tick(self._connection, self.select(table, None), ticks, logged)
+        rows = self.select(table, None) if self._files.get(table) else None
+        return stray_tick(self._connection, rows, ticks, logged)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""

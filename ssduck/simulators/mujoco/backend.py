@@ -21,7 +21,7 @@ from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, STATE_KEY, mjcf_scene
 from ssduck.simulators.mujoco.bodies import body_names, kind_by_joints, kinds_in, roots_of
-from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes
+from ssduck.simulators.mujoco.declared_sizes import check_declared_sizes, check_iterations
 from ssduck.simulators.mujoco.interventions import add_spare_welds
 from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
@@ -54,6 +54,7 @@ def load(scene: Scene) -> MuJoCoSimulator:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
     if not (compiled.opt.timestep > 0 and math.isfinite(compiled.opt.timestep)):
         raise SceneError(f"{scene.path}: the timestep is not a number above 0")
+    check_iterations(compiled.opt, scene.path)
     state = mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_KEY, STATE_KEY)
     if state >= 0:
         mujoco.mj_resetDataKeyframe(compiled, data, state)

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from typing import Any
 
 from ssduck.errors import SceneError
+from ssduck.simulators.model_xml import read_xml
 
 # The largest number of elements of a model, with copies; of pixels, heights and user's numbers.
 MAX_ELEMENTS, MAX_NUMBERS = 1_000_000, 100_000_000
@@ -28,6 +30,16 @@ _NUMBERS = {
 _SIZES = ("nuserdata", "nkey", "njmax", "nconmax", "nstack")
 _SIZES_EACH = "nuser_"
 
+# The largest number of iterations of a kind in a step, and of those within each other.
+MAX_ITERATIONS, MAX_PRODUCT = 10_000, 1_000_000
+# The settings of <option> that are numbers of iterations; those of a line are within each other.
+_ITERATIONS = (
+    ("iterations", "ls_iterations"),
+    ("sdf_iterations", "sdf_initpoints"),
+    ("noslip_iterations",),
+    ("ccd_iterations",),
+)
+
 
 def check_declared_sizes(file: Path) -> None:
     """Checks that an MJCF file and those that it includes describe a model of a usual size.
@@ -43,10 +55,34 @@ def check_declared_sizes(file: Path) -> None:
         )
 
 
+def check_iterations(options: Any, file: Path) -> None:
+    """Checks that a step of a model does not iterate for hours.
+
+    Args:
+        options: the options of the model as MuJoCo has read them, wherever they are set.
+        file: the file of the scene.
+
+    Raises:
+        SceneError: it may.
+    """
+    for names in _ITERATIONS:
+        numbers = [getattr(options, name) for name in names]
+        for name, number in zip(names, numbers, strict=True):
+            if number > MAX_ITERATIONS:
+                raise SceneError(
+                    f"{file}: <option>: {name} is {number:,}, more than {MAX_ITERATIONS:,}"
+                )
+        if math.prod(numbers) > MAX_PRODUCT:
+            raise SceneError(
+                f"{file}: <option>: {' times '.join(names)} is {math.prod(numbers):,}, more than "
+                f"{MAX_PRODUCT:,}"
+            )
+
+
 def _count(file: Path, main: Path, files: set[Path]) -> int:
     """Returns the number of elements of a file; MuJoCo reports one that cannot be read."""
     try:
-        root = ET.parse(file).getroot()  # noqa: S314  # expat bounds the growth of entities
+        root = read_xml(file)
     except (ET.ParseError, OSError, ValueError):
         return 0
     total = 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -54,6 +55,11 @@ SwitchedOff: TypeAlias = tuple[Collection[int], Collection[int]]
 
 # The number of lists of bodies whose rows stay prepared.
 _PREPARED = 4
+# The columns of a link's position, matrix, orientation and twist, and of the centre of its tree.
+_RAW = slice(0, 3), slice(3, 12), slice(12, 16), slice(16, 22)
+_ROOTS = slice(22, 25)
+# If the squares of numbers add up to less, sums of their products are finite.
+_MODERATE = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +79,26 @@ class _Rows:
     roots: Indices
     site_rows: Indices
     sites: Indices
+
+
+def _states(raw: Array, turns: tuple[Indices, Array] | None) -> Array:
+    """Returns the states of links from what MuJoCo has of them; see `LinkPoses`.
+
+    Args:
+        raw: the position, matrix, orientation and twist of each link, and the centre of mass of its
+            tree, which the twist is stated at.
+        turns: the rows of sites, and their orientations in their links; None for none.
+    """
+    states = np.zeros((len(raw), 13))
+    states[:, :3], states[:, 3:7] = raw[:, _RAW[0]], raw[:, _RAW[2]]
+    if turns is not None:
+        own, quaternions = turns
+        states[own, 3:7] = multiply(states[own, 3:7], quaternions)
+    twists = raw[:, _RAW[3]]
+    arms = raw[:, _RAW[0]] - raw[:, _ROOTS]
+    states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
+    states[:, 10:] = twists[:, :3]
+    return states
 
 
 class MuJoCoSimulator(PartialSimulator):
@@ -242,26 +268,25 @@ class MuJoCoSimulator(PartialSimulator):
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
         """Returns the poses and velocities of all links of some bodies, body after body."""
-        rows = self._rows_of(bodies)
-        state, links = self._state, rows.links
-        positions = state.xpos[links].copy() if isinstance(links, slice) else state.xpos[links]
-        count = len(positions)
-        matrices = state.xmat[links].reshape(count, 3, 3)
-        if isinstance(links, slice):
-            matrices = matrices.copy()
-        twists = state.cvel[links]
-        states = np.zeros((count, 13))
-        states[:, :3] = positions
-        states[:, 3:7] = state.xquat[links]
+        rows, state = self._rows_of(bodies), self._state
+        raw = np.zeros((len(rows.roots), 25))
+        for columns, array in zip(
+            _RAW, (state.xpos, state.xmat, state.xquat, state.cvel), strict=True
+        ):
+            raw[:, columns] = array[rows.links]
+        raw[:, _ROOTS] = state.subtree_com[rows.roots]
+        turns = None
         if len(rows.sites):
             sites, own = rows.sites, rows.site_rows
-            positions[own], states[own, :3] = state.site_xpos[sites], state.site_xpos[sites]
-            matrices[own] = state.site_xmat[sites].reshape(-1, 3, 3)
-            states[own, 3:7] = multiply(states[own, 3:7], self.model.site_quat[sites])
-        arms = positions - state.subtree_com[rows.roots]
-        states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
-        states[:, 10:] = twists[:, :3]
-        return LinkPoses(positions, matrices, states)
+            raw[own, _RAW[0]], raw[own, _RAW[1]] = state.site_xpos[sites], state.site_xmat[sites]
+            turns = own, self.model.site_quat[sites]
+        positions, matrices = raw[:, _RAW[0]], raw[:, _RAW[1]].reshape(-1, 3, 3)
+        return LinkPoses(
+            positions,
+            matrices,
+            partial(_states, raw, turns),
+            are_finite=bool(np.vdot(raw, raw) < _MODERATE),
+        )
 
     def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:
         for rows in self._rows:

@@ -7,6 +7,7 @@ With `URDF_USE_INERTIA_FROM_FILE`, the loaded primitives behave exactly as those
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ from ssduck.simulators.kinematics import moved_link_poses
 
 Numbers = Sequence[float]
 
+# Characters that no XML file can have: names of a world may have them.
+_NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 # PyBullet's limit of effort or velocity of a joint without such a limit.
 _UNLIMITED = 0.0
 
@@ -97,7 +100,7 @@ def zero_poses(
 
 def write_model(model: BodyModel, folder: Path, stem: str) -> Path:
     """Writes a model and its meshes into a folder; the URDF file is `stem.urdf`."""
-    robot = ET.Element("robot", name=model.body.name)
+    robot = ET.Element("robot", name=unique_names([model.body.name])[0])
     meshes = _Meshes(folder, stem)
     names = unique_names(link.name for link in model.body.links)
     for index, name in enumerate(names):
@@ -188,14 +191,14 @@ def _add_geometry(
 
 
 def unique_names(names: Iterable[str]) -> list[str]:
-    """Makes names of a model distinct and not empty.
+    r"""Makes names of a model distinct, not empty, and such that XML can have them.
 
-    >>> unique_names(["leg", "leg", ""])
-    ['leg', 'leg_2', '_']
+    >>> unique_names(["leg", "leg", "", "a\0b"])
+    ['leg', 'leg_2', '_', 'a_b']
     """
     unique: dict[str, None] = {}
     for name in names:
-        stem = name or "_"
+        stem = _NOT_IN_XML.sub("_", name) or "_"
         numbered = (f"{stem}_{number}" for number in count(2))
         unique[next(n for n in chain([stem], numbered) if n not in unique)] = None
     return list(unique)

@@ -10,6 +10,7 @@ from ssduck.errors import SceneError
 mujoco = pytest.importorskip("mujoco")
 from ssduck.simulators.mujoco.declared_sizes import (  # noqa: E402
     MAX_ELEMENTS,
+    MAX_ITERATIONS,
     MAX_NUMBERS,
     check_declared_sizes,
 )
@@ -91,6 +92,43 @@ def test_the_bounds(tmp_path):
     file.write_text(form.format(MAX_NUMBERS + 1))
     with pytest.raises(SceneError, match="nrow times ncol"):
         check_declared_sizes(file)
+
+
+ITERATIONS = ["iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"]
+ITERATIONS += ["sdf_iterations", "sdf_initpoints"]
+BALL = f"<worldbody><body><freejoint/>{GEOM}</body></worldbody>"
+
+
+@pytest.mark.parametrize("name", ITERATIONS)
+def test_iterations_without_end_are_refused(tmp_path, name):
+    option = f'<option {name}="2000000000" tolerance="0" noslip_tolerance="0" solver="PGS"/>'
+    text, words = f"<mujoco>{option}{BALL}</mujoco>", f"bomb.xml: <option>: {name} is 2,000,000,000"
+    refused(tmp_path, text, words)
+    refused(tmp_path, f'<mujoco><include file="i.xml"/>{BALL}</mujoco>', words, i=text)
+
+
+@pytest.mark.parametrize(
+    ("options", "product"),
+    [
+        ('iterations="10000" ls_iterations="101"', "iterations times ls_iterations is 1,010,000"),
+        ('sdf_iterations="5000" sdf_initpoints="5000"', "sdf_initpoints is 25,000,000"),
+    ],
+)
+def test_iterations_within_iterations_are_bounded(tmp_path, options, product):
+    refused(tmp_path, f"<mujoco><option {options}/>{BALL}</mujoco>", product)
+
+
+def test_the_bound_of_iterations(tmp_path):
+    (tmp_path / "row.xml").write_text(
+        f'<mujoco><option iterations="{MAX_ITERATIONS}" ls_iterations="100"/>{BALL}</mujoco>'
+    )
+    with ssduck.load(tmp_path / "row.xml") as ss:
+        assert ss.eval("SELECT count(*) AS n FROM row AS value;") == 1
+
+
+def test_elements_of_a_namespace_count(tmp_path):
+    text = f'<mujoco><worldbody><replicate xmlns="a" count="100000000">{GEOM}</replicate></worldbody></mujoco>'
+    refused(tmp_path, text, "more than 1,000,000 elements")
 
 
 def test_a_usual_model_loads(tmp_path):

@@ -2,7 +2,7 @@
 
 A record in a folder gets a file for each episode, `gym/sim-0.json` beside `episodes/sim-0.json`. It
 has what the ticks do not: the seed and options of the reset, the terms, the values of variables,
-and the reward of each step.
+and the action and the reward of each step.
 """
 
 from __future__ import annotations
@@ -39,6 +39,13 @@ def _is_numbers(value: Any) -> bool:
     return isinstance(value, list) and all(validation.is_number(number) for number in value)
 
 
+def _are_actions(value: Any) -> bool:
+    if value is None:
+        return True
+    is_list = isinstance(value, list) and all(map(_is_numbers, value))
+    return is_list and len(set(map(len, value))) < 2
+
+
 # What a file has of an episode.
 _DESCRIPTION = {
     "version": Value("a number", lambda value: type(value) is int and value >= 1),
@@ -49,6 +56,7 @@ _DESCRIPTION = {
         lambda value: isinstance(value, dict) and all(map(_is_list, value.values())),
     ),
     "rewards": Value("a list of numbers", _is_numbers),
+    "actions": Value("lists of equally many numbers, or null", _are_actions, is_required=False),
     "return": Value("a number", validation.is_number),
     "success": Value("true, false or null", lambda value: value in (True, False, None)),
 }
@@ -65,6 +73,7 @@ class EpisodeSteps:
         times: the simulated time of the tick at the reset and after each step, s.
         variables: the values of each variable at those ticks.
         rewards: the reward of each step.
+        actions: the action of each step, as numbers; None if they are others, or not recorded.
         success: whether the task was done after the last step; None without such a term.
     """
 
@@ -74,6 +83,7 @@ class EpisodeSteps:
     times: list[float] = field(default_factory=list)
     variables: dict[str, list[Any]] = field(default_factory=dict)
     rewards: list[float] = field(default_factory=list)
+    actions: list[list[float]] | None = field(default_factory=list)
     success: bool | None = None
 
     def add_tick(self, time: float, variables: Mapping[str, Any]) -> None:
@@ -81,6 +91,17 @@ class EpisodeSteps:
         self.times.append(time)
         for name, value in variables.items():
             self.variables.setdefault(name, []).append(value)
+
+    def add_action(self, numbers: list[float] | None) -> None:
+        """Adds the action of a step, as `action_numbers` gives it."""
+        if (
+            numbers is None
+            or self.actions is None
+            or any(len(numbers) != len(one) for one in self.actions[:1])
+        ):
+            self.actions = None
+        else:
+            self.actions.append(numbers)
 
     @property
     def total(self) -> float:
@@ -109,6 +130,7 @@ class EpisodeSteps:
             "times": self.times,
             "variables": self.variables,
             "rewards": self.rewards,
+            "actions": self.actions,
         }
         file = folder / FOLDER / f"{world}-{number}.json"
         try:
@@ -134,7 +156,9 @@ class EpisodeSteps:
                 f"{VERSION}: install a newer one"
             )
         times, variables, rewards = content["times"], content["variables"], content["rewards"]
+        actions = content.get("actions")
         lengths = {len(times), len(rewards) + 1, *map(len, variables.values())}
+        lengths |= set() if actions is None else {len(actions) + 1}
         if len(lengths) != 1:
             raise RecordError(f"{file} is damaged: its lists have different lengths")
         return cls(
@@ -144,6 +168,7 @@ class EpisodeSteps:
             times,
             variables,
             rewards,
+            actions,
             content["success"],
         )
 
@@ -179,6 +204,18 @@ def plain(value: Any, key: str) -> Any:
         f"{key} is {short_repr(value)}: a variable is True, False, a number, a text, or a list or "
         "an array of such"
     )
+
+
+def action_numbers(action: Any) -> list[float] | None:
+    """Returns an action as numbers, from an array of any shape; None if it has others."""
+    try:
+        numbers = np.asarray(action)
+    except ValueError:  # parts of several shapes
+        return None
+    if numbers.dtype.kind not in "biuf" or not np.isfinite(numbers).all():
+        return None
+    flat: list[float] = numbers.astype(np.float64).reshape(-1).tolist()
+    return flat
 
 
 def recordable(value: Any) -> Any:

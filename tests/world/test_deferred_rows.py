@@ -1,0 +1,173 @@
+"""Rows are written when something reads them, and are those of the present tick then."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.simulators.mujoco import simulator
+from ssduck.world import contact_rows
+from tests.support.gym_environments import PUSH
+
+RADIUS = 0.05
+HIGHEST = "SELECT zmax FROM lab.entities WHERE name = 'ball'"
+
+
+@pytest.fixture
+def lab():
+    model = mujoco.MjModel.from_xml_string(PUSH)
+    data = mujoco.MjData(model)
+    data.qpos[3] = 1.0  # the ball falls
+    mujoco.mj_forward(model, data)
+    with ssduck.Interpreter() as ss:
+        yield ss, ss.add_variable("lab", ssduck.World.attach(model, data)), model, data
+
+
+READERS = {
+    "a property": lambda ss, world: world["ball"].aabb[1][2],
+    "SQL": lambda ss, world: ss.sql(HIGHEST).fetchall()[0][0],
+    "a query": lambda ss, world: ss.eval("SELECT aabb FROM lab WHERE id == 'ball' AS list;")[0][5],
+    "a condition": lambda ss, world: ss.eval("aabb(lab.ball);")[5],
+    "a table": lambda ss, world: world.snapshot.tables["entities"]["zmax"][-1].item(),
+    "a record": lambda ss, world: ss.sql(
+        "SELECT zmax FROM lab.entities_history WHERE name = 'ball' ORDER BY tick DESC LIMIT 1"
+    ).fetchall()[0][0],
+    "a what-if world": lambda ss, world: world.what_if()["ball"].aabb[1][2],
+    "a trigger": lambda ss, world: ss["seen"][5],
+}
+
+
+@pytest.mark.parametrize("read", READERS.values(), ids=READERS)
+def test_they_are_of_the_present_tick(lab, read):
+    ss, world, model, data = lab
+    ss.add_trigger("box", "aabb(lab.ball);", 0.001, lambda value: ss.add_variable("seen", value))
+    heights = []
+    for _ in range(5):
+        mujoco.mj_step(model, data, 5)
+        mujoco.mj_forward(model, data)
+        world.tick()
+        assert ss.eval("z(lab.ball) > 0;")
+        heights.append(data.body("ball").xpos[2] + RADIUS)
+        assert read(ss, world) == pytest.approx(heights[-1], abs=1e-12)
+    assert len(set(heights)) == 5
+
+
+def test_a_tick_computes_none(lab, monkeypatch):
+    _, _, model, data = lab
+    with ssduck.Interpreter(recording=None) as other:
+        world = other.add_variable("lab", ssduck.World.attach(model, data))
+        program = other.compile("SELECT z(lab.ball) > 0.1, x(lab.pusher) FROM [0] AS list;")
+        for _ in range(3):  # it requests tables, and is planned
+            world.tick()
+            other.eval(program)
+        calls = []
+        boxes = BoundingBoxes.boxes
+        monkeypatch.setattr(
+            BoundingBoxes, "boxes", lambda *arguments: calls.append(1) or boxes(*arguments)
+        )
+        for _ in range(5):
+            mujoco.mj_step(model, data)
+            world.tick()
+            other.eval(program)
+        assert not calls
+        assert other.sql(HIGHEST).fetchall()[0][0] > 0.1
+        assert len(calls) == 1
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_unknown_numbers_have_unknown_boxes_at_once(lab, number):
+    ss, world, _, data = lab
+    data.xpos[-1] = number
+    with pytest.warns(UserWarning, match="ball: the simulator gives"):
+        world.tick()
+    assert ss.sql("SELECT zmax FROM lab.entities WHERE name = 'ball'").fetchall() in (
+        [(None,)],
+        [(np.inf,)],
+    )
+    data.xpos[-1] = 1.0
+    world.tick()
+    assert world["ball"].aabb[1][2] == pytest.approx(1.0 + RADIUS)
+
+
+def contacts_of(model, data, *names):
+    """Returns the number of contacts of two bodies, and whether one presses, by MuJoCo alone."""
+    numbers, force = sorted(model.body(name).id for name in names), np.zeros(6)
+    rows = [
+        row
+        for row in range(data.ncon)
+        if sorted(model.geom_bodyid[data.contact[row].geom].tolist()) == numbers
+    ]
+    forces = []
+    for row in rows:
+        mujoco.mj_contactForce(model, data, row, force)
+        forces.append(force[0])
+    return len(rows), any(one > 0 for one in forces)
+
+
+COUNT = "SELECT count(*) FROM lab.contacts c JOIN lab.entities e ON c.b = e.id WHERE name = 'ball'"
+
+
+def test_contacts_are_of_the_present_tick(lab):
+    _, _, model, data = lab
+    seen = []
+    with ssduck.Interpreter(recording=None) as other:
+        world = other.add_variable("lab", ssduck.World.attach(model, data))
+        pressing = other.compile("SELECT inContact(lab.table, lab.ball) FROM [0] AS list;")
+        both = other.compile(
+            "p = inContact(lab.ball, lab.table);"
+            " SELECT id FROM lab WHERE inContact(this, lab.table) AND p AS list;"
+        )
+        data.qpos[3] = 0.5  # above the table
+        for tick in range(60):
+            mujoco.mj_step(model, data, 5)
+            world.tick()
+            count, is_pressing = contacts_of(model, data, "table", "ball")
+            assert other.eval(pressing) == [is_pressing]
+            if tick % 2:  # else the next tick comes before the table is written
+                assert other.sql(COUNT).fetchall() == [(count,)]
+            if tick % 3 == 0:
+                assert ("ball" in other.eval(both)) == is_pressing
+            seen.append(count)
+    assert 0 in seen
+    assert any(seen)
+
+
+def test_a_condition_puts_no_contacts_in_order(lab, monkeypatch):
+    _, _, model, data = lab
+    with ssduck.Interpreter(recording=None) as other:
+        world = other.add_variable("lab", ssduck.World.attach(model, data))
+        program = other.compile("SELECT inContact(lab.table, lab.ball) FROM [0] AS list;")
+        mujoco.mj_step(model, data, 500)
+        for _ in range(3):
+            world.tick()
+            other.eval(program)
+        calls, rows = [], contact_rows.contact_rows
+        monkeypatch.setattr(contact_rows, "contact_rows", lambda *of: calls.append(1) or rows(*of))
+        for _ in range(5):
+            mujoco.mj_step(model, data)
+            world.tick()
+            assert other.eval(program) == [True]
+        assert not calls
+        assert other.sql(COUNT).fetchall() == [(contacts_of(model, data, "table", "ball")[0],)]
+        assert calls == [1]
+
+
+def test_a_condition_on_positions_computes_no_velocities(lab, monkeypatch):
+    _, _, model, data = lab
+    with ssduck.Interpreter(recording=None) as other:
+        world = other.add_variable("lab", ssduck.World.attach(model, data))
+        program = other.compile("SELECT z(lab.ball) > 0.1 FROM [0] AS list;")
+        calls, states = [], simulator._states
+        monkeypatch.setattr(simulator, "_states", lambda *of: calls.append(1) or states(*of))
+        for _ in range(3):
+            mujoco.mj_step(model, data)
+            world.tick()
+            calls.clear()
+            assert other.eval(program) == [data.body("ball").xpos[2] > 0.1]
+        assert not calls
+        velocity = np.zeros(6)
+        number, kind = model.body("ball").id, mujoco.mjtObj.mjOBJ_BODY
+        mujoco.mj_objectVelocity(model, data, kind, number, velocity, 0)
+        assert world["ball"].velocity == pytest.approx([*velocity[3:], *velocity[:3]], abs=1e-12)
+        assert calls == [1]
