@@ -112,6 +112,8 @@ class BatchInterpreter:
         self._execution = self.interpreter._execution  # noqa: SLF001  # a part of this package
         database = self.interpreter._database  # noqa: SLF001
         connection = database.connection
+        # It would keep the footers of all episodes that were ever asked.
+        connection.run("SET parquet_metadata_cache = false")
         for table, rows in models.items():
             connection.register(model_table(table), rows)
         self._archive = EpisodeBatch(

@@ -1,15 +1,15 @@
 """Checks that episodes are of one group, so that one of them may stand for the models of all.
 
 A manifest says which are, and may come from a stranger. So the files of each episode are compared
-with those of the first of its group: byte for byte, or by their rows, as checksums prove nothing
-against a forger.
+with those of the first of its group: by their bytes, or by their rows where a file was written
+otherwise, as checksums prove nothing against a forger.
 """
 
 from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,7 +23,11 @@ from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import run_of
-from ssduck.recording.stores.checksums import content_problem, without_checksums
+from ssduck.recording.stores.checksums import (
+    content_problem,
+    footer_in,
+    with_footer_sum,
+)
 from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, label_of, part_name
 from ssduck.schema import MODELS
@@ -46,23 +50,30 @@ class _ModelPart:
 
     def is_like(self, other: _ModelPart) -> bool:
         """Checks whether another part has the same rows, but for the number of the run."""
-        if self._common == other._common:
-            return True
         return bool(_without_run(self.rows).equals(_without_run(other.rows)))
 
-    @cached_property
-    def _common(self) -> tuple[bytes, pa.Schema | None]:
-        """What two files have in common if they differ by their labels only.
+    def with_label(self, label: bytes) -> bytes | None:
+        """Returns the bytes of this part if it had another label; None if the lengths differ.
 
-        That is the bytes without the labels and the checksums, which were checked, and the columns:
-        the bytes of the schema have the label, too.
+        Besides the label itself, they differ in the copy of it within the columns' schema, and in
+        the checksum of the footer.
         """
-        plain = without_checksums(self.content).replace(self.label, b"")
-        match = _SCHEMA.search(plain)
+        if self._footer is None or len(label) != len(self.label):
+            return None
+        data, footer, schema, place = self._footer
+        changed = footer.replace(self.label, label)
+        columns = base64.b64encode(schema.replace(self.label, label))
+        return data + with_footer_sum(changed[:place] + columns + changed[place + len(columns) :])
+
+    @cached_property
+    def _footer(self) -> tuple[bytes, bytes, bytes, int] | None:
+        """The data, the footer, the schema in it and its place; None if there is no schema."""
+        footer = footer_in(self.content)
+        data = self.content[: -len(footer)]
+        match = _SCHEMA.search(footer)
         if match is None:
-            return plain, None
-        schema = pa.ipc.read_schema(pa.py_buffer(base64.b64decode(match[1])))
-        return plain[: match.start(1)] + plain[match.end(1) :], schema.remove_metadata()
+            return None
+        return data, footer, base64.b64decode(match[1]), match.start(1)
 
     @cached_property
     def rows(self) -> pa.Table:
@@ -104,8 +115,11 @@ class EpisodeGroup:
         # The files of the episodes that were found to be of the group, and what their labels have.
         self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
-    def check(self, entry: EpisodeEntry) -> str:
-        """Checks that an episode is of the group; returns the text that its labels have of it.
+    def check(self, entry: EpisodeEntry) -> tuple[str, bool]:
+        """Checks that an episode is of the group.
+
+        Returns:
+            The text that its labels have of it, and whether all its entities were read.
 
         Raises:
             RecordError: it is not, or a file of it is damaged.
@@ -113,21 +127,36 @@ class EpisodeGroup:
         """
         files, key = self._members.get(entry.key, ((), ""))
         if files and files == entry.files:
-            return key
+            return key, False
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         if _described(run, entry) != self._described:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
-        parts = _model_parts(run, entry)
-        for table, own in parts.items():
-            others = self._parts[table]
-            if len(own) != len(others) or not all(map(_ModelPart.is_like, own, others)):
-                raise RecordError(f"{run.place(f'models/{table}')} is another than its group has")
-        run_of({"entities": pa.concat_tables([part.rows for part in parts["entities"]])})
+        for model in MODELS:
+            self._check_model(run, entry, model)
         if not np.array_equal(_present(run, entry), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         assert run.key is not None  # its parts have labels
         self._members[entry.key] = entry.files, run.key
-        return run.key
+        return run.key, len(_files_of(run, entry, "entities")) == 1
+
+    def _check_model(self, run: FolderRun, entry: EpisodeEntry, model: str) -> None:
+        """Checks that a model of an episode is that of the group.
+
+        Most are: they differ in their labels only, as is seen from the bytes.
+        """
+        table, others = f"models/{model}", self._parts[model]
+        files = _files_of(run, entry, table)
+        contents = [file.content() for file in files]
+        if len(files) == len(others) and all(
+            content == other.with_label(file.label)
+            for content, file, other in zip(contents, files, others, strict=True)
+        ):
+            return
+        parts = _checked_parts(files, contents)
+        if len(parts) != len(others) or not all(map(_ModelPart.is_like, parts, others)):
+            raise RecordError(f"{run.place(table)} is another than its group has")
+        if model == "entities":
+            run_of({"entities": pa.concat_tables([part.rows for part in parts])})
 
 
 def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
@@ -171,14 +200,23 @@ def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_Mode
     """
     parts: dict[str, list[_ModelPart]] = {}
     for model in MODELS:
-        table = f"models/{model}"
-        parts[model] = []
-        for file in _files_of(run, entry, table):
-            content = file.content()
-            problem = content_problem(content, has_checksums=True)
-            if problem is not None:
-                raise RecordError(f"{file.path} {problem}")
-            parts[model].append(_ModelPart(content, file.label))
+        files = _files_of(run, entry, f"models/{model}")
+        parts[model] = _checked_parts(files, [file.content() for file in files])
+    return parts
+
+
+def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> list[_ModelPart]:
+    """Returns the parts of a model.
+
+    Raises:
+        RecordError: a file is damaged.
+    """
+    parts = []
+    for file, content in zip(files, contents, strict=True):
+        problem = content_problem(content, has_checksums=True)
+        if problem is not None:
+            raise RecordError(f"{file.path} {problem}")
+        parts.append(_ModelPart(content, file.label))
     return parts
 
 

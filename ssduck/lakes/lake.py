@@ -30,7 +30,6 @@ from ssduck.lakes.scan import (
     entries_of_records,
     missing,
     records_of,
-    size_and_time,
 )
 from ssduck.lakes.statements import SqlDialect, statement
 from ssduck.lakes.where import condition
@@ -40,6 +39,7 @@ from ssduck.recording.stores.descriptions import checked_description
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.summaries import size_and_time
 from ssduck.recording.tags import Tag, checked_tags
 
 MANIFEST = "ssduck-manifest"

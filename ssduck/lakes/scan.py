@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import glob
-import hashlib
 import os
 import re
 import stat
@@ -12,18 +11,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.checksums import parquet_problem
-from ssduck.recording.stores.episode_batch import has_current_columns
+from ssduck.recording.stores.checksums import content_problem
 from ssduck.recording.stores.links import check_inside
-from ssduck.recording.stores.object_store import ObjectPath, file_system, parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, file_system
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     VERSION,
@@ -31,6 +27,15 @@ from ssduck.recording.stores.parquet_layout import (
     check_about,
     lost_runs,
     runs_named,
+)
+from ssduck.recording.stores.summaries import (
+    EpisodeSummary,
+    Listing,
+    StoredFile,
+    parts_in,
+    read_summary,
+    size_and_time,
+    summary_of,
 )
 from ssduck.schema import MODELS
 
@@ -43,8 +48,6 @@ _OF_EPISODE = re.compile(
     r"|(?:episodes|gym)/(?P<described>[^/]+)-(?P<number>0|[1-9][0-9]{0,8})\.json)"
 )
 MISSING = "is missing: its files were there when the manifest was made"
-# The size and the time of the last change of each file of an episode, by its name in the record.
-Listing = Mapping[str, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -117,15 +120,6 @@ def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
         for info in file_system().get_file_info(selector)
         if info.type == FileType.File
     }
-
-
-def size_and_time(file: Path) -> tuple[int, int]:
-    """Returns the size of a file, bytes, and the time of its last change, ns since 1970."""
-    if isinstance(file, ObjectPath):
-        (info,) = file_system().get_file_info([file.key])
-        return info.size, info.mtime_ns
-    status = file.stat()
-    return status.st_size, status.st_mtime_ns
 
 
 def found_in(record: Path) -> list[FoundEpisode]:
@@ -348,57 +342,38 @@ def _described(found: FoundEpisode) -> EpisodeEntry | None:
 
 def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeEntry:
     """Returns the entry of an episode that can be read."""
-    episode = run.episode
-    files = tuple(
-        FileEntry(name, size, modified, zlib.crc32((run.path / name).read_bytes()))
-        for name, (size, modified) in sorted(listing.items())
-    )
-    models = {table: run.read(f"models/{table}") for table in MODELS}
-    entities = models["entities"]
-    order = np.argsort(entities["id"].to_numpy(), kind="stable")
+    summary = read_summary(run, listing) or _computed(run, listing)
+    files = []
+    for name, (size, modified) in sorted(listing.items()):
+        file = summary.files.get(name)
+        checksum = zlib.crc32((run.path / name).read_bytes()) if file is None else file.checksum
+        files.append(FileEntry(name, size, modified, checksum))
     return replace(
         entry,
-        id=episode.id,
-        started=episode.started,
-        complete=episode.complete,
+        id=run.id,
+        started=run.description["started"],
+        complete=run.is_complete,
         version=VERSION,
-        ticks=episode.ticks,
-        first_tick=episode.first_tick,
-        last_tick=episode.last_tick,
-        start=episode.start,
-        end=episode.end,
-        every=episode.every,
+        ticks=summary.ticks,
+        first_tick=summary.first_tick,
+        last_tick=summary.last_tick,
+        start=summary.start,
+        end=summary.end,
+        every=run.recording.get("every", 1),
         tables=tuple(run.tables),
-        entities=tuple(entities["name"].take(pa.array(order)).to_pylist()),
-        tags=dict(episode.tags),
-        group=_group_of(run, models, episode.every),
-        files=files,
+        entities=summary.entities,
+        tags=dict(run.tags),
+        group=summary.group,
+        files=tuple(files),
     )
 
 
-def _group_of(run: FolderRun, models: Mapping[str, pa.Table], every: int) -> str | None:
-    """Returns what is the same for episodes that can be asked together; None for no others."""
-    if run.log or run.removed_parts or not run.has_checksums:
-        return None
-    for table in run.tables:
-        files = run.files(table)
-        if not all(has_current_columns(file, table) for file in files[:1]):
-            return None
-        if any(parquet_problem(file, has_checksums=True) for file in files):
-            return None
-    if "run" not in models["entities"].column_names:
-        return None
-    camera = run.description.get("camera")
-    described = run.world, run.tables, every, run.recording["entities"], camera
-    sink = hashlib.sha256(repr(described).encode())
-    for table, rows in sorted(models.items()):
-        names = [name for name in rows.column_names if name != "run"]
-        columns = {name: rows[name].to_pylist() for name in names}
-        sink.update(repr((table, columns)).encode())
-    last = pq.read_table(
-        parquet_source(run.files("entities")[-1]), columns=["tick", "id"], partitioning=None
-    )
-    ticks = last["tick"].to_numpy()
-    present = np.sort(last["id"].to_numpy()[ticks == ticks.max()])
-    sink.update(present.tobytes())
-    return sink.hexdigest()
+def _computed(run: FolderRun, listing: Listing) -> EpisodeSummary:
+    """Returns the summary of an episode, for which each file is read."""
+    files, are_whole = {}, True
+    for name, (size, modified) in parts_in(run, listing).items():
+        content = (run.path / name).read_bytes()
+        files[name] = StoredFile(size, modified, zlib.crc32(content))
+        if not name.startswith("models/"):  # those are checked when they are read
+            are_whole &= content_problem(content, has_checksums=True) is None
+    return summary_of(run, files, are_whole=are_whole)

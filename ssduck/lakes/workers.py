@@ -27,7 +27,7 @@ from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, to_text
-from ssduck.lakes.scan import checksum_of, size_and_time
+from ssduck.lakes.scan import checksum_of
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
@@ -39,6 +39,7 @@ from ssduck.recording.stores.episode_batch import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import label_of, part_name
+from ssduck.recording.stores.summaries import size_and_time
 from ssduck.schema import RECORDABLE
 
 # The answer as a text of JSON, and the error: one of them is None.
@@ -116,7 +117,7 @@ class _Reader:
         """Returns an episode whose ticks come after those of all others so far."""
         if entry.tables != self._tables:
             raise RecordError(f"{entry.path} has other tables than its manifest says")
-        key, root = self._group.check(entry), _resolved(entry.path)
+        (key, are_read), root = self._group.check(entry), _resolved(entry.path)
         folders = {
             f"{table}/world={entry.world}/episode={entry.episode}": table for table in self._tables
         }
@@ -127,7 +128,7 @@ class _Reader:
                 parts = files[folders[folder]]
                 label = label_of(key, folders[folder], len(parts))
                 parts.append(BatchedFile(f"{root}/{file.name}", file.checksum, label))
-        names = [[Path(file.path).name for file in files[table]] for table in self._tables]
+        names = [[file.path.rpartition("/")[2] for file in files[table]] for table in self._tables]
         if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
             raise RecordError(f"{entry.path} has other files than complete parts")
         ticks_of_parts = [
@@ -141,9 +142,10 @@ class _Reader:
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
         if not len(ticks) or not ascend or len(ticks) != entry.ticks:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
+        checked = frozenset({"entities"} if are_read else ())
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
-        return BatchedEpisode(offset, rows, files)
+        return BatchedEpisode(offset, rows, files, checked)
 
     def close(self) -> None:
         """Closes the interpreter."""

@@ -11,9 +11,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, RecordError
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.groups import EpisodeGroup
+from ssduck.lakes.groups import _checked_parts as checked_parts
 from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import SCHEMA, read_manifest
 from ssduck.lakes.questions import ProgramQuestion
@@ -249,6 +250,36 @@ def test_episodes_with_the_same_models_are_of_one_group(recorded):
     for _ in range(2):
         for entry in others:
             group.check(entry)
+
+
+def test_models_are_compared_by_their_bytes_where_labels_alone_differ(recorded, monkeypatch):
+    first, *others = ssduck.lake(recorded).entries
+    group = EpisodeGroup(first)
+    decoded = []
+    monkeypatch.setattr(
+        "ssduck.lakes.groups._checked_parts",
+        lambda files, *rest: decoded.append(files[0].path) or checked_parts(files, *rest),
+    )
+    for entry in others:
+        group.check(entry)
+    # Each episode has a number of its own run, in its entities.
+    assert len(decoded) == len(others)
+    assert all("models/entities" in path for path in decoded)
+
+
+@pytest.mark.parametrize("table", ["links", "geometries"])
+def test_a_model_with_right_checksums_and_other_rows_is_of_another_group(folder, table):
+    first, second, *_ = ssduck.lake(folder).entries
+    name = f"models/{table}/world=sim/episode=1/part-000000.parquet"
+    rows = pq.read_table(folder / name, partitioning=None)
+    column = {"links": "mass", "geometries": "size_x"}[table]
+    values = pa.array([value * 1.5 for value in rows[column].to_pylist()])
+    write_parquet(rows.set_column(rows.column_names.index(column), column, values), folder / name)
+    checksum = zlib.crc32((folder / name).read_bytes())
+    files = [replace(f, checksum=checksum) if f.name == name else f for f in second.files]
+    group = EpisodeGroup(first)
+    with pytest.raises(RecordError, match="is another than its group has"):
+        group.check(replace(second, files=tuple(files)))
 
 
 def test_a_manifest_of_too_many_values_is_read_anew(folder, monkeypatch):

@@ -70,6 +70,16 @@ def test_damage_is_one_row(address):
         assert [row["episode"] for row in rows if row["error"]] == [2]
 
 
+def test_a_closed_episode_has_a_summary_in_the_store(address, recorded, monkeypatch):
+    place = "s3://runs/closed"
+    with ssduck.open(recorded, "sim", 1) as ss:
+        ss.export(place)
+    monkeypatch.setattr("ssduck.lakes.scan._computed", None)  # its files are not read
+    (entry,) = ssduck.lake(place).entries
+    assert entry.error is None
+    assert entry.ticks == ssduck.lake(recorded).entries[1].ticks
+
+
 def test_nothing_there(address):
     with pytest.raises(RecordError, match="there is no record"):
         ssduck.lake("s3://runs/of tomorrow")

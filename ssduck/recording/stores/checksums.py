@@ -47,8 +47,11 @@ def _hex(checksum: int) -> bytes:
 # -- Parquet files ----------------------------------------------------------------------------
 
 
-def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
+def write_parquet(rows: pa.Table, place: Path, **options: Any) -> int:
     """Writes rows, with their metadata, to a Parquet file with checksums, all or nothing.
+
+    Returns:
+        The CRC-32 of all bytes of the file.
 
     Args:
         rows: the rows.
@@ -68,7 +71,8 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
     data, footer = content[:-length], bytearray(content[-length:])
     match = _last(_FOOTER_SUMS, footer)
     assert match is not None
-    footer[slice(*match.span(1))] = _hex(zlib.crc32(data))
+    data_sum = zlib.crc32(data)
+    footer[slice(*match.span(1))] = _hex(data_sum)
     footer[slice(*match.span(2))] = _hex(zlib.crc32(footer))
 
     def write(file: Path) -> None:
@@ -77,6 +81,7 @@ def write_parquet(rows: pa.Table, place: Path, **options: Any) -> None:
             _write_all(stream, memoryview(footer))
 
     write_atomically(place, write)
+    return zlib.crc32(footer, data_sum)
 
 
 def _write_all(stream: Any, content: memoryview) -> None:
@@ -114,8 +119,8 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
     if match is None:
         return WRONG_CHECKSUM if has_checksums else None
     start, end = match.span(2)
-    expected = zlib.crc32(footer[end:], zlib.crc32(_NONE, zlib.crc32(footer[:start])))
-    return None if match.group(2) == _hex(expected) else WRONG_CHECKSUM
+    is_right = match.group(2) == _hex(_footer_sum(footer, start, end))
+    return None if is_right else WRONG_CHECKSUM
 
 
 def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
@@ -178,13 +183,17 @@ def footer_in(content: bytes) -> bytes:
     return content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :]
 
 
-def without_checksums(content: bytes) -> bytes:
-    """Returns the bytes of a Parquet file without the checksums in its footer."""
-    match = _last(_FOOTER_SUMS, footer_in(content))
-    if match is None:
-        return content
-    start = len(content) - len(match.string)
-    return content[: start + match.start()] + content[start + match.end() :]
+def with_footer_sum(footer: bytes) -> bytes:
+    """Returns a footer with the checksum that it is to have."""
+    match = _last(_FOOTER_SUMS, footer)
+    assert match is not None
+    start, end = match.span(2)
+    return footer[:start] + _hex(_footer_sum(footer, start, end)) + footer[end:]
+
+
+def _footer_sum(footer: bytes, start: int, end: int) -> int:
+    """Returns the checksum of a footer, which is to stand between two places in it."""
+    return zlib.crc32(footer[end:], zlib.crc32(_NONE, zlib.crc32(footer[:start])))
 
 
 def _last(pattern: re.Pattern[bytes], content: bytes | bytearray) -> re.Match[bytes] | None:

@@ -12,7 +12,6 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -26,14 +25,14 @@ from ssduck.recording.spec import Recording
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
-from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_archive import (
     arrow_types,
     multi_link_bodies,
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
-from ssduck.schema import MODELS, RECORDED, TABLES
+from ssduck.schema import MODELS, TABLES
 
 # The column in which the parts have the number of the run.
 _RUN = "run"
@@ -80,11 +79,13 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
+        checked: the tables whose bytes were checked a moment ago.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
+    checked: frozenset[str] = frozenset()
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:
@@ -157,7 +158,7 @@ class EpisodeBatch(TickArchive):
         self._episodes = episodes
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
         for table in sorted(self._read):
-            self._check(table)
+            self._check(table, is_loading=True)
         self._shown = None
         self.show(0, len(episodes))
 
@@ -168,9 +169,11 @@ class EpisodeBatch(TickArchive):
             for table in self._in_sql:
                 self._set_variables(table)
 
-    def _check(self, table: str) -> None:
-        """Checks the bytes of the files of a table."""
+    def _check(self, table: str, *, is_loading: bool = False) -> None:
+        """Checks the bytes of the files of a table; of episodes being loaded, what was not yet."""
         for index, episode in enumerate(self._episodes):
+            if is_loading and table in episode.checked:
+                continue
             for file in episode.files[table]:
                 self._content(file, index)
 
@@ -321,10 +324,3 @@ def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int)
     place = rows.column_names.index("tick")
     rows = rows.set_column(place, types.field("tick"), pa.array(ticks))
     return rows if rows.schema.equals(types) else rows.cast(types)
-
-
-def has_current_columns(file: Path, table: str) -> bool:
-    """Checks whether a part has all columns that a part of this version has."""
-    names = set(pq.read_schema(parquet_source(file)).names)
-    columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
-    return names >= set(columns)

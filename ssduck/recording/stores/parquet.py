@@ -48,6 +48,7 @@ from ssduck.recording.stores.parquet_layout import (
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
+from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import MODELS, recorded_tables
@@ -112,6 +113,8 @@ class ParquetStore(TickStore):
         self._log = PartLog(self._staged.place(LOG), self.run.key)
         self._index = TickIndex(self._staged.place(INDEX), self.run.key)
         self.last_tick: int | None = None
+        # The CRC-32 of the files of the parts, by their names in the record.
+        self._checksums: dict[str, int] = {}
 
     def add_members(self, members: Collection[EntityInfo], id_provider: IdProvider) -> None:
         """Stores the models of entities as a part, all or nothing."""
@@ -179,6 +182,14 @@ class ParquetStore(TickStore):
             change_description(self.run.about_file, finished)
         except OSError as error:
             raise RecordError(f"{self.run.about_file} cannot be written: {error}") from error
+        self._summarize()
+
+    def _summarize(self) -> None:
+        """Writes the summary of the episode, which is complete without it."""
+        if self._part_count:
+            run = FolderRun(self.path, self.run.world, self.run.number)  # as it is now
+            with suppress(OSError):  # a lake reads the files instead; a RecordError is an OSError
+                write_summary(run, self._checksums)
 
     def discard(self) -> None:
         """Removes the files of the episode."""
@@ -213,7 +224,9 @@ class ParquetStore(TickStore):
         labelled = rows.replace_schema_metadata({FORMAT: label})
         with _writing(place):
             place.mkdir(parents=True, exist_ok=True)
-            write_parquet(labelled, place / part_name(number), **_options(labelled))
+            file = part_name(number)
+            checksum = write_parquet(labelled, place / file, **_options(labelled))
+        self._checksums[f"{self.run.folder(table)}/{file}"] = checksum
 
     def drop_before(self, tick: int) -> int:  # noqa: ARG002
         """Returns 0: a folder keeps all ticks."""

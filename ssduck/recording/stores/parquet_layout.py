@@ -8,6 +8,7 @@
       frames/…                                                the poses of links, without `links`
       models/entities/world=kitchen/episode=0/part-000000.parquet    the models of the entities
       index/world=kitchen/episode=0/ticks.parquet    the ticks of many parts (`tick_index`)
+      index/world=kitchen/episode=0/summary.json    for lakes, of a closed episode (`summaries`)
       log/world=kitchen/episode=0/part-000001-0000.arrow    rows of a part to come (`part_log`)
 
 DuckDB, polars and pandas read a folder such as `run/entities` as it is: its rows are those of the
@@ -113,9 +114,13 @@ class FolderRun:
         """The file that describes the episode."""
         return self.path / "episodes" / f"{self.world}-{self.number}.json"
 
+    def folder(self, table: str) -> str:
+        """Returns the name of the folder of the parts of a table in the record, with slashes."""
+        return f"{table}/world={self.world}/episode={self.number}"
+
     def place(self, table: str) -> Path:
         """Returns the folder of the parts of a table, or of a model such as `models/entities`."""
-        return self.path / table / f"world={self.world}" / f"episode={self.number}"
+        return self.path / self.folder(table)
 
     @cached_property
     def description(self) -> dict[str, Any]:

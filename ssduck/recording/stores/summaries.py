@@ -1,0 +1,246 @@
+"""Summaries of episodes in folders: what a lake has to know of an episode before it is asked.
+
+    index/world=kitchen/episode=0/summary.json
+
+A summary is written when a recording is closed, so that the manifest of a lake is made without
+reading all files. It knows the sizes, the times and the checksums of the parts. If these are not
+those that are there, or if there is no summary, as of a recording that was killed, the same is
+computed from the files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ssduck.errors import RecordError
+from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.checksums import write_json
+from ssduck.recording.stores.descriptions import (
+    Description,
+    Value,
+    check_description,
+    read_description,
+)
+from ssduck.recording.stores.links import check_inside
+from ssduck.recording.stores.object_store import ObjectPath, file_system
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
+from ssduck.recording.stores.tick_index import INDEX
+from ssduck.schema import MODELS, RECORDED, TABLES
+
+# The size of each file, bytes, and the time of its last change, ns since 1970, by its name in the
+# record.
+Listing = Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True)
+class StoredFile:
+    """A file of an episode.
+
+    Attributes:
+        size: its size, bytes.
+        modified: when it was last changed, ns since 1970.
+        checksum: the CRC-32 of its bytes.
+    """
+
+    size: int
+    modified: int
+    checksum: int
+
+
+@dataclass(frozen=True)
+class EpisodeSummary:
+    """What a lake has to know of the ticks and models of an episode.
+
+    Attributes:
+        ticks: the number of ticks.
+        first_tick: the number of the first tick.
+        last_tick: the number of the last tick.
+        start: the simulated time of the first tick, s.
+        end: the simulated time of the last tick, s.
+        entities: the names of the entities, by id.
+        group: the same text for episodes that can be asked together; None for no others.
+        files: the files of its parts, by name.
+    """
+
+    ticks: int
+    first_tick: int
+    last_tick: int
+    start: float
+    end: float
+    entities: tuple[str, ...]
+    group: str | None
+    files: Mapping[str, StoredFile]
+
+
+def summary_name(run: FolderRun) -> str:
+    """Returns the name of the file of the summary of an episode, in its record."""
+    return f"{run.folder(INDEX)}/summary.json"
+
+
+def size_and_time(file: Path) -> tuple[int, int]:
+    """Returns the size of a file, bytes, and the time of its last change, ns since 1970."""
+    if isinstance(file, ObjectPath):
+        (info,) = file_system().get_file_info([file.key])
+        return info.size, info.mtime_ns
+    status = file.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+def parts_in(run: FolderRun, listing: Listing) -> Listing:
+    """Returns the files of a listing that are in the folders of the parts of an episode."""
+    tables = (*run.tables, *(f"models/{model}" for model in MODELS))
+    folders = set(map(run.folder, tables))
+    return {name: about for name, about in listing.items() if name.rpartition("/")[0] in folders}
+
+
+def summary_of(
+    run: FolderRun, files: Mapping[str, StoredFile], *, are_whole: bool
+) -> EpisodeSummary:
+    """Returns the summary of an episode, computed from its files.
+
+    Args:
+        run: the episode.
+        files: the files of its parts.
+        are_whole: whether their bytes have their checksums.
+
+    Raises:
+        RecordError: a file is missing or damaged, or there are no ticks.
+    """
+    models = {table: run.read(f"models/{table}") for table in MODELS}
+    order = np.argsort(models["entities"]["id"].to_numpy(), kind="stable")
+    names = models["entities"]["name"].take(pa.array(order)).to_pylist()
+    ticks = run.ticks()[1]
+    first, last = ticks.numbers[[0, -1]].tolist()
+    start, end = ticks.times[[0, -1]].tolist()
+    group = _group_of(run, models) if are_whole else None
+    return EpisodeSummary(len(ticks), first, last, start, end, tuple(names), group, files)
+
+
+def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
+    """Returns what is the same for episodes that can be asked together; None for no others."""
+    if run.log or run.removed_parts or not run.has_checksums:
+        return None
+    parts = {table: run.listed_files(table) for table in run.tables}
+    footers = {table: run.check(table, map(part_number, files)) for table, files in parts.items()}
+    if not all(_has_current_columns(table, found) for table, found in footers.items()):
+        return None
+    if "run" not in models["entities"].column_names:
+        return None
+    every, entities = run.recording.get("every", 1), run.recording["entities"]
+    described = run.world, run.tables, every, entities, run.description.get("camera")
+    sink = hashlib.sha256(repr(described).encode())
+    for table, rows in sorted(models.items()):
+        names = [name for name in rows.column_names if name != "run"]
+        columns = {name: rows[name].to_pylist() for name in names}
+        sink.update(repr((table, columns)).encode())
+    content = pa.BufferReader(parts["entities"][-1].read_bytes())
+    last = pq.ParquetFile(content).read(["tick", "id"], use_threads=False)
+    ticks = last["tick"].to_numpy()
+    sink.update(np.sort(last["id"].to_numpy()[ticks == ticks.max(initial=0)]).tobytes())
+    return sink.hexdigest()
+
+
+def _has_current_columns(table: str, footers: Sequence[pq.FileMetaData]) -> bool:
+    """Checks whether the first part of a table has all columns that one of this version has."""
+    columns = TABLES[table].names if table in TABLES else RECORDED[table].tick_columns.names
+    return all(set(footer.schema.to_arrow_schema().names) >= set(columns) for footer in footers[:1])
+
+
+# -- files ------------------------------------------------------------------------------------
+
+
+def write_summary(run: FolderRun, checksums: Mapping[str, int]) -> None:
+    """Writes the summary of an episode that has been closed.
+
+    Args:
+        run: the episode.
+        checksums: the CRC-32 of each file of a part, by its name in the record.
+
+    Raises:
+        RecordError: a file is missing or damaged, or the summary cannot be written.
+    """
+    files = {
+        name: StoredFile(*size_and_time(run.path / name), checksum)
+        for name, checksum in checksums.items()
+    }
+    content = asdict(summary_of(run, files, are_whole=True))
+    content |= {"key": run.key, "files": {name: astuple(file) for name, file in files.items()}}
+    place = run.path / summary_name(run)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(place, lambda file: write_json(content, file))
+
+
+def read_summary(run: FolderRun, listing: Listing) -> EpisodeSummary | None:
+    """Returns the summary of an episode; None if it is missing, damaged or of other files.
+
+    It may come from a stranger, with the record: it says no more of an episode than a manifest may.
+
+    Args:
+        run: the episode.
+        listing: the files of the episode that are there.
+    """
+    file = run.path / summary_name(run)
+    if summary_name(run) not in listing or run.removed_parts:
+        return None
+    if any(name.startswith(f"{LOG}/") for name in listing):
+        return None
+    try:
+        check_inside(run.path, file)
+        content = read_description(file)
+        check_description(content, _SUMMARY, str(file), "what is known of the episode")
+    except (RecordError, OSError):  # the files have what it has
+        return None
+    files = {name: StoredFile(*values) for name, values in content["files"].items()}
+    known = {name: (file.size, file.modified) for name, file in files.items()}
+    if content["key"] != run.key or known != parts_in(run, listing):
+        return None
+    values = {key: content[key] for key in _SUMMARY if key not in ("key", "files", "entities")}
+    return EpisodeSummary(**values, entities=tuple(content["entities"]), files=files)
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) is float and math.isfinite(value)
+
+
+def _is_whole(value: Any, end: int = 1 << 53) -> bool:
+    return type(value) is int and 0 <= value < end
+
+
+def _is_file(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == len(_FILE_ENDS)
+        and all(map(_is_whole, value, _FILE_ENDS))
+    )
+
+
+# No size, time or checksum reaches these.
+_FILE_ENDS = (1 << 53, 1 << 63, 1 << 32)
+_WHOLE = Value("a whole number", _is_whole)
+_NUMBER = Value("a number", _is_number)
+_SUMMARY: Description = {
+    "key": Value("a text", lambda value: isinstance(value, str)),
+    "ticks": Value("a number of ticks", lambda value: _is_whole(value) and value > 0),
+    "first_tick": _WHOLE,
+    "last_tick": _WHOLE,
+    "start": _NUMBER,
+    "end": _NUMBER,
+    "entities": Value(
+        "a list of names",
+        lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value),
+    ),
+    "group": Value("a text, or null", lambda value: value is None or isinstance(value, str)),
+    "files": Value(
+        "an object of files",
+        lambda value: isinstance(value, dict) and all(map(_is_file, value.values())),
+    ),
+}
