@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -119,15 +120,18 @@ class UsageMeter:
 
     Args:
         limits: the limits of the program.
+        is_stopped: tells whether another thread has stopped the program; None if none can.
 
     Attributes:
         start: when the program started, by the monotonic clock, s.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, is_stopped: Callable[[], bool] | None = None) -> None:
         self.limits = limits
         self.start = time.monotonic()
-        self._deadline = None if limits.seconds is None else self.start + limits.seconds
+        self._is_stopped = is_stopped
+        seconds = math.inf if limits.seconds is None and is_stopped is not None else limits.seconds
+        self._deadline = None if seconds is None else self.start + seconds
         self._size = 0
 
     def step(self) -> None:
@@ -177,15 +181,24 @@ class UsageMeter:
         """Checks that there is time left.
 
         Raises:
-            LimitError: the time is up.
+            LimitError: the time is up, or the program was stopped.
         """
-        if self._deadline is not None and time.monotonic() > self._deadline:
+        if self._deadline is None:
+            return
+        if self._is_stopped is not None and self._is_stopped():
+            raise LimitError("the program was stopped")
+        if time.monotonic() > self._deadline:
             raise LimitError(f"the program took more than {self.limits.seconds:g} s")
 
     @property
-    def remaining(self) -> float | None:
-        """The remaining time, s, 0 or more; None for no limit."""
-        return None if self._deadline is None else max(0.0, self._deadline - time.monotonic())
+    def deadline(self) -> float | None:
+        """When the time is up, by the monotonic clock, s; long ago if the program was stopped.
+
+        None if neither is possible.
+        """
+        if self._is_stopped is not None and self._is_stopped():
+            return -math.inf
+        return self._deadline
 
     def check_rows(self, count: int) -> None:
         """Checks the number of rows of a query against the limit.

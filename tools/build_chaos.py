@@ -37,7 +37,7 @@ elastic = true
 [camera]
 eye = [5.6, -6.0, 4.7]
 target = [0.0, 0.0, -0.35]
-fov = 39.0
+fov = 42.0
 """
 
 

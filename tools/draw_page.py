@@ -45,6 +45,8 @@ def draw_time(folder: Path) -> Path:
             page.wait("__ss.local > 0 && !!document.querySelector('.plot .curve')")
             page.value("document.getElementById('entity').scrollTop = 1e5; 0")
             page.wait("Number(document.querySelector('.cursor').getAttribute('x1')) > 100")
+            # The query is asked again at the time that is shown.
+            page.wait("document.getElementById('count').textContent.includes(__ss.time.toFixed(3))")
             return _save(page, folder / "view-time.png")
 
 

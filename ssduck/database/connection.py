@@ -497,7 +497,7 @@ class Connection:
             begin()
         listener = ctrl_c.InterruptListener(self._interrupt)
         try:
-            result = self._run_in_time(work, listener, self.meter.remaining if timed else None)
+            result = self._run_in_time(work, listener, is_timed=timed)
         except Exception as error:
             if isinstance(error, MemoryError):
                 raise LimitError("the query needs more memory than available") from error
@@ -509,21 +509,19 @@ class Connection:
         return result
 
     def _run_in_time(
-        self,
-        work: Callable[[], T],
-        listener: ctrl_c.InterruptListener,
-        seconds: float | None,
+        self, work: Callable[[], T], listener: ctrl_c.InterruptListener, *, is_timed: bool
     ) -> T:
+        is_timed = is_timed and self.meter.deadline is not None
         try:
             listener.enter()
-            if seconds is not None:
-                DEADLINES.begin(listener, seconds, self._interrupt)
+            if is_timed:
+                DEADLINES.begin(listener, self.meter, self._interrupt)
             result = work()
         finally:
             try:
-                _end(listener, is_timed=seconds is not None)
+                _end(listener, is_timed=is_timed)
             except KeyboardInterrupt:  # it may have come before `_end` was done
-                _end(listener, is_timed=seconds is not None)
+                _end(listener, is_timed=is_timed)
                 raise
         return result
 

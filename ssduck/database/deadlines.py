@@ -1,4 +1,7 @@
-"""Interrupts statements whose time is up, from one thread for all connections."""
+"""Interrupts statements whose time is up, from one thread for all connections.
+
+The time of a statement is up as well when its program is stopped.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,14 @@ import time
 from collections.abc import Callable, Hashable
 from typing import TypeAlias
 
+from ssduck.limits import UsageMeter
+
 # The time between two interrupts of a statement whose time is up, s.
 INTERRUPT_INTERVAL = 0.02
 # The time after which the thread looks whether statements still come, s.
 _LINGER = 1.0
 
-Entry: TypeAlias = tuple[float, Callable[[], None]]
+Entry: TypeAlias = tuple[UsageMeter, Callable[[], None]]
 
 
 class Deadlines:
@@ -33,29 +38,33 @@ class Deadlines:
         self._is_used = False
         self._thread: threading.Thread | None = None
 
-    def begin(self, key: Hashable, seconds: float, interrupt: Callable[[], None]) -> None:
-        """Begins to watch a statement.
+    def begin(self, key: Hashable, meter: UsageMeter, interrupt: Callable[[], None]) -> None:
+        """Begins to watch a statement of a program whose time is limited.
 
         Args:
             key: an object for `end`.
-            seconds: the time that the statement has left.
+            meter: tells when the time is up.
             interrupt: a quick function that is called when its time is up, again and again, because
                 DuckDB ignores an interrupt before a statement begins.
         """
-        deadline = time.monotonic() + seconds
         with self._lock:
             if self._thread is None:
                 self._thread = threading.Thread(target=self._watch, daemon=True)
                 self._thread.start()
-            self._entries[key] = deadline, interrupt
+            self._entries[key] = meter, interrupt
             self._is_used = True
-            if deadline < self._next_look:
+            if _deadline(meter) < self._next_look:
                 self._condition.notify()
 
     def end(self, key: Hashable) -> None:
         """Ends to watch a statement; it is not interrupted after that. It may be called again."""
         with self._lock:
             self._entries.pop(key, None)
+
+    def look_again(self) -> None:
+        """Has the thread look at once, as programs were stopped."""
+        with self._lock:
+            self._condition.notify()
 
     def _watch(self) -> None:
         with self._condition:
@@ -71,14 +80,19 @@ class Deadlines:
         """
         now = time.monotonic()
         is_used, self._is_used = self._is_used, False
-        late = [interrupt for deadline, interrupt in self._entries.values() if deadline <= now]
+        late = [interrupt for meter, interrupt in self._entries.values() if _deadline(meter) <= now]
         for interrupt in late:
             interrupt()
         if late:
             return INTERRUPT_INTERVAL
         if not self._entries:
             return _LINGER if is_used else math.inf
-        return min(deadline for deadline, _ in self._entries.values()) - now
+        return min(_deadline(meter) for meter, _ in self._entries.values()) - now
+
+
+def _deadline(meter: UsageMeter) -> float:
+    deadline = meter.deadline
+    return math.inf if deadline is None else deadline
 
 
 DEADLINES = Deadlines()

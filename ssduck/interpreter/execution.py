@@ -64,6 +64,7 @@ class Execution(Namespace):
 
     Attributes:
         strict: whether a probable mistake is an error; it may be set at any time.
+        is_stopped: tells whether another thread has stopped what runs; None if none can.
     """
 
     def __init__(
@@ -77,6 +78,7 @@ class Execution(Namespace):
     ) -> None:
         super().__init__(database, limits)
         self.strict = strict
+        self.is_stopped: Callable[[], bool] | None = None
         self._value_of_query = value_of_query
         self.linter = Linter(
             self.variable_or_none,
@@ -125,7 +127,11 @@ class Execution(Namespace):
         """Prepares for a program while none is running; the caller has the lock."""
         self.expire_histories()
         self.drop_unused_worlds()
-        self.database.connection.meter = UsageMeter(self._limits)
+        self.begin_meter()
+
+    def begin_meter(self) -> None:
+        """Measures a new program from now on."""
+        self.database.connection.meter = UsageMeter(self._limits, self.is_stopped)
 
     @property
     def is_running(self) -> bool:

@@ -64,7 +64,7 @@ from ssduck.language.parser import parse
 from ssduck.language.tree import Query
 from ssduck.language.value_keys import python_value
 from ssduck.lazy import service
-from ssduck.limits import Limits, UsageMeter
+from ssduck.limits import Limits
 from ssduck.recording.spec import Recording
 from ssduck.world.public_names import PublicNames
 from ssduck.world.running import run
@@ -547,7 +547,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         with self._lock:
             if not self._execution.is_running:
                 self._execution.drop_unused_worlds()
-                self._database.connection.meter = UsageMeter(self._limits)
+                self._execution.begin_meter()
             self._execution.report(self._execution.linter.check_sql(text, parameters))
             try:
                 return Result(self._database.user_rows(text, parameters))

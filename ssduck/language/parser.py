@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import NoReturn
 
 from sqlglot.tokenizer_core import Token, TokenType
 
-from ssduck.errors import LimitError, ParseError, SourceSpan
+from ssduck.errors import LimitError, ParseError, SourceSpan, nearest
 from ssduck.language.comments import divisions
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
+from ssduck.language.sql_suggestions import STATEMENTS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
 from ssduck.language.tokenizer import LETTERS_PER_WORD, tokenize
@@ -99,7 +101,14 @@ _short_program, _long_program = lru_cache(maxsize=512)(_program), lru_cache(maxs
 _SHORT, _LONG = 2_000, 50_000
 
 
+# What follows a word at the beginning of a statement only if it is a keyword.
+_OPERANDS = frozenset((TokenType.VAR, TokenType.NUMBER, TokenType.STRING))
+
+
 class _Parser(SqlForms):
+    # The place of the first word of the current statement.
+    _first = 0
+
     # -- statements -----------------------------------------------------------------------
 
     def program(self) -> Program:
@@ -108,12 +117,30 @@ class _Parser(SqlForms):
         while self.token is not None:
             if self.take(TokenType.SEMICOLON):
                 continue
+            self._first = self.index
             statements.append(self.statement())
             if self.token is not None:
                 self.expect(TokenType.SEMICOLON, "';'")
         for span in divisions(self.text):
             self.add_suspicion(span, "this begins a comment; an integer quotient is floor(x / y)")
         return Program(self.text, tuple(statements), explain, tuple(self.suspicions))
+
+    def fail(self, message: str) -> NoReturn:
+        """Raises the error for the current token, or for a statement whose first word is wrong."""
+        word, token = self.tokens[self._first], self.token
+        is_cause = is_word(token, "FROM") or (
+            self.index == self._first + 1 and token is not None and token.token_type in _OPERANDS
+        )
+        if is_cause and is_kind(word, TokenType.VAR) and not is_word(word, *STATEMENTS):
+            names = nearest(word.text, ("SELECT", "EXPLAIN")[: 1 + (self._first == 0)], 1)
+            if names and word.text.upper() not in names:
+                raise ParseError(
+                    f"{word.text!r} begins no statement",
+                    text=self.text,
+                    span=span_of(word),
+                    suggestions=names,
+                )
+        super().fail(message)
 
     def statement(self) -> Node:
         self.descend()

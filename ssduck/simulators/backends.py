@@ -26,7 +26,7 @@ from ssduck.simulators.interface import (
 from ssduck.simulators.recognition import MUJOCO
 from ssduck.simulators.scenes import Scene
 from ssduck.simulators.static import StaticSimulator
-from ssduck.simulators.visuals import collision_visuals
+from ssduck.simulators.visuals import stored_visuals
 
 BACKENDS = {
     DEFAULT_BACKEND: "ssduck.simulators.pybullet.backend",
@@ -158,8 +158,7 @@ def backend(name: str = DEFAULT_BACKEND) -> Backend:
 
 def drawn_shapes(simulator: Simulator, body: Body) -> list[VisualShape]:
     """Returns what a simulator draws of a body; its collision shapes where that is not known."""
-    if body.visuals is not None:  # of a record
-        return list(body.visuals)
-    if isinstance(simulator, StaticSimulator):  # a what-if world, or an older record
-        return collision_visuals(body)
+    # A static simulator has the bodies of a what-if world, or of an older record.
+    if body.visuals is not None or isinstance(simulator, StaticSimulator):
+        return stored_visuals(body)
     return backend(simulator.backend).visual_shapes(simulator, body)

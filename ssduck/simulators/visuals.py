@@ -11,3 +11,8 @@ def collision_visuals(body: Body) -> list[VisualShape]:
         VisualShape(each.frame, each.geometry, each.position, each.orientation, None)
         for each in body.shapes
     ]
+
+
+def stored_visuals(body: Body) -> list[VisualShape]:
+    """Returns what is drawn of a body that no simulator tells of: as recorded, or what collides."""
+    return collision_visuals(body) if body.visuals is None else list(body.visuals)

@@ -15,16 +15,23 @@ from typing import Any
 from ssduck import validation
 from ssduck.adapters.display import DisplayTable, RowsOfColumns, as_json, display_table
 from ssduck.adapters.formats import FORMATS
-from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError, nearest
+from ssduck.errors import (
+    ArgumentError,
+    LimitError,
+    SelectScriptError,
+    UnknownNameError,
+    nearest,
+)
 from ssduck.interpreter.completion import KEYWORDS, complete
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import ReplayedWorld
-from ssduck.view.asking import has_intervals, lanes_of, value_of
+from ssduck.view.asking import has_intervals, heads_of, lanes_of, value_of
 from ssduck.view.drawings import drawing_of
 from ssduck.view.facts import facts_of, plot_of
 from ssduck.view.marks import Mark, Marks
 from ssduck.view.scans import Scan
 from ssduck.view.shown_values import shown_rows
-from ssduck.view.sources import Source
+from ssduck.view.sources import Asked, Source
 from ssduck.world.handles import Handle
 from ssduck.world.world import World
 
@@ -48,11 +55,19 @@ class Answers:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._result: Any = None
+        # Ends the programs of the question that is being answered.
+        self._stop = StopRequest()
         # A program with intervals, its language and the last tick, and its bars there.
         self._bars: tuple[Any, list[Any]] = None, []
 
-    def answer(self, question: dict[str, Any]) -> dict[str, Any]:
-        """Returns the answer to a question; an error has its place and suggestions."""
+    def answer(self, question: dict[str, Any], stop: StopRequest) -> dict[str, Any]:
+        """Returns the answer to a question; an error has its place and suggestions.
+
+        Args:
+            question: what the page sent.
+            stop: ends the programs of the question.
+        """
+        self._stop = stop
         kinds = {
             "ask": self._ask,
             "complete": self._complete,
@@ -64,6 +79,8 @@ class Answers:
             kind = question.get("type")
             if not isinstance(kind, str) or kind not in kinds:
                 raise ArgumentError(f"a page cannot ask {str(kind)[:40]!r}")
+            if stop.is_made:
+                raise LimitError("the page asked something else before this began")
             return kinds[kind](question)
         except SelectScriptError as error:
             return {"error": error_message(error)}
@@ -75,10 +92,10 @@ class Answers:
         started = time.perf_counter()
         bars = self._bars_of(text, language, _time(question))
         asked = self._source.mirror(_time(question))
-        ss, world = asked.interpreter, asked.world
+        world = asked.world
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            value = value_of(ss, text, language)
+            value = self._value_of(asked, text, language)
         self._result = value
         picture, drawing = _picture(value), drawing_of(value)
         table = DisplayTable([], []) if picture else display_table(value)
@@ -86,7 +103,7 @@ class Answers:
         rows = shown_rows(table.rows[:MAX_ROWS])
         everything = list(map(marks.of, table.rows))
         return {
-            "columns": list(table.columns),
+            "columns": heads_of(asked.interpreter, text, language, value, table.columns),
             "rows": rows,
             "marks": everything[: len(rows)],
             "all": sorted({mark for each in everything for mark in each}),
@@ -101,6 +118,10 @@ class Answers:
             "ms": (time.perf_counter() - started) * 1e3,
         }
 
+    def _value_of(self, asked: Asked, text: str, language: Any) -> Any:
+        with self._stop.applies_to(asked.interpreter):
+            return value_of(asked.interpreter, text, language)
+
     def _bars_of(self, text: str, language: Any, at: float | None) -> list[Any]:
         """Returns the intervals of a program over all recorded ticks, for the time line."""
         asked = self._source.mirror(at)
@@ -112,13 +133,17 @@ class Answers:
         key = text, language, int(ticks.numbers[-1])
         if self._bars[0] != key:
             asked = self._source.mirror(None if at is None else float(ticks.times[-1]))
-            value = value_of(asked.interpreter, text, language)
+            value = self._value_of(asked, text, language)
             table = display_table(value, MAX_ROWS)
             self._bars = key, [list(lane) for lane in lanes_of(value, table.columns, table.rows)]
         return self._bars[1]
 
-    def scan(self, question: dict[str, Any]) -> Scan:
+    def scan(self, question: dict[str, Any], stop: StopRequest) -> Scan:
         """Returns a search for the changes of an answer; only the thread of scans calls this.
+
+        Args:
+            question: what the page sent.
+            stop: ends the programs of the search.
 
         Raises:
             SelectScriptError: nothing is recorded, or the question is wrong.
@@ -126,7 +151,8 @@ class Answers:
         asked = self._source.recorded()
         world = asked.world
         assert isinstance(world, ReplayedWorld)
-        return Scan(asked.interpreter, world, text_of(question, "text"), language_of(question))
+        text, language = text_of(question, "text"), language_of(question)
+        return Scan(asked.interpreter, world, text, language, stop)
 
     def _complete(self, question: dict[str, Any]) -> dict[str, Any]:
         text, language = text_of(question, "text"), language_of(question)
@@ -163,7 +189,8 @@ class Answers:
     def _pick(self, question: dict[str, Any]) -> dict[str, Any]:
         id = validation.integer(question.get("entity"), "pick: entity", minimum=0)
         asked = self._source.mirror(_time(question))
-        facts: dict[str, Any] = as_json(facts_of(asked.interpreter, asked.world, id))
+        with self._stop.applies_to(asked.interpreter):
+            facts: dict[str, Any] = as_json(facts_of(asked.interpreter, asked.world, id))
         return facts
 
     def _plot(self, question: dict[str, Any]) -> dict[str, Any]:
@@ -171,7 +198,9 @@ class Answers:
         joint = question.get("joint")
         name = None if joint is None else validation.text(joint, "plot: joint is a text")
         column = validation.text(question.get("column", ""), "plot: column is a text")
-        return plot_of(self._source.mirror(None).interpreter, id, column, name)
+        ss = self._source.mirror(None).interpreter
+        with self._stop.applies_to(ss):
+            return plot_of(ss, id, column, name)
 
 
 def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float]]]:
@@ -193,13 +222,16 @@ def _lines(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[list[float
 
 
 def _boxes(world: World, rows: Sequence[list[Mark]]) -> Iterator[list[float]]:
-    """Yields the boxes of the bodies in a result, lower and upper corner, unless they are many."""
+    """Yields the boxes of the bodies in a result, unless they are many.
+
+    A box is the number of its entity, its lower corner and its upper one, m.
+    """
     ids = dict.fromkeys(entity for row in rows for entity, _ in row)
     bodies = {info.id for info in world.snapshot.entities if info.body is not None}
     if len(ids) <= MAX_LINES:
         for id in bodies.intersection(ids):
             low, high = world.entity(id).aabb
-            yield [*map(float, low), *map(float, high)]
+            yield [id, *map(float, low), *map(float, high)]
 
 
 def _picture(value: Any) -> str | None:

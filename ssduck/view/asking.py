@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeAlias
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.shown_rows import rows_to_show
 from ssduck.language.analysis import calls_of
+from ssduck.language.tree import Call
 
 Language: TypeAlias = Literal["selectscript", "sql"]
 # A start and an end, s.
@@ -32,6 +33,25 @@ def has_intervals(ss: Interpreter, text: str, language: Language) -> bool:
         return False
     calls = (name for part in ss.compile(text).tree.statements for name in calls_of(part))
     return _INTERVALS in calls
+
+
+def heads_of(
+    ss: Interpreter, text: str, language: Language, value: Any, columns: Sequence[str]
+) -> list[str]:
+    """Returns the heads of a value's table: those of its columns, or what intervals consist of.
+
+    Args:
+        ss: the interpreter that ran the program.
+        text: the program.
+        language: its language.
+        value: its value.
+        columns: the names of the columns of the value's table.
+    """
+    if language == "selectscript" and _are_spans(value):
+        last = ss.compile(text).tree.statements[-1]
+        if isinstance(last, Call) and last.name == _INTERVALS:
+            return ["begin", "end"]
+    return list(columns)
 
 
 def lanes_of(

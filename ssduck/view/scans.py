@@ -21,6 +21,7 @@ from ssduck.adapters.grid_values import Grid
 from ssduck.adapters.point_cloud import PointCloud
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.view.asking import Language, value_of
 
@@ -50,12 +51,14 @@ class Scan:
         world: the recorded world, which goes from tick to tick.
         text: the query.
         language: its language.
+        stop: ends the query.
     """
 
     ss: Interpreter
     world: ReplayedWorld
     text: str
     language: Language
+    stop: StopRequest = field(default_factory=StopRequest)
     _known: dict[int, _Answer] = field(default_factory=dict)
     _gaps: list[tuple[int, int, int]] = field(default_factory=list)
     _evaluations: int = 0
@@ -103,7 +106,9 @@ class Scan:
         self._evaluations += 1
         self.world.seek(float(self._times[place]))
         try:
-            self._known[place] = _answer(value_of(self.ss, self.text, self.language))
+            with self.stop.applies_to(self.ss):
+                value = value_of(self.ss, self.text, self.language)
+            self._known[place] = _answer(value)
         except SelectScriptError:
             if not any(answer.count != _FAILED for answer in self._known.values()):
                 raise

@@ -24,6 +24,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from ssduck.errors import SelectScriptError, SimulatorError
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers, error_message
 from ssduck.view.messages import poses_message, track_message
 from ssduck.view.sources import Source
@@ -39,6 +40,8 @@ TICKS_PERIOD = 0.25
 SCAN_PERIOD = 0.1
 # The largest number of ticks of a track.
 MAX_TRACK = 4096
+# The questions that a page may wait for; what it asks beyond them is read later.
+MAX_WAITING = 32
 # The largest question of a page, bytes.
 MAX_QUESTION = 2_000_000
 _LOCAL = ("127.0.0.1", "localhost")
@@ -132,10 +135,8 @@ class PageServer:
         self._source.watch(None)
 
         async def stop() -> None:
-            scans = [viewer.scan for viewer in self._viewers if viewer.scan is not None]
-            for scan in scans:
-                scan.cancel()
-            await asyncio.gather(*scans, return_exceptions=True)
+            for viewer in self._viewers:
+                viewer.leave()
             self._server.close()
             await self._server.wait_closed()
 
@@ -205,11 +206,8 @@ class PageServer:
                 await self._in(self._frames, lambda: self._source.watch(self.wake))
             sending = asyncio.create_task(self._send_news(viewer))
             try:
-                async for message in connection:
-                    await self._received(viewer, message)
+                await self._receive(viewer)
             finally:
-                if viewer.scan is not None:
-                    viewer.scan.cancel()
                 sending.cancel()
                 with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                     await sending
@@ -287,28 +285,43 @@ class PageServer:
         if message is not None:
             await viewer.send(message)
 
-    async def _received(self, viewer: Viewer, message: str | bytes) -> None:
-        question = _parsed(message)
+    async def _receive(self, viewer: Viewer) -> None:
+        """Receives questions until the connection is closed, and then ends what it waits for."""
+        async with asyncio.TaskGroup() as group:
+            try:
+                async for message in viewer.connection:
+                    await self._received(viewer, _parsed(message), group)
+            except ConnectionClosed:
+                pass
+            finally:
+                viewer.leave()
+
+    async def _received(
+        self, viewer: Viewer, question: dict[str, Any], group: asyncio.TaskGroup
+    ) -> None:
+        """Answers a question, or begins to: a query does not delay what comes after it."""
         kind, id = question.get("type"), question.get("id")
         if kind == "seek":
             viewer.seek(question)
-            return
-        if kind == "scan":
-            viewer.scan = asyncio.create_task(self._scan(viewer, question))
-            return
-        reply: dict[str, Any]
-        if kind == "track":
+        elif kind == "track":
             track = await self._in(self._frames, lambda: self._track(viewer, question))
-            if track is not None:
+            if track is None:
+                await viewer.send({"none": True, "type": kind, "id": id})
+            else:
                 await viewer.connection.send(track_message(id, track))
-                return
-            reply = {"none": True}
         elif kind == "control":
-            reply = self._control(question)
+            await viewer.send({**self._control(question), "type": kind, "id": id})
         else:
-            reply = await self._in(self._queries, lambda: viewer.answers.answer(question))
-        reply |= {"type": kind, "id": id}
-        await viewer.send(reply)
+            stop = viewer.begin(question)
+            work = self._scan if kind == "scan" else self._answer
+            viewer.wait_for(group.create_task(work(viewer, question, stop)), stop)
+            if len(viewer.questions) >= MAX_WAITING:
+                await asyncio.wait(viewer.questions, return_when=asyncio.FIRST_COMPLETED)
+
+    async def _answer(self, viewer: Viewer, question: dict[str, Any], stop: StopRequest) -> None:
+        reply = await self._in(self._queries, lambda: viewer.answers.answer(question, stop))
+        with contextlib.suppress(ConnectionClosed):
+            await viewer.send({**reply, "type": question.get("type"), "id": question.get("id")})
 
     def _track(self, viewer: Viewer, question: dict[str, Any]) -> Track | None:
         """Returns recorded poses; None if there are none, or the scene is another one then."""
@@ -323,14 +336,13 @@ class PageServer:
         except SelectScriptError:  # the world is recorded anew
             return None
 
-    async def _scan(self, viewer: Viewer, question: dict[str, Any]) -> None:
+    async def _scan(self, viewer: Viewer, question: dict[str, Any], stop: StopRequest) -> None:
         """Looks for the ticks at which an answer changes, and sends what is found bit by bit."""
-        task = asyncio.current_task()
         head = {"type": "scan", "id": question.get("id")}
         is_over = False
         try:
-            scan = await self._in(self._scans, lambda: viewer.answers.scan(question))
-            while not is_over and viewer.scan is task:
+            scan = await self._in(self._scans, lambda: viewer.answers.scan(question, stop))
+            while not is_over and not stop.is_made:
                 is_over = not await self._in(self._scans, lambda: scan.advance(SCAN_PERIOD))
                 await viewer.send(head | scan.progress | {"done": is_over})
         except SelectScriptError as error:

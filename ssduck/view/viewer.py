@@ -11,6 +11,7 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection
 
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers
 from ssduck.view.frames import Frame, Poses
 from ssduck.view.sources import Ticks
@@ -72,7 +73,7 @@ class Viewer:
         sent: the poses that it has; None if it needs all.
         ticks: the recorded ticks that it has.
         status: the state of the simulation that it knows.
-        scan: the search for the changes of an answer that it waits for.
+        questions: the questions that it waits for, with what ends their programs.
     """
 
     def __init__(self, connection: ServerConnection, answers: Answers) -> None:
@@ -85,7 +86,34 @@ class Viewer:
         self.sent: Poses | None = None
         self.ticks = SentTicks()
         self.status: dict[str, Any] | None = None
-        self.scan: asyncio.Task[None] | None = None
+        self.questions: dict[asyncio.Task[None], StopRequest] = {}
+        # The last query, and the last search for the changes of an answer.
+        self._latest: dict[str, StopRequest] = {}
+
+    def begin(self, question: dict[str, Any]) -> StopRequest:
+        """Returns what ends the programs of a new question; ends the one that it supersedes."""
+        stop, kind = StopRequest(), question.get("type")
+        if kind in ("ask", "scan"):  # of these, a page waits for its last one only
+            if kind in self._latest:
+                self._latest[kind].make()
+            self._latest[kind] = stop
+        return stop
+
+    def wait_for(self, task: asyncio.Task[None], stop: StopRequest) -> None:
+        """Waits for the answer of a question.
+
+        Args:
+            task: sends the answer.
+            stop: ends its programs.
+        """
+        self.questions[task] = stop
+        task.add_done_callback(self.questions.pop)
+
+    def leave(self) -> None:
+        """Ends what the page waits for, as its connection is closed."""
+        for task, stop in self.questions.items():
+            task.cancel()
+            stop.make()
 
     async def send(self, message: dict[str, Any]) -> None:
         """Sends a message as JSON."""

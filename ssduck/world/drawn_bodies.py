@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ssduck.simulators.backends import drawn_shapes
 from ssduck.simulators.interface import Body, Simulator, VisualShape
-from ssduck.simulators.visuals import collision_visuals
+from ssduck.simulators.visuals import stored_visuals
 from ssduck.world.entity_registry import EntityRegistry
 
 
@@ -34,4 +34,4 @@ class DrawnBodies:
         known = self._read.get(id(body))
         if known is not None and known[0] is body:
             return known[1]
-        return body.visuals if body.visuals is not None else collision_visuals(body)
+        return stored_visuals(body)

@@ -11,6 +11,7 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError, ParseError, SelectScriptError, UnknownNameError
 from ssduck.language.builtins import BUILTINS
+from ssduck.language.parser import parse
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
 
@@ -629,3 +630,28 @@ def test_texts_have_no_remainder(wrong, left, right):
         with pytest.raises(ArgumentError, match="% does not take a text") as caught:
             wrong.eval(program)
         assert "%" in program[caught.value.span.start : caught.value.span.end]
+
+
+@pytest.mark.parametrize(
+    ("program", "word", "suggestion"),
+    [
+        ("SELEC id FROM kitchen;", "SELEC", "SELECT"),
+        ("selct * FROM kitchen;", "selct", "SELECT"),
+        ("SLECT (1) FROM kitchen;", "SLECT", "SELECT"),
+        ("1; SELEC 2;", "SELEC", "SELECT"),
+        ("EXPLIAN SELECT id FROM kitchen;", "EXPLIAN", "EXPLAIN"),
+        ("EXPLAIN SELEC id FROM kitchen;", "SELEC", "SELECT"),
+    ],
+)
+def test_a_statement_whose_first_word_is_misspelt_has_the_keyword(program, word, suggestion):
+    with pytest.raises(ParseError, match=f"'{word}' begins no statement; did you") as caught:
+        parse(program)
+    error = caught.value
+    assert error.suggestions == (suggestion,)
+    assert program[error.span.start : error.span.end] == word
+
+
+@pytest.mark.parametrize("program", ["seleced = 2 3;", "selects);", "DELETE FROM x;", "foo bar;"])
+def test_other_mistakes_are_told_where_they_are(program):
+    with pytest.raises(ParseError, match=r"expected .;."):
+        parse(program)

@@ -219,6 +219,9 @@ def test_intervals_are_bars_over_the_whole_record(socket, ss):
     program = f"holds(on(kitchen.table, kitchen.{CUP}));"
     answer = asked(socket, type="ask", text=program, at=float(times[3]))
     assert answer["lanes"] == [["holds", ss.eval(program)]]
+    assert answer["columns"] == ["begin", "end"]
+    answer = asked(socket, type="ask", text=program, at=float(times[-1]))
+    assert (answer["columns"], answer["rows"]) == (["begin", "end"], ss.eval(program))
     query = (
         f"SELECT id, holds(on(kitchen.table, this)) AS t FROM kitchen WHERE id(this) == '{CUP}';"
     )

@@ -2,13 +2,14 @@
 
 import hashlib
 import json
+import re
 import struct
 import urllib.error
 import urllib.request
 from pathlib import Path
 from socket import create_connection as socket_to
 from time import process_time
-from urllib.parse import urlsplit
+from urllib.parse import urljoin, urlsplit
 
 import numpy as np
 import pytest
@@ -77,6 +78,12 @@ def status(url, path=None, **headers):
         return error.code
 
 
+def read(url):
+    """Returns the text at an address."""
+    with urllib.request.urlopen(url, timeout=30) as reply:  # noqa: S310  # its own server
+        return reply.read().decode()
+
+
 @pytest.fixture(scope="module")
 def socket(url):
     with opened(url) as socket:
@@ -89,6 +96,18 @@ def test_the_page_is_answered_with_its_policy(url):
     assert "default-src 'none'" in policy
     assert "unsafe" not in policy
     assert "{{" not in text
+
+
+def test_the_page_and_its_parts_come_from_this_server(url):
+    texts = [read(url)]
+    names = re.findall(r'(?:src|href)="([^"]+)"', texts[0])
+    addresses = [urljoin(url, name) for name in names if name != "data:,"]
+    assert {urlsplit(each).path for each in addresses} == {"/page.css", "/page.js"}
+    assert {urlsplit(each).netloc for each in addresses} == {urlsplit(url).netloc}
+    texts += map(read, addresses)
+    # A name of XML, which nothing is loaded from.
+    hosts = {host for text in texts for host in re.findall(r"https?://([\w.-]+)", text)}
+    assert hosts <= {"www.w3.org"}
 
 
 @pytest.mark.parametrize("name", ["", "page.js", "page.css", "socket", "nothing"])

@@ -4,7 +4,8 @@ import * as THREE from "three";
 
 // Above the floor, so that it is seen, m.
 const GAP = 0.004;
-const POINT = 0.014;
+// The size of a point, pixels.
+const POINT = 3;
 const MAX_OPACITY = 0.85;
 
 export function gridOf({ origin, resolution, shape, shares }, floor) {
@@ -45,7 +46,8 @@ export function cloudOf({ points, owners, size }, palette) {
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
   geometry.setAttribute("color", new THREE.BufferAttribute(colours, 3));
-  const material = new THREE.PointsMaterial({ size: size ?? POINT, vertexColors: true });
+  const kind = size === null ? { size: POINT * window.devicePixelRatio, sizeAttenuation: false } : { size };
+  const material = new THREE.PointsMaterial({ ...kind, vertexColors: true });
   return new THREE.Points(geometry, material);
 }
 

@@ -1,6 +1,6 @@
 // What is told of an entity: its row, relations, links and joints, and plots of its past.
 
-import { element } from "./elements.js";
+import { element, pressable } from "./elements.js";
 import { plot } from "./plot.js";
 
 export class EntityPanel {
@@ -65,7 +65,7 @@ export class EntityPanel {
     rows.forEach((values, number) => {
       const row = body.insertRow();
       row.className = "marked";
-      row.onclick = () => onRow(number);
+      pressable(row, () => onRow(number));
       for (const value of values) {
         const cell = row.insertCell();
         cell.textContent = typeof value === "number" ? String(Number(value.toFixed(4))) : (value ?? "");

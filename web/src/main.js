@@ -2,7 +2,7 @@
 
 import { Connection } from "./connection.js";
 import { Editor } from "./editor.js";
-import { element } from "./elements.js";
+import { element, pressable } from "./elements.js";
 import { EntityPanel } from "./entity.js";
 import { Scene } from "./scene.js";
 import { Timeline } from "./timeline.js";
@@ -285,13 +285,16 @@ async function run() {
 
 let isAsking = false;
 let lastAsked = 0;
+let asked = 0;
 async function ask(isNew) {
   const question = state.question;
+  const number = (asked += 1);
   isAsking = true;
   lastAsked = performance.now();
   try {
     const answer = await connection.ask({ type: "ask", ...question, ...timeAsked() });
-    if (question !== state.question) return;
+    // The server ends a query when another one is asked.
+    if (question !== state.question || number !== asked) return;
     if (answer.error) {
       state.answer = null;
       if (!isNew) state.question = null;
@@ -305,12 +308,12 @@ async function ask(isNew) {
     }
     window.__ss.error = answer.error ?? null;
     window.__ss.answers += 1;
-    const asked = lastAsked;
-    scene.afterDrawing(() => (window.__ss.highlighted = performance.now() - asked));
+    const began = lastAsked;
+    scene.afterDrawing(() => (window.__ss.highlighted = performance.now() - began));
   } catch (error) {
     showError({ message: error.message, suggestions: [] });
   } finally {
-    isAsking = false;
+    if (number === asked) isAsking = false;
   }
 }
 
@@ -384,10 +387,12 @@ function tableOf(answer) {
   answer.columns.forEach((name, column) => {
     const isSorted = state.sorted?.column === column;
     const cell = element("th", name + (isSorted ? (state.sorted.isUp ? " ▴" : " ▾") : ""));
-    cell.onclick = () => {
+    if (answer.rows.some((row) => typeof row[column] === "number")) cell.className = "number";
+    pressable(cell, () => {
       state.sorted = { column, isUp: !(isSorted && state.sorted.isUp) };
       showAnswer();
-    };
+      at("result").querySelectorAll("th")[column].focus();
+    });
     head.append(cell);
   });
   const order = answer.rows.map((_, index) => index);
@@ -406,12 +411,12 @@ function tableOf(answer) {
     const marks = answer.marks[index];
     if (!marks.length) continue;
     row.className = "marked";
-    row.onclick = () => {
+    pressable(row, () => {
       for (const other of body.rows) other.classList.remove("chosen");
       row.classList.add("chosen");
-      scene.mark(marks, []);
+      scene.mark(marks, [], answer.boxes.filter(([entity]) => marks.some((mark) => mark[0] === entity)));
       pick(marks[0][0]);
-    };
+    });
   }
   return table;
 }

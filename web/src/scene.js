@@ -49,6 +49,7 @@ export class Scene {
     this.scene.add(this.boxes, this.drawn);
     this.batches = [];
     this.marks = null;
+    this.hasCloud = false;
     this.selected = null;
     this.framesDrawn = 0;
     this.waiting = [];
@@ -207,11 +208,11 @@ export class Scene {
 
   // -- what stands out
 
-  // marks: [[entity, link or -1], …]; lines: [[point, point], …]; boxes: [[x y z x y z], …]
+  // marks: [[entity, link or -1], …]; lines: [[point, point], …]; boxes: [[entity, x y z x y z], …]
   mark(marks, lines, boxes = []) {
     for (const each of this.boxes.children) each.geometry.dispose();
     this.boxes.clear();
-    for (const [x, y, z, ...high] of boxes) {
+    for (const [, x, y, z, ...high] of boxes) {
       const box = new THREE.Box3(new THREE.Vector3(x, y, z), new THREE.Vector3(...high));
       if (Number.isFinite(x + y + z + high[0] + high[1] + high[2])) {
         this.boxes.add(new THREE.Box3Helper(box, 0xff6a13));
@@ -240,8 +241,9 @@ export class Scene {
       const [width, height] = drawing.shape.map((count) => count * drawing.resolution);
       this.drawn.add(gridOf(drawing, this.floorAt(...drawing.origin, width, height)));
     }
-    if (drawing?.kind === "cloud") this.drawn.add(cloudOf(drawing, PALETTE));
-    this.draw();
+    this.hasCloud = drawing?.kind === "cloud";
+    if (this.hasCloud) this.drawn.add(cloudOf(drawing, PALETTE));
+    this.paint();
   }
 
   // The height of the floor below a rectangle, m: the lowest surface that looks up, at most places.
@@ -275,7 +277,7 @@ export class Scene {
       const isMarked = whole.has(shape.entity) || parts.has(`${shape.entity}/${shape.link}`);
       colour.copy(shape.plain);
       if (isMarked) colour.lerp(HIGHLIGHT, 0.8);
-      else if (this.marks && !shape.isPlane) colour.lerp(DIMMED, 0.8);
+      else if ((this.marks || this.hasCloud) && !shape.isPlane) colour.lerp(DIMMED, 0.8);
       if (shape.entity === this.selected && !isMarked && !shape.isPlane) colour.lerp(new THREE.Color(0x2f7df6), 0.6);
       const alpha = isMarked ? Math.max(shape.alpha, MARKED_ALPHA) : shape.alpha;
       shape.batch.setColorAt(shape.instance, new THREE.Vector4(colour.r, colour.g, colour.b, alpha));
@@ -333,6 +335,8 @@ function batchOf(shapes, geometries, isTransparent) {
   const count = (key) => numbers.reduce((sum, number) => sum + key(geometries[number]), 0);
   const material = new THREE.MeshStandardMaterial({
     roughness: 0.75, side: THREE.DoubleSide, transparent: isTransparent, depthWrite: !isTransparent,
+    // Points on a surface are in front of it.
+    polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1,
   });
   const batch = new THREE.BatchedMesh(
     Math.max(1, shapes.length),

@@ -1,0 +1,41 @@
+"""Stops the programs of an interpreter from another thread."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+
+from ssduck.database.deadlines import DEADLINES
+from ssduck.interpreter.interpreter import Interpreter
+
+
+class StopRequest:
+    """Another thread's request that programs end, whether they run already or begin later."""
+
+    def __init__(self) -> None:
+        self._event = threading.Event()
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the programs have to end."""
+        return self._event.is_set()
+
+    def make(self) -> None:
+        """Ends the programs, as if their time were up; any thread may call it, again too."""
+        self._event.set()
+        DEADLINES.look_again()
+
+    @contextlib.contextmanager
+    def applies_to(self, ss: Interpreter) -> Iterator[None]:
+        """Applies to the programs that this thread runs inside; they raise a LimitError.
+
+        Args:
+            ss: their interpreter, which no other thread uses meanwhile.
+        """
+        execution = ss._execution  # noqa: SLF001  # one package
+        execution.is_stopped = self._event.is_set
+        try:
+            yield
+        finally:
+            execution.is_stopped = None
