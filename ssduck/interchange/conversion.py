@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias, get_args
 
 from ssduck.errors import ArgumentError, RecordError, nearest, warn
 from ssduck.formatting import short_repr
-from ssduck.interchange import lerobot, mcap, rerun
+from ssduck.interchange import lerobot, lerobot_reader, mcap, rerun
 from ssduck.interchange.entities import KINDS, Entities
 from ssduck.interchange.motion import motion_of
 from ssduck.interchange.record_writer import write_record
@@ -88,7 +88,7 @@ def import_poses(
     """
     place = Path(source).expanduser()
     if place.is_dir():
-        episodes = list(lerobot.read_poses(place))
+        episodes = list(lerobot_reader.read_poses(place))
     elif place.is_file():
         episodes = [mcap.read_poses(place)]
     else:

@@ -1,4 +1,4 @@
-"""Writes episodes as a dataset of LeRobot, version 3.0, and reads the poses of such datasets.
+"""Writes episodes as a dataset of LeRobot, version 3.0.
 
     meta/info.json                            features, frames per second, counts
     meta/stats.json                           statistics of each feature
@@ -18,9 +18,8 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,13 +42,11 @@ EPISODES_PATH = f"meta/episodes/{DATA_PATH.removeprefix('data/')}"
 TASKS_PATH, INFO_PATH, STATS_PATH = "meta/tasks.parquet", "meta/info.json", "meta/stats.json"
 # The number of files in a folder, and the size of a file, MiB.
 CHUNK_SIZE, DATA_FILE_SIZE = 1000, 100
-# What stands for the indices in `data_path`.
-_INDEX = re.compile(r"\{(chunk_index|file_index)(?::0?([0-9]{1,2})d)?\}")
 # Simulated times differ from whole frames by less, as a fraction of a frame.
 _TOLERANCE = 1e-3
 _ADVICE = "give the frames per second (--fps); a frame has the last tick until its time then"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-_INDICES = ("frame_index", "episode_index", "index", "task_index")
+INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 def write_dataset(folder: Path, motions: Iterable[Motion], fps: int | None = None) -> Path:
@@ -165,7 +162,7 @@ class _Dataset:
         columns["timestamp"] = pa.array((numbers / self.fps).astype(np.float32))
         features["timestamp"] = (numbers / self.fps)[:, None]
         for name, values in zip(
-            _INDICES,
+            INDICES,
             (numbers, len(self.episodes) + 0 * numbers, self.frames + numbers, task + 0 * numbers),
             strict=True,
         ):
@@ -220,7 +217,7 @@ class _Dataset:
         if ACTION in self.names:
             features[REWARD] = {"dtype": "float64", "shape": [1], "names": None}
             features[DONE] = {"dtype": "bool", "shape": [1], "names": None}
-        features |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in _INDICES}
+        features |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in INDICES}
         return {
             "codebase_version": CODEBASE_VERSION,
             "robot_type": ", ".join(sorted(self.robots)) or None,
@@ -401,130 +398,3 @@ def _joined(episodes: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, di
             joined[key] = ((parts[key] * counts).sum(axis=0) / total).tolist()
         result[name] = joined
     return result
-
-
-# -- reading ----------------------------------------------------------------------------------
-
-
-def read_poses(folder: Path) -> Iterator[tuple[pa.Table, dict[str, Any]]]:
-    """Yields the poses of each episode of a dataset, and what the dataset says of it.
-
-    Poses are found where a feature has names such as `cup.x`, `cup.y`, `cup.z` and, unless nothing
-    is turned, `cup.qw` to `cup.qz`. Other features do not tell of named frames.
-
-    Yields:
-        A table that `ssduck.write_record` takes, and `episode`, `task`, `tags` and `ignored`: the
-        names of the other features.
-
-    Raises:
-        RecordError: there is no such dataset, it is of another version, or it has no poses.
-    """
-    info = _read_json(_own_file(folder, INFO_PATH))
-    if info.get("codebase_version") != CODEBASE_VERSION:
-        raise RecordError(
-            f"{folder} is a dataset of version {info.get('codebase_version')!r}; ssduck reads "
-            f"{CODEBASE_VERSION}: convert it with LeRobot"
-        )
-    features = info.get("features")
-    features = features if isinstance(features, dict) else {}
-    frames = _pose_columns(features)
-    if not frames:
-        known = ", ".join(sorted(features))
-        raise RecordError(
-            f"{folder} tells of no named frames: no feature has names such as cup.x, cup.y, cup.z; "
-            f"its features are {known}"
-        )
-    used = {feature for columns in frames.values() for feature, _ in columns.values()}
-    ignored = sorted(set(features) - used - {"timestamp", *_INDICES})
-    try:
-        listed = sorted((folder / "meta/episodes").glob("*/*.parquet"))
-        files = [_own_file(folder, str(file.relative_to(folder))) for file in listed]
-        episodes = [row for file in files for row in pq.read_table(file).to_pylist()]
-        for episode in episodes:
-            yield (
-                _poses_of(folder, info, episode, frames),
-                {
-                    "episode": episode["episode_index"],
-                    "task": (episode.get("tasks") or [None])[0],
-                    "tags": json.loads(episode.get("ssduck/tags") or "{}"),
-                    "ignored": ignored,
-                },
-            )
-    except (
-        *(pa.ArrowException, OSError, KeyError, TypeError, ValueError),
-        *(IndexError, OverflowError, RecursionError),
-    ) as error:
-        if isinstance(error, RecordError):
-            raise
-        raise RecordError(f"{folder} cannot be read as a dataset of LeRobot: {error}") from error
-
-
-def _own_file(folder: Path, name: str) -> Path:
-    """Returns the path of a file of a dataset.
-
-    Raises:
-        RecordError: it is elsewhere, or no file.
-    """
-    file = folder / name
-    if not file.resolve().is_relative_to(folder.resolve()):
-        raise RecordError(f"{file} is outside of {folder}")
-    if not file.is_file():  # a pipe would be waited for
-        raise RecordError(f"{file} cannot be read: there is no such file")
-    return file
-
-
-def _read_json(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise RecordError(f"{file} cannot be read: {error}") from error
-    if not isinstance(content, dict):
-        raise RecordError(f"{file} has no JSON object")
-    return content
-
-
-def _pose_columns(features: Mapping[str, Any]) -> dict[str, dict[str, tuple[str, int]]]:
-    """Returns the features and places of the columns of each frame, by its name."""
-    found: dict[str, dict[str, tuple[str, int]]] = {}
-    for feature, about in features.items():
-        names = about.get("names") if isinstance(about, dict) else None
-        for place, name in enumerate(names if isinstance(names, list) else ()):
-            frame, _, column = str(name).rpartition(".")
-            if frame and column in POSE:
-                found.setdefault(frame, {})[column] = feature, place
-    return {name: columns for name, columns in found.items() if columns.keys() >= set(POSE[:3])}
-
-
-def _poses_of(
-    folder: Path,
-    info: Mapping[str, Any],
-    episode: Mapping[str, Any],
-    frames: Mapping[str, Mapping[str, tuple[str, int]]],
-) -> pa.Table:
-    indices = {name: int(episode[f"data/{name}"]) for name in ("chunk_index", "file_index")}
-    # A stranger's pattern may ask str.format for attributes, or for a text of any length.
-    path = _INDEX.sub(lambda m: f"{indices[m[1]]:0{m[2] or 0}d}", str(info["data_path"]))
-    file = _own_file(folder, path)
-    used = sorted({feature for columns in frames.values() for feature, _ in columns.values()})
-    number = episode["episode_index"]
-    rows = pq.read_table(
-        file, columns=[*used, "timestamp"], filters=[("episode_index", "=", number)]
-    )
-    values = {
-        name: np.array(rows[name].to_pylist(), dtype=np.float64).reshape(rows.num_rows, -1)
-        for name in used
-    }
-    # Timestamps are floats of 32 bits; frames are evenly spaced.
-    times = np.arange(rows.num_rows) / float(info["fps"])
-    count = len(frames)
-    columns = {"time": np.repeat(times, count), "name": pa.array([*frames] * rows.num_rows)}
-    defaults = dict(zip(POSE[3:], (1.0, 0.0, 0.0, 0.0), strict=True))
-    for column in POSE:
-        stacked = [
-            values[where[column][0]][:, where[column][1]]
-            if column in where
-            else np.full(rows.num_rows, defaults[column])
-            for where in frames.values()
-        ]
-        columns[column] = np.stack(stacked, axis=1).reshape(-1)
-    return pa.table(columns)

@@ -548,7 +548,7 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
             if not self._execution.is_running:
                 self._execution.drop_unused_worlds()
                 self._execution.begin_meter()
-            self._execution.report(self._execution.linter.check_sql(text))
+            self._execution.report(self._execution.linter.check_sql(text, parameters))
             try:
                 return Result(self._database.user_rows(text, parameters))
             except SqlError as error:

@@ -1,22 +1,34 @@
-"""Looks up the names that the entities and links of worlds have, or had in a record."""
+"""Looks up the names that the parts of worlds have, or had in a record, and their kinds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from typing import Literal, TypeAlias
+from collections.abc import Callable, Iterable, Mapping
+from typing import get_args
 from weakref import WeakKeyDictionary
 
 from ssduck.errors import SourceSpan, UnknownNameError, nearest
 from ssduck.formatting import short_repr
+from ssduck.simulators.interface import Kind
+from ssduck.sql.name_comparisons import NameKind
 from ssduck.world.world import World
 
-# Whose name it is: an entity's, a link's as in its model, or a link's with that of its entity.
-NameKind: TypeAlias = Literal["entity", "link", "full link"]
-_OWNERS: dict[NameKind, str] = {"entity": "entity", "link": "link", "full link": "link"}
+_OWNERS: Mapping[NameKind, str] = {
+    "entity": "entity",
+    "link": "link",
+    "full link": "link",
+    "joint": "joint",
+    "kind": "entity",
+    "kind of link": "link",
+}
+# The kinds that there are, in any world.
+_KINDS: Mapping[NameKind, frozenset[str]] = {
+    "kind": frozenset(get_args(Kind)),
+    "kind of link": frozenset(("link", "site")),
+}
 
 
 class KnownNames:
-    """The names that the entities and links of worlds have, or had in a record.
+    """The names that the entities, links and joints of worlds have, or had in a record.
 
     Args:
         recorded: a function that returns the names of all entities in a world's record.
@@ -27,7 +39,9 @@ class KnownNames:
         self._known: WeakKeyDictionary[World, set[tuple[NameKind, str]]] = WeakKeyDictionary()
 
     def has(self, world: World, kind: NameKind, name: str) -> bool:
-        """Checks whether an entity or a link of a world has a name, or may have had it."""
+        """Checks whether a part of a world has a name or is of a kind, or may have been it."""
+        if kind in _KINDS:
+            return name in _KINDS[kind]
         known = self._known.setdefault(world, set())
         if (kind, name) not in known and self._finds(world, kind, name):
             known.add((kind, name))
@@ -36,31 +50,34 @@ class KnownNames:
     def _finds(self, world: World, kind: NameKind, name: str) -> bool:
         if kind == "entity":
             return name in world or name in self._recorded(world)
-        # The links of an entity that was removed are not known.
+        # The links and joints of an entity that was removed are not known.
         has_removed = any(recorded not in world for recorded in self._recorded(world))
         return has_removed or name in self._names(world, kind)
 
-    def _names(self, world: World, kind: NameKind) -> set[str]:
+    def _names(self, world: World, kind: NameKind) -> Iterable[str]:
+        if kind in _KINDS:
+            return _KINDS[kind]
         if kind == "entity":
             return {info.name for info in world.snapshot.entities}.union(self._recorded(world))
-        pairs = (
-            (info.name, link.name)
-            for info in world.snapshot.entities
-            if info.body is not None
-            for link in info.body.links
-        )
+        bodies = [(e.name, e.body) for e in world.snapshot.entities if e.body is not None]
+        if kind == "joint":
+            return {joint.name for _, body in bodies for joint in body.joints}
+        pairs = [(owner, link.name) for owner, body in bodies for link in body.links]
         return {link if kind == "link" else f"{owner}.{link}" for owner, link in pairs}
 
     def error(
         self, name: str, worlds: list[World], kinds: Iterable[NameKind], span: SourceSpan
     ) -> UnknownNameError:
-        """Returns the error for a name that nothing has; it suggests the nearest names."""
+        """Returns the error for a name or a kind that nothing has, with the nearest ones."""
         kinds = list(kinds)
-        names = set().union(*(self._names(world, kind) for world in worlds for kind in kinds))
+        names: set[str] = set().union(
+            *(self._names(world, kind) for world in worlds for kind in kinds)
+        )
         owners = " or ".join(dict.fromkeys(_OWNERS[kind] for kind in kinds))
         world_names = " or ".join(world.name for world in worlds[:3])
+        verb = "is of the kind" if _KINDS.keys() & kinds else "has the name"
         return UnknownNameError(
-            f"no {owners} of {world_names} has the name {short_repr(name)}",
+            f"no {owners} of {world_names} {verb} {short_repr(name)}",
             span=span,
             suggestions=nearest(name, names),
         )

@@ -7,7 +7,7 @@ worlds are looked up here before each statement runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from itertools import islice
 from typing import Any
@@ -19,7 +19,7 @@ from ssduck.errors import (
     SourceSpan,
 )
 from ssduck.formatting import short_repr
-from ssduck.interpreter.known_names import KnownNames, NameKind
+from ssduck.interpreter.known_names import KnownNames
 from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
@@ -39,24 +39,25 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
-from ssduck.sql.name_comparisons import name_comparisons
+from ssduck.sql.name_comparisons import NameKind, name_comparisons
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link, Links
 from ssduck.world.world import World
 
-# The functions that return the name of an entity.
-_NAME_FUNCTIONS = ("id", "name")
+# The functions that return the name or the kind of an entity.
+_NAME_FUNCTIONS = ("id", "name", "kind", "type")
+_KIND_FUNCTIONS = _NAME_FUNCTIONS[2:]
 # The functions that SQL's users know as columns; so common as variables that they may hide them.
 _COLUMNS = frozenset(("name", "kind"))
 
 
 @dataclass(frozen=True)
 class NameSite:
-    """A place where the name of an entity is compared with a text or a variable.
+    """A place where the name or the kind of an entity is compared with a text or a variable.
 
     Attributes:
         source: the source of the entity; None if it is not known.
-        function: the function whose value is compared, `id` or `name`.
+        function: the function whose value is compared: `id`, `name`, `kind` or `type`.
         value: the text or the variable.
         is_bare: whether the name is a bare one, which may be a key of a dict.
     """
@@ -124,6 +125,10 @@ def _collect(
             values = right.items if isinstance(right, ListLiteral) else (right,)
             if not isinstance(right, Literal):  # any text may be a part of a text
                 _collect_name_site(left, values, outer_sources, only_source, facts)
+            if isinstance(right, Query):
+                _collect_from_list(left, right, outer_sources, facts)
+            for item in right.items if isinstance(right, ListLiteral) else ():
+                _collect_name_site(item, (left,), outer_sources, only_source, facts)
     for child in node.children():
         _collect(child, outer_sources, only_source, facts)
 
@@ -178,6 +183,18 @@ def _collect_from_query(query: Query, outer_sources: _OuterSources, facts: State
     hidden_aliases -= state_names
     parts = (child for child in query.children() if not isinstance(child, Source))
     facts.aliases += [(n.name, n.span) for n in _bare_names(parts) if n.name in hidden_aliases]
+
+
+def _collect_from_list(
+    value: Node, query: Query, outer_sources: _OuterSources, facts: StatementFacts
+) -> None:
+    """Collects a text that is looked for in the names that a nested query has as a list."""
+    is_list = query.adapter is not None and query.adapter.name == "list"
+    if is_list and len(query.items) == 1 and query.recursion is None:
+        sources = {source.alias: source for source in query.sources if source.alias is not None}
+        only_source = query.sources[0] if len(query.sources) == 1 else None
+        visible_sources = {**outer_sources, **sources}
+        _collect_name_site(query.items[0], (value,), visible_sources, only_source, facts)
 
 
 def _condition_names(nodes: Iterable[Node]) -> Iterator[Name]:
@@ -283,20 +300,20 @@ class Linter:
             error.locate(text)
         return mistakes
 
-    def check_sql(self, sql: str) -> list[SelectScriptError]:
-        """Returns the names in a statement of raw SQL that no entity has, as errors."""
+    def check_sql(
+        self, sql: str, parameters: Sequence[Any] | Mapping[str, Any] | None = None
+    ) -> list[SelectScriptError]:
+        """Returns the names and kinds in a statement of raw SQL that nothing has, as errors."""
         comparisons = name_comparisons(sql)
         if not comparisons:
             return []
         worlds = list(self._worlds())
         mistakes: list[SelectScriptError] = []
         for comparison in comparisons if worlds else ():
-            schema = comparison.schema
+            schema, text = comparison.schema, comparison.text(parameters)
             owners = [w for w in worlds if w.name == schema] if schema else worlds[:1]
-            if owners and not self._is_name(comparison.text, owners, ["entity"]):
-                mistakes.append(
-                    self._names.error(comparison.text, owners, ["entity"], comparison.span)
-                )
+            if text is not None and owners and not self._is_name(text, owners, [comparison.kind]):
+                mistakes.append(self._names.error(text, owners, [comparison.kind], comparison.span))
         for error in mistakes:
             error.locate(sql)
         return mistakes[:MAX_UNKNOWN]
@@ -373,7 +390,12 @@ class Linter:
 
     def _owners_at(self, site: NameSite) -> tuple[list[World], list[NameKind]]:
         """Returns the worlds that the name may be of, none if unknown, and whose it may be."""
+        if site.is_bare and self._variable(site.function) is not None:
+            return [], []
+        is_kind = site.function in _KIND_FUNCTIONS
+        of_entity: NameKind = "kind" if is_kind else "entity"
         of_link: NameKind = "full link" if site.function == "id" else "link"
+        of_link = "kind of link" if is_kind else of_link
         value = None if site.source is None else site.source.value
         if (
             isinstance(value, Call)
@@ -386,21 +408,21 @@ class Linter:
         if isinstance(value, _NAMED):
             variable = self._variable(value.name)
             if isinstance(variable, list):
-                return self._owners_in(variable, of_link)
+                return self._owners_in(variable, of_entity, of_link)
             is_of_links = isinstance(variable, Links) or (
                 isinstance(variable, Past) and variable.table != "entities"
             )
-            return _worlds_of(variable), [of_link if is_of_links else "entity"]
-        return ([] if site.is_bare else list(self._worlds())), ["entity", of_link]
+            return _worlds_of(variable), [of_link if is_of_links else of_entity]
+        return ([] if site.is_bare else list(self._worlds())), [of_entity, of_link]
 
     def _owners_in(
-        self, elements: list[Any], of_link: NameKind
+        self, elements: list[Any], of_entity: NameKind, of_link: NameKind
     ) -> tuple[list[World], list[NameKind]]:
         """Returns the worlds and the owners of names for a list, whose first element decides."""
         if not isinstance(elements[0] if elements else None, Handle):
             return [], []
         has_links = any(isinstance(element, Link) for element in elements)
-        kinds: list[NameKind] = ["entity", of_link] if has_links else ["entity"]
+        kinds: list[NameKind] = [of_entity, of_link] if has_links else [of_entity]
         return list(self._worlds()), kinds
 
 

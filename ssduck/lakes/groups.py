@@ -111,15 +111,16 @@ class EpisodeGroup:
             raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
         self.number = number
         self._parts = _model_parts(self.run, entry)
-        self._present = _present(self.run, entry)
+        self._present = _present(_last_rows(self.run, entry))
         # The files of the episodes that were found to be of the group, and what their labels have.
         self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
-    def check(self, entry: EpisodeEntry) -> tuple[str, bool]:
+    def check(self, entry: EpisodeEntry) -> tuple[str, pa.Table | None]:
         """Checks that an episode is of the group.
 
         Returns:
-            The text that its labels have of it, and whether all its entities were read.
+            The text that its labels have of it; and `tick`, `time` and `id` of all its entities, if
+            they were read.
 
         Raises:
             RecordError: it is not, or a file of it is damaged.
@@ -127,17 +128,18 @@ class EpisodeGroup:
         """
         files, key = self._members.get(entry.key, ((), ""))
         if files and files == entry.files:
-            return key, False
+            return key, None
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         if _described(run, entry) != self._described:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
         for model in MODELS:
             self._check_model(run, entry, model)
-        if not np.array_equal(_present(run, entry), self._present):
+        rows = _last_rows(run, entry)
+        if not np.array_equal(_present(rows), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         assert run.key is not None  # its parts have labels
         self._members[entry.key] = entry.files, run.key
-        return run.key, len(_files_of(run, entry, "entities")) == 1
+        return run.key, rows if len(_files_of(run, entry, "entities")) == 1 else None
 
     def _check_model(self, run: FolderRun, entry: EpisodeEntry, model: str) -> None:
         """Checks that a model of an episode is that of the group.
@@ -220,10 +222,15 @@ def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> l
     return parts
 
 
-def _present(run: FolderRun, entry: EpisodeEntry) -> npt.NDArray[np.int64]:
-    """Returns the ids of the entities at the last tick, ascending."""
+def _last_rows(run: FolderRun, entry: EpisodeEntry) -> pa.Table:
+    """Returns `tick`, `time` and `id` of the last part of an episode's entities."""
     content = _files_of(run, entry, "entities")[-1].content()
-    part = pq.ParquetFile(pa.BufferReader(content)).read(["tick", "id"], use_threads=False)
-    ticks = part["tick"].to_numpy()
-    present: npt.NDArray[np.int64] = np.sort(part["id"].to_numpy()[ticks == ticks.max(initial=0)])
+    part = pq.ParquetFile(pa.BufferReader(content))
+    return part.read(["tick", "time", "id"], use_threads=False)
+
+
+def _present(rows: pa.Table) -> npt.NDArray[np.int64]:
+    """Returns the ids of the entities at the last tick, ascending."""
+    ticks = rows["tick"].to_numpy()
+    present: npt.NDArray[np.int64] = np.sort(rows["id"].to_numpy()[ticks == ticks.max(initial=0)])
     return present

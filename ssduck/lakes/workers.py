@@ -36,6 +36,7 @@ from ssduck.recording.stores.episode_batch import (
     BatchedEpisode,
     BatchedFile,
     DamagedEpisodeError,
+    check_ticks,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import label_of, part_name
@@ -117,7 +118,7 @@ class _Reader:
         """Returns an episode whose ticks come after those of all others so far."""
         if entry.tables != self._tables:
             raise RecordError(f"{entry.path} has other tables than its manifest says")
-        (key, are_read), root = self._group.check(entry), _resolved(entry.path)
+        (key, entities), root = self._group.check(entry), _resolved(entry.path)
         folders = {
             f"{table}/world={entry.world}/episode={entry.episode}": table for table in self._tables
         }
@@ -142,7 +143,9 @@ class _Reader:
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
         if not len(ticks) or not ascend or len(ticks) != entry.ticks:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        checked = frozenset({"entities"} if are_read else ())
+        if entities is not None:
+            check_ticks(entities, rows, "entities", entry.path)
+        checked = frozenset(() if entities is None else ("entities",))
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
         return BatchedEpisode(offset, rows, files, checked)

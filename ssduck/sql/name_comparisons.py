@@ -1,44 +1,75 @@
-"""Finds the comparisons of entities' names with texts in raw SQL."""
+"""Finds the comparisons of names and kinds with texts in raw SQL."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, Literal, TypeAlias
 
 from sqlglot import exp
 
 from ssduck.errors import SourceSpan
 from ssduck.sql.statement_trees import MAX_LENGTH, statement_trees
 
-_ENTITIES = ("entities", "entities_history")
-# A statement without a name and a text in quotes compares none; it need not be parsed.
-_MAY_COMPARE = re.compile(r"\bname\b.*'|'.*\bname\b", re.IGNORECASE | re.DOTALL)
+# What a name is of: an entity, a link as in its model, a link with its entity, a joint; or a kind.
+NameKind: TypeAlias = Literal["entity", "link", "full link", "joint", "kind", "kind of link"]
+_COLUMNS: Mapping[str, Mapping[str, NameKind]] = {
+    "entities": {"name": "entity", "kind": "kind"},
+    "links": {"name": "link", "full_name": "full link", "kind": "kind of link"},
+    "joints": {"name": "joint"},
+}
+# A statement without such a column and a text or a parameter compares none; it need not be parsed.
+_NAME = r"\b(?:name|full_name|kind)\b"
+_MAY_COMPARE = re.compile(rf"{_NAME}.*['?$]|['?$].*{_NAME}", re.IGNORECASE | re.DOTALL)
 
 
 @dataclass(frozen=True)
 class NameComparison:
-    """A comparison of an entity's name with a text.
+    """A comparison of a name or a kind with a text.
 
     Attributes:
-        schema: the schema of the entity's table; None for that of the first world.
-        text: the text.
+        schema: the schema of the table; None for that of the first world.
+        kind: what the name is of.
+        value: the text; or the parameter in its place, `name` of `$name` and 1 of `$1`.
         span: its place in the statement.
     """
 
     schema: str | None
-    text: str
+    kind: NameKind
+    value: str | _Parameter
     span: SourceSpan
+
+    def text(self, parameters: Sequence[Any] | Mapping[str, Any] | None) -> str | None:
+        """Returns the text that the name is compared with; None for no text."""
+        if isinstance(self.value, str):
+            return self.value
+        if isinstance(parameters, Mapping):
+            found = parameters.get(self.value.name)
+        else:
+            place = int(self.value.name) if self.value.name.isdecimal() else 0
+            is_there = parameters is not None and 1 <= place <= len(parameters)
+            found = parameters[place - 1] if is_there else None  # type: ignore[index]
+        return found if isinstance(found, str) else None
+
+
+@dataclass(frozen=True)
+class _Parameter:
+    """A parameter of a statement, by its name or its number from 1."""
+
+    name: str
 
 
 @lru_cache(maxsize=256)
 def name_comparisons(sql: str) -> tuple[NameComparison, ...]:
-    """Returns the comparisons of the column `entities.name` with texts by `=`, `<>` and IN.
+    """Returns the comparisons of columns that are names or kinds with texts by `=`, `<>` and IN.
 
-    >>> [c.text for c in name_comparisons("SELECT z FROM entities e WHERE e.name = 'tabel'")]
+    >>> [c.value for c in name_comparisons("SELECT z FROM entities e WHERE e.name = 'tabel'")]
     ['tabel']
-    >>> name_comparisons("SELECT name FROM joints WHERE name = 'hinge'")
+    >>> [c.kind for c in name_comparisons("SELECT position FROM joints WHERE name = 'hinge'")]
+    ['joint']
+    >>> name_comparisons("SELECT name FROM contacts WHERE name = 'hinge'")
     ()
     """
     if len(sql) > MAX_LENGTH or not _MAY_COMPARE.search(sql):
@@ -58,33 +89,50 @@ def _comparisons_in(select: exp.Select, sql: str) -> Iterator[NameComparison]:
             continue
         sides = [node.this, *node.expressions, node.args.get("expression")]
         for column in sides:
-            if not isinstance(column, exp.Column) or column.name.lower() != "name":
+            if not isinstance(column, exp.Column):
                 continue
             if column.table:
                 table = tables.get(column.table.lower())
             else:
                 table = next(iter(tables.values())) if len(tables) == 1 else None
-            if table is None:
+            kind = None if table is None else _columns_of(table).get(column.name.lower())
+            if table is None or kind is None:
                 continue
             for side in sides:
-                if isinstance(side, exp.Literal) and side.is_string:
-                    yield NameComparison(table.db or None, side.name, _span_of(side.name, sql))
+                value = _value_of(side, sql)
+                if value is not None:
+                    yield NameComparison(table.db or None, kind, *value)
+
+
+def _value_of(side: exp.Expr | None, sql: str) -> tuple[str | _Parameter, SourceSpan] | None:
+    """Returns a text or a parameter, and its place; None for another side of a comparison."""
+    if isinstance(side, exp.Literal) and side.is_string:
+        return side.name, _span_of("'" + side.name.replace("'", "''") + "'", sql)
+    if not isinstance(side, exp.Placeholder):
+        return None
+    if side.this:
+        return _Parameter(str(side.this)), _span_of(f"${side.this}", sql)
+    # The tree does not tell which one of several `?` it is.
+    return (_Parameter("1"), _span_of("?", sql)) if sql.count("?") == 1 else None
 
 
 def _tables_of(select: exp.Select) -> dict[str, exp.Table | None]:
-    """Returns the tables of entities behind FROM by alias; None for other sources."""
+    """Returns the tables with names behind FROM by alias; None for other sources."""
     tables: dict[str, exp.Table | None] = {}
     clause = select.args.get("from_") or select.args.get("from")
     sources = [] if clause is None else [clause.this]
     sources += [join.this for join in select.args.get("joins") or []]
     for source in sources:
-        is_entities = isinstance(source, exp.Table) and source.name.lower() in _ENTITIES
-        tables[source.alias_or_name.lower()] = source if is_entities else None
+        has_names = isinstance(source, exp.Table) and bool(_columns_of(source))
+        tables[source.alias_or_name.lower()] = source if has_names else None
     return tables
 
 
-def _span_of(text: str, sql: str) -> SourceSpan:
-    """Returns the place where a text first stands in a statement."""
-    quoted = "'" + text.replace("'", "''") + "'"
-    start = max(sql.find(quoted), 0)
-    return SourceSpan(start, start + len(quoted))
+def _columns_of(table: exp.Table) -> Mapping[str, NameKind]:
+    return _COLUMNS.get(table.name.lower().removesuffix("_history"), {})
+
+
+def _span_of(part: str, sql: str) -> SourceSpan:
+    """Returns the place where a part first stands in a statement."""
+    start = max(sql.find(part), 0)
+    return SourceSpan(start, start + len(part))

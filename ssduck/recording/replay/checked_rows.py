@@ -19,6 +19,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.stores.base import PairRequest, TickArchive
+from ssduck.recording.stores.tick_checks import stray_message, stray_row
 from ssduck.schema import FRAMES, RECORDED
 from ssduck.world.layout import EntityInfo
 
@@ -58,7 +59,9 @@ class CheckedRows:
         for column in rows.schema:
             if column.type != pa.float64() and rows[column.name].null_count:
                 self._fail(table, f"the column {column.name!r} lacks a value")
-        self._check_ticks(table, rows)
+        stray = stray_row(rows, self.ticks.numbers, self.ticks.times)
+        if stray is not None:
+            self._fail(table, stray)
         for name in RECORDED[table].entity_columns:
             indices = self._indices(table, rows[name].to_numpy())
             link = _LINKS.get(table, {}).get(name)
@@ -85,20 +88,8 @@ class CheckedRows:
         ticks = pa.table({"tick": self.ticks.numbers, "time": self.ticks.times})
         stray = self.archive.stray_tick(table, ticks)
         if stray is not None:
-            self._fail(table, _stray(*stray))
+            self._fail(table, stray_message(*stray))
         self._checked.add(table)
-
-    def _check_ticks(self, table: str, rows: pa.Table) -> None:
-        """Checks that rows have the number and the time of a tick of the record."""
-        if not rows.num_rows:
-            return
-        numbers, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
-        places = np.searchsorted(self.ticks.numbers, numbers)
-        is_right = self.ticks.numbers.take(places, mode="clip") == numbers
-        is_right &= self.ticks.times.take(places, mode="clip") == times
-        if not is_right.all():
-            first = int(np.argmin(is_right))
-            self._fail(table, _stray(numbers[first], times[first]))
 
     def near_pairs(self, request: PairRequest) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown.
@@ -164,7 +155,3 @@ class CheckedRows:
 
     def _fail(self, table: str, reason: str) -> None:
         raise RecordError(f"{self.source} is damaged: of the rows of {table}, {reason}")
-
-
-def _stray(number: int, time: float | None) -> str:
-    return f"one is at the tick {number} and the time {time} s, which the record does not have"

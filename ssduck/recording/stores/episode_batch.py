@@ -32,10 +32,15 @@ from ssduck.recording.stores.parquet_archive import (
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
+from ssduck.recording.stores.tick_checks import stray_row
 from ssduck.schema import MODELS, TABLES
 
 # The column in which the parts have the number of the run.
 _RUN = "run"
+# The largest number of checked parts that are remembered.
+MAX_CHECKED = 20_000
+# The columns of each part that tell of which tick a row is.
+_TICK = pa.schema({"tick": pa.int64(), "time": pa.float64()})
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
-        checked: the tables whose bytes were checked a moment ago.
+        checked: the tables whose bytes and ticks were checked a moment ago.
     """
 
     offset: int
@@ -92,6 +97,10 @@ class BatchedEpisode:
         """The numbers of its ticks in the batch, (n,)."""
         numbers: npt.NDArray[np.int64] = self.ticks["tick"].to_numpy() + self.offset
         return numbers
+
+    def key_of(self, file: BatchedFile) -> tuple[BatchedFile, tuple[BatchedFile, ...]]:
+        """Returns what decides whether the rows of a file are of ticks of the episode."""
+        return file, tuple(self.files["ticks"])
 
     @cached_property
     def times(self) -> Array:
@@ -144,6 +153,8 @@ class EpisodeBatch(TickArchive):
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
         self._in_sql: set[str] = set()
+        # The parts whose rows are of ticks of their own episode, with the checksums of the ticks.
+        self._checked: set[tuple[BatchedFile, tuple[BatchedFile, ...]]] = set()
         self._shown: tuple[int, int] | None = None
 
     def load(self, episodes: Sequence[BatchedEpisode]) -> None:
@@ -157,6 +168,8 @@ class EpisodeBatch(TickArchive):
         """
         self._episodes = episodes
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
+        if len(self._checked) > MAX_CHECKED:
+            self._checked.clear()
         for table in sorted(self._read):
             self._check(table, is_loading=True)
         self._shown = None
@@ -170,21 +183,36 @@ class EpisodeBatch(TickArchive):
                 self._set_variables(table)
 
     def _check(self, table: str, *, is_loading: bool = False) -> None:
-        """Checks the bytes of the files of a table; of episodes being loaded, what was not yet."""
+        """Checks the files of a table; of episodes being loaded, those that were not yet."""
         for index, episode in enumerate(self._episodes):
             if is_loading and table in episode.checked:
+                self._checked.update(map(episode.key_of, episode.files[table]))
                 continue
             for file in episode.files[table]:
-                self._content(file, index)
+                self._content(table, file, index)
 
-    @staticmethod
-    def _content(file: BatchedFile, index: int) -> bytes:
+    def _content(self, table: str, file: BatchedFile, index: int) -> bytes:
+        """Returns the bytes of a file of an episode, whose rows are of ticks of the episode.
+
+        Moved by its offset, a row of another tick might be one of another episode.
+
+        Raises:
+            DamagedEpisodeError: the file is missing or damaged, or a row is of another tick.
+        """
         try:
-            return file.content()
+            content = file.content()
+            episode = self._episodes[index]
+            key = episode.key_of(file)
+            if table != "ticks" and key not in self._checked:
+                part = pq.ParquetFile(pa.BufferReader(content))
+                rows = part.read(columns=_TICK.names, use_threads=False)
+                check_ticks(rows, episode.ticks, table, file.path)
+                self._checked.add(key)
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
-        except OSError as error:
+        except (OSError, pa.ArrowException) as error:
             raise DamagedEpisodeError(f"{file.path} cannot be read: {error}", index) from error
+        return content
 
     # -- SQL --------------------------------------------------------------------------------
 
@@ -243,7 +271,13 @@ class EpisodeBatch(TickArchive):
             ]
             if table == "ticks"
             else [
-                _rows(self._content(file, index), types, self._episodes[index].offset, first, last)
+                _rows(
+                    self._content(table, file, index),
+                    types,
+                    self._episodes[index].offset,
+                    first,
+                    last,
+                )
                 for index in range(begin, end)
                 for file in self._episodes[index].files[table]
             ]
@@ -293,6 +327,28 @@ def _pattern(path: str) -> str:
 
 def _text(text: str) -> str:
     return exp.Literal.string(text).sql("duckdb")
+
+
+def check_ticks(rows: pa.Table, ticks: pa.Table, table: str, path: str) -> None:
+    """Checks that all rows of a part have the number and the time of a tick of their episode.
+
+    Args:
+        rows: the rows, with `tick` and `time`.
+        ticks: the rows of the ticks, with the same columns.
+        table: the table of the rows, for the message.
+        path: the part or the record, to begin the message.
+
+    Raises:
+        RecordError: a row has those of none, or the part has no such columns.
+    """
+    is_whole = set(_TICK.names) <= set(rows.column_names)
+    if not is_whole or any(
+        rows[field.name].type != field.type or rows[field.name].null_count for field in _TICK
+    ):
+        raise RecordError(f"{path} has no tick and time of each row of {table}")
+    stray = stray_row(rows, ticks["tick"].to_numpy(), ticks["time"].to_numpy())
+    if stray is not None:
+        raise RecordError(f"{path} is damaged: of the rows of {table}, {stray}")
 
 
 def _rows(content: bytes, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:

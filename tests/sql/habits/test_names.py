@@ -34,8 +34,10 @@ KNOWN = [
     "SELECT z FROM entities WHERE name = 'can'",
     "SELECT z FROM entities WHERE name LIKE 'cna' OR name > 'cna'",
     "SELECT z FROM (SELECT * FROM entities) WHERE name = 'cna'",
-    "SELECT 1 FROM links WHERE name = 'cna'",
-    "SELECT 1 FROM entities WHERE kind = 'cna'",
+    "SELECT 1 FROM links WHERE name = 'link0' AND full_name = 'can.link0' AND kind = 'link'",
+    "SELECT 1 FROM entities WHERE kind IN ('robot', 'kinbody', 'sensor')",
+    "SELECT 1 FROM contacts c JOIN joints j ON true WHERE j.type = 'cna'",
+    "SELECT 1 FROM entities WHERE parent = 'cna'",
     "SELECT 'name' = 'cna'",
     "WITH entities AS (SELECT 'cna' AS name) SELECT 1 FROM (SELECT 1) WHERE 'name' = 'cna'",
 ]
@@ -112,6 +114,96 @@ def test_a_removed_entity_is_known(ss):
     room.remove("can")
     assert ss.sql("SELECT z FROM entities WHERE name = 'can'").fetchall() == []
     assert ss.sql("SELECT z FROM entities_history WHERE name = 'can'").fetchall() != []
+
+
+# (statement, its parameters, the text that nothing has)
+PARAMETERS = [
+    ("SELECT z FROM entities WHERE name = ?", ["cna"], "cna"),
+    ("SELECT z FROM entities WHERE z > $2 AND name = $1", ["cna", 0.0], "cna"),
+    ("SELECT z FROM entities WHERE z > $least AND $who <> name", {"who": "cna", "least": 0}, "cna"),
+    (
+        "SELECT z FROM links WHERE full_name IN ($a, $b)",
+        {"a": "can.link0", "b": "can.lnk0"},
+        "can.lnk0",
+    ),
+]
+
+
+@pytest.mark.parametrize(("statement", "parameters", "text"), PARAMETERS)
+def test_a_parameter_is_a_name_too(ss, statement, parameters, text):
+    ss.strict = True
+    with pytest.raises(UnknownNameError, match=f"has the name '{text}'; did you mean 'can"):
+        ss.sql(statement, parameters)
+    right = {"cna": "can", "can.lnk0": "can.link0"}
+    if isinstance(parameters, dict):
+        ss.sql(statement, {key: right.get(value, value) for key, value in parameters.items()})
+    else:
+        ss.sql(statement, [right.get(value, value) for value in parameters])
+
+
+@pytest.mark.parametrize("parameters", [None, [], {}, [7], [None], [["cna"]]])
+def test_other_parameters_are_not_suspected(ss, parameters):
+    assert ss._execution.linter.check_sql(PARAMETERS[0][0], parameters) == []
+
+
+def test_which_of_several_question_marks_is_a_name_is_not_guessed(ss):
+    ss.strict = True
+    ss.sql("SELECT z FROM entities WHERE kind <> ? AND name = ?", ["cna", "can"])
+
+
+# (statement of SQL, what is said)
+OTHERS = [
+    ("SELECT 1 FROM entities WHERE kind = 'robo'", "is of the kind 'robo'; did you mean 'robot'"),
+    ("SELECT 1 FROM links WHERE kind = 'sit'", "no link of room is of the kind 'sit'.*'site'"),
+    ("SELECT 1 FROM links WHERE name = 'lnk0'", "no link of room has the name 'lnk0'.*'link0'"),
+    ("SELECT 1 FROM links WHERE full_name = 'cna.link0'", "no link of room .*'can.link0'"),
+    ("SELECT 1 FROM links_history l WHERE 'can.l' != l.full_name", "has the name 'can.l'"),
+    ("SELECT 1 FROM room.joints WHERE name = 'nope'", "no joint of room has the name 'nope'"),
+]
+
+
+@pytest.mark.parametrize(("statement", "message"), OTHERS)
+def test_names_of_links_and_joints_and_kinds_in_raw_sql(ss, statement, message):
+    with pytest.warns(ProgramWarning, match=message):
+        ss.sql(statement)
+
+
+def test_the_joints_of_a_robot_are_known():
+    with ssduck.load("kitchen") as ss:
+        ss.strict = True
+        (name, *_) = ss.sql("SELECT name FROM joints LIMIT 1").fetchone()
+        assert ss.sql("SELECT 1 FROM joints WHERE name = ? LIMIT 1", [name]).fetchall() == [(1,)]
+        with pytest.raises(UnknownNameError, match=f"did you mean '{name}'"):
+            ss.sql("SELECT 1 FROM joints WHERE name = $1", [name + "s"])
+
+
+# (program, the message; None if there is none)
+PROGRAMS = [
+    ("SELECT id FROM room WHERE kind == 'robo' AS list;", "is of the kind 'robo'"),
+    ("SELECT id FROM room WHERE kind(this) IN ['kinbody', 'sensr'] AS list;", "'sensr'"),
+    ("SELECT a.id FROM a=room, b=room WHERE a.kind != 'kinbdy' AS list;", "'kinbdy'"),
+    ("SELECT id FROM links(room) WHERE kind(this) == 'kinbody' AS list;", "no link of room is of"),
+    ("'cna' IN (SELECT id FROM room AS list);", "no entity of room has the name 'cna'"),
+    ("SELECT id FROM room WHERE 'cna' IN [id(this), 'x'] AS list;", "'cna'; did you mean 'can'"),
+    ("SELECT id FROM room WHERE kind == 'robot' OR kind(this) == 'kinbody' AS list;", None),
+    ("SELECT id FROM links(room) WHERE kind(this) == 'link' AS list;", None),
+    ("SELECT kind FROM dicts WHERE kind == 'mine' AS list;", None),
+    ("kind = 'mine'; kind == 'yours';", None),
+    ("'can' IN (SELECT id FROM room AS list);", None),
+    ("'c' IN (SELECT id FROM room WHERE name == 'can' AS value);", None),  # a part of a text
+    ("'yours' IN (SELECT kind FROM dicts AS list);", None),
+]
+
+
+@pytest.mark.parametrize(("program", "message"), PROGRAMS)
+def test_names_and_kinds_in_programs(ss, program, message):
+    ss.strict = True
+    ss.add_variable("dicts", [{"kind": "mine"}])
+    if message is None:
+        ss.eval(program)
+        return
+    with pytest.raises(UnknownNameError, match=message):
+        ss.eval(program)
 
 
 # (condition on a link, whether there is such a one)

@@ -1,0 +1,192 @@
+"""What a dataset of LeRobot tells twice is the same twice, or an error."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*tells of poses; its record has no")
+
+FPS, COUNT = 10, 5
+DATA, ABOUT = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet"
+INFO: dict[str, Any] = {
+    "codebase_version": "v3.0",
+    "fps": FPS,
+    "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+    "features": {"p": {"names": ["cup.x", "cup.y", "cup.z"]}, "q": {"names": ["gripper"]}},
+}
+# The cup is at the height of its frame's number, so that a wrong order shows.
+ROWS: dict[str, Any] = {
+    "p": [[0.5, -1.0, float(frame)] for frame in range(COUNT)],
+    "q": [9.0] * COUNT,
+    "timestamp": [frame / FPS for frame in range(COUNT)],
+    "frame_index": [*range(COUNT)],
+    "episode_index": [0] * COUNT,
+}
+EPISODE: dict[str, Any] = {
+    "episode_index": 0,
+    "data/chunk_index": 0,
+    "data/file_index": 0,
+    "tasks": ["lift"],
+}
+RIGHT = [(frame / FPS, "cup", 0.5, -1.0, float(frame)) for frame in range(COUNT)]
+
+
+def written(
+    place: Path,
+    info: dict[str, Any] | None = None,
+    rows: dict[str, Any] | pa.Table | None = None,
+    episodes: list[dict[str, Any]] | None = None,
+) -> Path:
+    """Writes a dataset of one episode, with what is given in the place of what it has."""
+    for name in (DATA, ABOUT):
+        (place / name).parent.mkdir(parents=True)
+    (place / "meta/info.json").write_text(json.dumps(INFO | (info or {})))
+    columns = rows if isinstance(rows, pa.Table) else pa.table(ROWS | (rows or {}))
+    pq.write_table(columns, place / DATA)
+    pq.write_table(pa.Table.from_pylist(episodes or [EPISODE]), place / ABOUT)
+    return place
+
+
+def imported(dataset: Path) -> list[tuple[Any, ...]]:
+    ssduck.import_poses(dataset, dataset.parent / "r")
+    with ssduck.open(dataset.parent / "r") as ss:
+        return ss.sql("SELECT time, name, x, y, z FROM entities_history ORDER BY tick").fetchall()
+
+
+ORDERS = ([3, 1, 2, 0, 4], [4, 3, 2, 1, 0], [1, 0, 2, 3, 4])
+NESTED = [[[0.0, 1.0], [2.0, 3.0], [frame, 4.0]] for frame in range(COUNT)]
+
+
+@pytest.mark.parametrize("has_number", [True, False])
+@pytest.mark.parametrize("order", ORDERS, ids=str)
+def test_the_order_of_stored_rows_does_not_count(
+    tmp_path: Path, order: list[int], has_number: bool
+) -> None:
+    rows = pa.table(ROWS).take(order)
+    rows = rows if has_number else rows.drop_columns("frame_index")
+    assert imported(written(tmp_path / "d", rows=rows)) == RIGHT
+
+
+VALID: dict[str, dict[str, Any]] = {
+    "as it is": {},
+    "a length": {"episodes": [EPISODE | {"length": COUNT}]},
+    "whole frames per second": {"info": {"fps": 10.0}},
+    "timestamps of 32 bits": {"rows": {"timestamp": pa.array(ROWS["timestamp"], pa.float32())}},
+    "poses of 32 bits": {"rows": {"p": pa.array(ROWS["p"], pa.list_(pa.float32(), 3))}},
+    "a jitter that LeRobot permits": {"rows": {"timestamp": [0.0, 0.10009, 0.2, 0.3, 0.39991]}},
+    "no task": {"episodes": [EPISODE | {"tasks": []}]},
+}
+
+
+@pytest.mark.parametrize("name", VALID)
+def test_valid_datasets_are_read(tmp_path: Path, name: str) -> None:
+    assert imported(written(tmp_path / "d", **VALID[name])) == RIGHT
+
+
+def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path: Path) -> None:
+    count = 40_001  # at 30 frames per second, 22 minutes: their rounding is 6e-5 s
+    rows = {
+        "p": [[0.0, 0.0, 0.0]] * count,
+        "q": [0.0] * count,
+        "timestamp": pa.array([frame / 30 for frame in range(count)], pa.float32()),
+        "frame_index": [*range(count)],
+        "episode_index": [0] * count,
+    }
+    found = imported(written(tmp_path / "d", info={"fps": 30}, rows=rows))
+    assert (len(found), found[-1][0]) == (count, (count - 1) / 30)
+
+
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "uneven timestamps": (
+        {"rows": {"timestamp": [0.0, 0.1, 5.0, 9.0, 10.0]}},
+        "timestamp 5 s at the frame 2, which at 10 frames per second is at 0.2 s",
+    ),
+    "timestamps of another rate": (
+        {"info": {"fps": 50}},
+        "timestamp 0.1 s at the frame 1, which at 50 frames per second is at 0.02 s",
+    ),
+    "a timestamp is missing": (
+        {"rows": {"timestamp": [0.0, 0.1, None, 0.3, 0.4]}},
+        "timestamp nan",
+    ),
+    "timestamps against the frames": (
+        {"rows": {"timestamp": [0.4, 0.3, 0.2, 0.1, 0.0]}},
+        "timestamp 0.4 s at the frame 0",
+    ),
+    "a frame twice": (
+        {"rows": {"frame_index": [0, 1, 1, 2, 3]}},
+        "frame_index 1 where 2 is due",
+    ),
+    "a frame is missing": (
+        {"rows": pa.table(ROWS).take([0, 1, 3, 4])},
+        "frame_index 3 where 2 is due",
+    ),
+    "a frame without a number": (
+        {"rows": {"frame_index": [0, 1, None, 3, 4]}},
+        "where 2 is due",
+    ),
+    "a number in two features": (
+        {"info": {"features": INFO["features"] | {"q": {"names": ["cup.x"]}}}},
+        "two numbers named 'cup.x', in the features p and q",
+    ),
+    "a name twice": (
+        {"info": {"features": {"p": {"names": ["cup.x", "cup.y", "cup.z", "cup.z"]}}}},
+        "two numbers named 'cup.z', in the features p and p",
+    ),
+    "more numbers than names": (
+        {"rows": {"p": [[0.0, 0, 1, 7]] * COUNT}},
+        "has 4 numbers in a frame",
+    ),
+    "fewer numbers": (
+        {"rows": {"p": [[0.0, 0]] * COUNT}},
+        "has 2 numbers in a frame, and 3 names",
+    ),
+    "now more, now fewer": (
+        {"rows": {"p": [[0.0, 0, 1], [0.0, 0], [0.0, 0, 1, 2], [0.0, 0, 1], [0.0, 0, 1]]}},
+        "numbers in a frame, and 3 names",
+    ),
+    "no numbers at a frame": (
+        {"rows": {"p": [None, *ROWS["p"][1:]]}},
+        "has no numbers in a frame",
+    ),
+    "one number": ({"rows": {"p": [0.0] * COUNT}}, "has 1 numbers in a frame, and 3 names"),
+    "nested lists": ({"rows": {"p": NESTED}}, "it has to be a list of 3 numbers"),
+    "texts": ({"rows": {"p": [["1", "2", "3"]] * COUNT}}, "it has to be a list of 3 numbers"),
+    "an episode twice": ({"episodes": [EPISODE] * 2}, "lists the episode 0 twice"),
+    "an episode without frames": (
+        {"episodes": [EPISODE | {"episode_index": 7}]},
+        "the episode 7 of",
+    ),
+    "half an episode": (
+        {"episodes": [EPISODE | {"episode_index": 0.5}]},
+        "whose episode_index is 0.5",
+    ),
+    "a file of less than 0": (
+        {"episodes": [EPISODE | {"data/file_index": -1}]},
+        "whose data/file_index is -1",
+    ),
+    "another length": ({"episodes": [EPISODE | {"length": 99}]}, "its length is 99"),
+    "a text of tasks": ({"episodes": [EPISODE | {"tasks": "lift"}]}, "are 'lift', no list"),
+} | {
+    f"fps {fps!r}": ({"info": {"fps": fps}}, "frames per second (fps in")
+    for fps in (0, -10, float("nan"), float("inf"), 1e-310, 1e300, "50", True, None, [1])
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path: Path, name: str) -> None:
+    given, message = WRONG[name]
+    dataset = written(tmp_path / "d", **given)
+    with pytest.raises(RecordError) as raised:
+        ssduck.import_poses(dataset, tmp_path / "r")
+    assert message in str(raised.value)
+    assert not (tmp_path / "r").exists()

@@ -1,0 +1,118 @@
+"""Rows that claim a tick of another episode, or of none, are one row with an error.
+
+The episodes of a batch are asked together, their ticks moved behind one another: such a row must
+change the answer of no episode.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.lakes import workers
+from ssduck.lakes.questions import ProgramQuestion
+from ssduck.recording.stores.checksums import write_parquet
+from tests.support.forged import with_column
+
+EPISODES, TICKS, FORGED = 4, 6, 1
+# The tick and the time that the last row gets instead of its own.
+FORGERIES = {
+    "of the next episode": (2 * TICKS, 0.5),
+    "of the episode before": (0, 0.5),
+    "of none": (TICKS + 1000, 0.5),
+    "of none before": (-1000, 0.5),
+    "of another time": (TICKS, 50.5),
+}
+# Programs that are asked as SQL over all episodes at once, and one that reads rows in Python.
+PROGRAMS = (
+    "greatest(z(lab.cup));",
+    "changes(z(lab.cup) > 2.25);",
+    "[holds(z(lab.cup) < 50)];",
+    "max(SELECT z FROM lab{} AS list);",
+    "least(clearance(lab.cup, lab.pot));",
+)
+
+
+def recorded(place: Path) -> Path:
+    """Records a cup that rises beside a pot, in each episode from another height."""
+    for episode in range(EPISODES):
+        poses = np.zeros((TICKS, 2, 3))
+        poses[:, 1, 0] = 5.0
+        poses[:, :, 2] = episode + np.arange(TICKS)[:, None] / 10
+        shapes = {name: {"box": [0.1] * 3} for name in ("cup", "pot")}
+        ssduck.write_record(place, shapes, poses, np.arange(TICKS) / 10, world="lab")
+    return place
+
+
+def forge(record: Path, tick: int, time: float) -> None:
+    """Moves the cup's last row of an episode to another tick, far up, with right checksums."""
+    file = record / f"entities/world=lab/episode={FORGED}/part-000000.parquet"
+    rows = pq.ParquetFile(file).read()
+    last = rows.num_rows - 2
+    for name, value in (("tick", tick), ("time", time), ("z", 99.0)):
+        values = rows[name].to_pylist()
+        rows = with_column(name, [*values[:last], value, *values[last + 1 :]])(rows)
+    about = {k: v for k, v in rows.schema.metadata.items() if k != b"ssduck checksums"}
+    write_parquet(rows.replace_schema_metadata(about), file)
+
+
+def answers_of(record: Path, program: str) -> list[tuple[str | None, str | None]]:
+    workers.forget_readers()
+    return workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
+
+
+@pytest.fixture
+def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Returns the numbers of the episodes that are asked by themselves, as they are."""
+    asked: list[int] = []
+    answer = workers.answer_by_itself
+
+    def counted(question, entry):
+        asked.append(entry.episode)
+        return answer(question, entry)
+
+    monkeypatch.setattr(workers, "answer_by_itself", counted)
+    return asked
+
+
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_a_row_of_another_tick_changes_no_answer(
+    tmp_path: Path, forgery: str, alone: list[int]
+) -> None:
+    record = recorded(tmp_path / "r")
+    right = {program: answers_of(record, program) for program in PROGRAMS}
+    assert alone == []
+    assert all(error is None for answers in right.values() for _, error in answers)
+    forge(record, *FORGERIES[forgery])
+    for program in PROGRAMS:
+        found = answers_of(record, program)
+        assert [n for n, (_, error) in enumerate(found) if error is not None] == [FORGED]
+        assert [a for n, a in enumerate(found) if n != FORGED] == [
+            a for n, a in enumerate(right[program]) if n != FORGED
+        ]
+    assert set(alone) == {FORGED}  # the others are asked together
+
+
+def test_the_ticks_of_a_file_are_checked_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[str] = []
+
+    def counted(rows, ticks, table, path):
+        checked.append(table)
+
+    for module in ("recording.stores.episode_batch", "lakes.workers"):
+        monkeypatch.setattr(f"ssduck.{module}.check_ticks", counted)
+    record = recorded(tmp_path / "r")
+    answers_of(record, PROGRAMS[0])
+    assert checked.count("entities") == EPISODES
+    for program in PROGRAMS:
+        workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
+    assert checked.count("entities") == EPISODES
+    forge(record, *FORGERIES["of none"])  # the manifest is made anew
+    workers.answer_episodes(ProgramQuestion(PROGRAMS[0], None), ssduck.lake(record).entries)
+    assert checked.count("entities") == EPISODES + 1
