@@ -11,7 +11,10 @@ from pathlib import Path
 import pytest
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+BASH = shutil.which("bash")
+
+
+@pytest.mark.skipif(BASH is None, reason="needs bash")
 def test_bash_completes_commands_after_the_installation(tmp_path: Path) -> None:
     command = Path(sys.executable).with_name("ssduck")
     environment = os.environ | {"HOME": str(tmp_path)}
@@ -23,6 +26,6 @@ def test_bash_completes_commands_after_the_installation(tmp_path: Path) -> None:
     )
     environment["PATH"] = f"{command.parent}:{environment['PATH']}"
     done = subprocess.run(
-        ["bash", "-c", script], env=environment, capture_output=True, text=True, check=True
+        [str(BASH), "-c", script], env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == ["view"]
