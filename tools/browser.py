@@ -153,8 +153,8 @@ class Page:
 
     def ask(self, text: str) -> None:
         """Types a query, runs it, and waits for the answer."""
-        before = self.value("__ss.answers")
-        self.value(f"__ss.type({json.dumps(text)}); __ss.run(); 0")
+        # In one step: the answer of an earlier query, asked again, does not count once this runs.
+        before = self.value(f"__ss.type({json.dumps(text)}); __ss.run(); __ss.answers")
         self.wait(f"__ss.answers > {before}")
 
     def picture(self) -> npt.NDArray[np.uint8]:

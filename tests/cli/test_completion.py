@@ -1,0 +1,31 @@
+"""The completion of the command line itself, in the shell of the operating system."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+BASH = shutil.which("bash")
+
+
+@pytest.mark.skipif(BASH is None, reason="needs bash")
+def test_bash_completes_commands_after_the_installation(tmp_path: Path) -> None:
+    command = Path(sys.executable).with_name("ssduck")
+    environment = os.environ | {"HOME": str(tmp_path)}
+    subprocess.run([command, "--install-completion", "bash"], env=environment, check=True)
+    # What bash does when Tab is pressed behind `ssduck vi`.
+    script = (
+        f"source {next((tmp_path / '.bash_completions').iterdir())}; COMP_WORDS=(ssduck vi); "
+        'COMP_CWORD=1; _ssduck_completion ssduck; echo "${COMPREPLY[@]}"'
+    )
+    environment["PATH"] = f"{command.parent}:{environment['PATH']}"
+    done = subprocess.run(
+        [str(BASH), "-c", script], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["view"]
