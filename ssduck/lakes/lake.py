@@ -17,7 +17,7 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, RecordError, SqlError
+from ssduck.errors import ArgumentError, RecordError, SqlError, warn
 from ssduck.gym.terms import Reward, Terms
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
@@ -32,7 +32,7 @@ from ssduck.lakes.scan import (
     records_of,
 )
 from ssduck.lakes.statements import SqlDialect, statement
-from ssduck.lakes.where import condition
+from ssduck.lakes.where import condition, no_episode
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.descriptions import checked_description
@@ -317,6 +317,8 @@ class Lake:
                 engines["processes"], "ask: processes", minimum=1
             )
         entries = self._selected(where)
+        if where is not None and not entries:
+            warn(no_episode(where, self.episodes))
         if engine == "local" and engines["processes"] is None:
             engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)

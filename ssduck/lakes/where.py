@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 
+import pyarrow as pa
 import sqlglot
 from sqlglot import exp
 
 from ssduck.errors import ArgumentError, nearest
+from ssduck.formatting import short_repr
 
 _FUNCTIONS = (
     exp.Abs,
@@ -92,3 +94,30 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
                 )
             part.set("this", exp.to_identifier(names[name], quoted=True))
     return tree
+
+
+def no_episode(where: str, episodes: pa.Table) -> str:
+    """Returns what to say of a condition that holds for none of the episodes."""
+    unknown = list(_unknown_values(condition(where, episodes.column_names), episodes))
+    message = f"where: of {episodes.num_rows} episodes, {where!r} holds for none"
+    return "; ".join((message, *unknown))
+
+
+def _unknown_values(test: exp.Expr, episodes: pa.Table) -> Iterator[str]:
+    """Yields the texts and whole numbers of a condition that no episode has, with near ones."""
+    for node in test.find_all(exp.EQ, exp.In):
+        sides = [node.this, *node.expressions, node.args.get("expression")]
+        for column in (side for side in sides if isinstance(side, exp.Column)):
+            known = set(episodes[column.name].drop_null().to_pylist())
+            for value in map(_value_of, sides):
+                if value is None or value in known or type(value) not in set(map(type, known)):
+                    continue
+                near = nearest(value, (one for one in known if isinstance(one, str)), 1)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
+                yield f"none has the {column.name} {short_repr(value)}{hint}"
+
+
+def _value_of(side: exp.Expr | None) -> str | int | None:
+    if not isinstance(side, exp.Literal):
+        return None
+    return side.name if side.is_string else int(side.name) if side.is_int else None

@@ -105,7 +105,7 @@ def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path:
     assert (len(found), found[-1][0]) == (count, (count - 1) / 30)
 
 
-WRONG: dict[str, tuple[dict[str, Any], str]] = {
+WRONG: dict[str, tuple[Any, str]] = {
     "uneven timestamps": (
         {"rows": {"timestamp": [0.0, 0.1, 5.0, 9.0, 10.0]}},
         "timestamp 5 s at the frame 2, which at 10 frames per second is at 0.2 s",

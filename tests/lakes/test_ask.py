@@ -140,13 +140,30 @@ def test_threads_ask_one_after_the_other(recorded):
             assert answers.result().equals(expected[text]), text
 
 
+# (condition, what is said of it)
+EMPTY = [
+    ("episode > 99", "of 5 episodes, 'episode > 99' holds for none$"),
+    ("episode = 99", "holds for none; none has the episode 99$"),
+    ("world = 'smi'", "none has the world 'smi'; did you mean 'sim'\\?$"),
+    ("'smi' = world OR world IN ('sum', 'x')", "'smi'; did.*'sum'; did.*; none has the world 'x'$"),
+    ("world = 'sim' AND ticks = 1.5", "holds for none$"),
+]
+
+
+@pytest.mark.parametrize(("where", "message"), EMPTY)
+def test_a_condition_that_holds_for_no_episode_is_told(recorded, where, message):
+    lake = ssduck.lake(recorded)
+    with pytest.warns(UserWarning, match=message) as told:
+        assert lake.ask("1;", where=where).num_rows == 0
+    assert [warning.filename for warning in told] == [__file__]
+
+
 def test_where_selects(recorded):
     lake = ssduck.lake(recorded)
     answers = lake.ask(
         "heldFor(z(sim.cup) > 0);", where="episode >= 3 AND error IS NULL", processes=1
     )
     assert answers["episode"].to_pylist() == [3, 4]
-    assert lake.ask("1;", where="episode > 99").num_rows == 0
 
 
 def test_mistakes_are_errors_at_once(recorded):
