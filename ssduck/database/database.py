@@ -136,6 +136,7 @@ class Database:
             statement = None if parameters else self._raw_sql.ready(sql)
             if statement is not None and statement.reads is not None:
                 with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
+                    self._worlds.write_contacts()
                     return self._raw_sql.ready_rows(statement)
             if self.connection.meter.limits.seconds is not None:
                 check_length(sql)
@@ -228,11 +229,7 @@ class Database:
 
     def settle(self) -> None:
         """Writes the rows of pinned worlds that were deferred, for DuckDB to read."""
-        for bound in self._worlds.bound:
-            world = bound.reference()
-            if world is not None and world.is_restored:
-                world.snapshot.settle()
-                self._worlds.register(bound)  # its buffers may be others
+        self._worlds.settle()
 
     def add_function(self, signature: Signature, function: Function) -> None:
         """Registers a user's function with SQL; replaces one of that signature."""

@@ -167,21 +167,19 @@ class KeptPlans:
         for function in self._functions.pop(name, ()):
             self._connection.remove_function(function)
 
-    def may_read(self, name: str, sql: str, columns: AbstractSet[str]) -> bool:
-        """Checks whether a statement that is prepared may read some columns of any table.
+    def readable(self, name: str, sql: str, columns: frozenset[str]) -> frozenset[str]:
+        """Returns those of some columns that a prepared statement may read of any table.
 
         Args:
             name: the name of the prepared statement.
             sql: the statement.
             columns: the columns.
         """
-        if not columns.isdisjoint(map(str.lower, _WORD.findall(sql))):
-            return True
         scans = [one["extra_info"] for one in self._operators(execution_of(name)) if _is_scan(one)]
-        return any(
-            info["Function"] != _SCAN or not columns.isdisjoint(_WORD.findall(json.dumps(info)))
-            for info in scans
-        )
+        if any(info["Function"] != _SCAN for info in scans):
+            return columns
+        words = {*map(str.lower, _WORD.findall(sql)), *_WORD.findall(json.dumps(scans))}
+        return columns & words
 
     def _read_columns(self, sql: str, query: KeptQuery) -> set[str] | None:
         """Returns the columns that a query may need of a source; None if no plan is worth it."""

@@ -82,7 +82,7 @@ class RawSql:
         self._connection = connection
         self._references = references
         self._worlds = worlds
-        self.statements = UserStatements(connection, plans, worlds.by_schema)
+        self.statements = UserStatements(connection, plans, worlds.by_schema, worlds.settle)
         self._world_names: WorldNames | None = None
         # The version of the worlds that `_world_names` are of.
         self._version = 0

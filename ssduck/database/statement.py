@@ -21,7 +21,7 @@ from ssduck.database.kept_plans import (
 )
 from ssduck.database.statement_names import may_read_unnamed
 from ssduck.errors import SelectScriptError, SqlError
-from ssduck.schema import BOX, RECORDED, TABLES, Column
+from ssduck.schema import RECORDED, TABLES, Column
 from ssduck.world.live_tables import LiveTable
 
 # The names of ssduck's prepared statements: this prefix, a number and the tables that they read,
@@ -34,8 +34,8 @@ _TABLES = frozenset((*TABLES, *(table.history_view for table in RECORDED.values(
 RUNS_BEFORE_PLAN = 3
 # What a plan depends on that reads no buffer.
 _LAYOUT = frozenset(("entities",))
-# What a tick writes when it is read (`LiveTable.defer`).
-_DEFERRED = frozenset(BOX)
+# What a tick may write when it is read (`LiveTable.defer`): positions, velocities and boxes.
+_DEFERRED = frozenset(TABLES["entities"].tick_columns.doubles) - {"time"}
 # No source can have this name, because it has a space.
 _PARAMETERS = "the parameters"
 
@@ -61,8 +61,8 @@ class PreparedPlans:
         self._kept = KeptPlans(connection)
         # The tables that ssduck's own valid statements read, by the statement's name.
         self._own: dict[str, frozenset[str]] = {}
-        # Those of them that read no boxes where DuckDB does not ask for them.
-        self._without_boxes: set[str] = set()
+        # The columns that a tick may write later which each of them may read without asking.
+        self._deferred: dict[str, frozenset[str]] = {}
 
     def has(self, name: str) -> bool:
         """Checks whether one of ssduck's own statements is prepared and valid."""
@@ -79,16 +79,15 @@ class PreparedPlans:
         """
         if query is not None and self._kept.prepare(name, sql, query):
             tables = _LAYOUT  # it reads what the tables are at each run
-            self._without_boxes.add(name)
+            self._deferred[name] = frozenset()  # it asks
         else:
             self.connection.prepare(name, sql)
-            if not self._kept.may_read(name, sql, _DEFERRED):
-                self._without_boxes.add(name)
+            self._deferred[name] = self._kept.readable(name, sql, _DEFERRED)
         self._own[name] = tables
 
-    def needs_settled(self, name: str) -> bool:
-        """Checks whether all columns have to be written before a statement runs."""
-        return name not in self._without_boxes
+    def deferred_columns(self, name: str) -> frozenset[str]:
+        """Returns the columns of entities that have to be written before a statement runs."""
+        return self._deferred[name]
 
     def deallocate(self, name: str) -> None:
         """Drops one of ssduck's own prepared statements, if DuckDB keeps it."""
@@ -114,7 +113,7 @@ class PreparedPlans:
                     self._deallocate(name)
 
     def _deallocate(self, name: str) -> None:
-        self._without_boxes.discard(name)
+        self._deferred.pop(name, None)
         self.connection.deallocate(name)
         self._kept.drop(name)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -83,8 +83,9 @@ _ORDERED = frozenset(
     (
         *("arbitrary", "arg_max_null", "arg_max_nulls_last", "arg_min_null", "arg_min_nulls_last"),
         *("combine_aggr", "entropy", "favg", "fsum", "kahan_sum", "kurtosis_pop", "lttb", "mean"),
-        *("product", "reservoir_quantile", "sem", "sum_no_overflow", "sumkahan"),
-        "variant_group_object",
+        *("json_group_array", "json_group_object", "json_group_structure", "product"),
+        *("reservoir_quantile", "sem", "sum_no_overflow", "sumkahan"),
+        *("variant_group_array", "variant_group_object"),
     )
 )
 
@@ -140,11 +141,18 @@ class UserStatements:
         connection: the connection to the database.
         plans: the plans of prepared statements.
         worlds: the worlds of the database by name, up to date.
+        settle: writes what their ticks left for later, some columns of entities or all there is:
+            DuckDB reads it without asking.
     """
 
     def __init__(
-        self, connection: Connection, plans: PreparedPlans, worlds: Mapping[str, BoundWorld]
+        self,
+        connection: Connection,
+        plans: PreparedPlans,
+        worlds: Mapping[str, BoundWorld],
+        settle: Callable[[frozenset[str] | None], None],
     ) -> None:
+        self._settle = settle
         self._connection = connection
         self._worlds = worlds
         self._plans = plans
@@ -219,7 +227,7 @@ class UserStatements:
             found = self._looked_up(statement, parameters)
             if found is not None:
                 return found
-            self._settle()
+            self._settle(None)
             return self._connection.table(statement.text, parameters)
         if is_rewritten or statement.has_plain_types is not None:
             try:
@@ -236,17 +244,10 @@ class UserStatements:
             except SelectScriptError:
                 self._release(statement)
                 raise
-        self._settle()
+        self._settle(None)
         table = self._connection.table(statement.text, parameters)
         statement.has_plain_types = has_plain_types(table)
         return table
-
-    def _settle(self) -> None:
-        """Writes the columns that were deferred, which DuckDB reads without asking."""
-        for bound in self._worlds.values():
-            world = bound.reference()
-            if world is not None and world.is_restored:
-                world.snapshot.tables["entities"].settle()
 
     def _release(self, statement: UserStatement) -> None:
         """Frees the memory that DuckDB keeps for a statement that failed."""
@@ -300,8 +301,8 @@ class UserStatements:
         header = None
         if self._is_ready(statement, sql, parameters, names):
             sql, parameters, header = statement.execute, None, statement.last_header
-        if sql != statement.execute or self._plans.needs_settled(statement.name):
-            self._settle()
+        is_planned = sql == statement.execute
+        self._settle(self._plans.deferred_columns(statement.name) if is_planned else None)
         was_long = statement.last_header is not None and bool(statement.last_header.is_long)
         # The batches of an Arrow table are measured at once, tuples one by one.
         if was_long and self._connection.has_limited_rows:
@@ -433,7 +434,7 @@ def _depends_on_order(tree: exp.Expr) -> bool:
             case exp.Window():
                 depends = part.args.get("order") is None
             case exp.AggFunc():
-                depends = not isinstance(part, _ORDERLESS)
+                depends = type(part) not in _ORDERLESS  # a subclass may be approximate
             case exp.Anonymous():
                 depends = part.name.lower() in _ORDERED
             case _:

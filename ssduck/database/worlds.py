@@ -194,6 +194,29 @@ class WorldRegistry:
             raise
         return bound
 
+    def settle(self, columns: frozenset[str] | None = None) -> None:
+        """Writes what the ticks left for later, for DuckDB to read.
+
+        Args:
+            columns: only these columns of the tables of entities; None for all rows there are.
+        """
+        for bound in self.bound:
+            world = bound.reference()
+            if world is None or not world.is_restored:
+                continue
+            if columns is None:
+                world.snapshot.settle()
+                self.register(bound)  # its buffers may be others
+            elif columns:
+                world.snapshot.tables["entities"].settle(columns)
+
+    def write_contacts(self) -> None:
+        """Writes the contacts of the ticks, of which there may be more or fewer than before."""
+        for bound in self.bound:
+            world = bound.reference()
+            if world is not None and world.is_restored and world.snapshot.write_contacts():
+                self.register(bound)
+
     def record(
         self, bound: BoundWorld, recording: Recording | None, tags: Tags | None = None
     ) -> None:

@@ -154,8 +154,7 @@ class LiveTable:
 
     def arrow_with(self, names: Iterable[str]) -> pa.Table:
         """Returns the Arrow table, in which only these columns are certain to be written."""
-        for name in names:
-            self._settle(name)
+        self.settle(names)
         return self._shared()
 
     def _shared(self) -> pa.Table:
@@ -248,9 +247,12 @@ class LiveTable:
         rows = range(self._row[first], self._row[last] + 1)
         self._deferred = [*self._deferred, (rows, write)]  # a clone has the same list
 
-    def settle(self) -> None:
-        """Writes the columns that were deferred."""
-        if self._deferred:
+    def settle(self, names: Iterable[str] | None = None) -> None:
+        """Writes the columns that were deferred: all, or those that are written with some."""
+        if names is not None:
+            for name in names:
+                self._settle(name)
+        elif self._deferred:
             self._write(self._deferred)
 
     def _write(self, deferred: list[_Deferred]) -> None:

@@ -127,9 +127,15 @@ class Snapshot:
     @property
     def tables(self) -> Mapping[str, LiveTable]:
         """The tables by name."""
-        if not self._are_contacts_written:
-            self._write_contacts()
+        self.write_contacts()
         return self._tables
+
+    def write_contacts(self) -> bool:
+        """Writes the table of contacts if it was left for later; returns whether it was."""
+        if self._are_contacts_written:
+            return False
+        self._write_contacts()
+        return True
 
     def settle(self) -> None:
         """Writes all rows of this tick that were left for later: DuckDB reads without asking."""

@@ -69,6 +69,7 @@ CASES = [
     ("SELECT DISTINCT ON (a.kind) a.name, b.z FROM entities a JOIN links b USING (time)", False),
     ("SELECT a.name, row_number() OVER () AS n FROM entities a JOIN links b USING (time)", False),
     ("SELECT fsum(b.z) FROM entities a JOIN links b USING (time)", False),
+    ("SELECT approx_quantile(b.z, 0.4) FROM entities a JOIN links b USING (time)", False),
     ("SELECT max(b.z), count(*) FROM entities a JOIN entities b ON a.id > b.id", True),
 ]  # fmt: skip
 
