@@ -42,7 +42,7 @@ from ssduck.geometry.proofs.direction_triangles import (
     stretch_of,
 )
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.kept_parts import KeptParts, Parts
+from ssduck.geometry.proofs.kept_parts import MAX_DIVIDED, KeptParts, Parts
 from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 
@@ -286,7 +286,9 @@ class _Record:
             self.divided.update(triangles.owners[divided].tolist())
 
     def keep(self, kept: KeptParts, keys: Keys) -> None:
-        """Keeps the parts of the pairs of which a triangle was divided."""
+        """Keeps the parts of the pairs of which a triangle was divided, unless they are many."""
+        if len(self.divided) > MAX_DIVIDED:
+            return
         finished = self._finished[0]
         for more in self._finished[1:]:
             finished = finished.joined(more)

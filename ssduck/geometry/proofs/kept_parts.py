@@ -19,6 +19,8 @@ from ssduck.geometry.proofs.kept_verdicts import Keys
 _MAX_PARTS = 1024
 # The number of pairs whose parts are kept.
 _MAX_PAIRS = 4096
+# If more pairs are divided together, it takes longer to keep their parts than to divide them anew.
+MAX_DIVIDED = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,4 +114,5 @@ class KeptParts:
             corners.swapaxes(0, 1).reshape(3, -1), axis=1, return_inverse=True
         )
         numbers = np.concatenate((faces[None], classes[None], places.reshape(3, -1)))
-        self._parts[key] = _PairParts(numbers, stretch, directions)
+        # A copy: the stretch may be a row of an array that has all that is known of the parts.
+        self._parts[key] = _PairParts(numbers, stretch.copy(), directions)
