@@ -8,6 +8,10 @@ from pathlib import Path
 import pytest
 
 import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording import episode_steps
+from ssduck.recording.episode_steps import EpisodeSteps
+from ssduck.recording.stores import descriptions
 from tests.support.forged import EPISODE, describe, make_records, part
 
 EPISODES = "episodes/lab-0.json"
@@ -87,3 +91,58 @@ def test_a_link_within_the_record_is_none(made: Path, tmp_path: Path) -> None:
     (record / "joints").rename(record / "elsewhere")
     (record / "joints").symlink_to(record / "elsewhere")
     assert ssduck.check(record, repair=True) == []
+
+
+# -- the steps of episodes ------------------------------------------------------------------------
+
+STEPS = f"{episode_steps.FOLDER}/lab-0.json"
+
+
+def with_steps(made: Path, to: Path) -> tuple[Path, EpisodeSteps]:
+    """Returns a record whose episode has steps, and these."""
+    record = Path(shutil.copytree(made / "folder", to / "record"))
+    steps = EpisodeSteps({"reward": "1"}, seed=7, options={"level": [1, None]}, success=False)
+    steps.add_tick(0.5, {"goal": [0.1, 2], "name": "left"})
+    steps.add_tick(0.75, {"goal": [0.1, 3], "name": "right"})
+    steps.rewards.append(0.1)
+    steps.add_action([1.0, -0.25])
+    steps.write(record, "lab", 0)
+    return record, steps
+
+
+def test_an_upgraded_record_has_the_steps(made: Path, tmp_path: Path) -> None:
+    record, steps = with_steps(made, tmp_path)
+    ssduck.upgrade(record, tmp_path / "new")
+    assert EpisodeSteps.read(tmp_path / "new", "lab", 0) == steps
+    assert (tmp_path / "new" / STEPS).read_bytes() == (record / STEPS).read_bytes()
+
+
+@pytest.mark.parametrize("place", [STEPS, episode_steps.FOLDER])
+def test_an_upgrade_copies_no_steps_of_elsewhere(made: Path, tmp_path: Path, place: str) -> None:
+    record, _ = with_steps(made, tmp_path)
+    (record / place).rename(tmp_path / "outside")
+    (record / place).symlink_to(tmp_path / "outside")
+    with pytest.raises(RecordError, match="is a symbolic link that leaves"):
+        ssduck.upgrade(record, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ('{"private": 1}', "is damaged.*the steps of the episode|'version' is to be a number"),
+        ("not steps", "is damaged"),
+        (" " * 2000 + "{}", "has more than 1,000 bytes"),
+    ],
+)
+def test_an_upgrade_copies_no_other_file(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str, words: str
+) -> None:
+    record, _ = with_steps(made, tmp_path)
+    (record / STEPS).write_text(content)
+    if "1,000" in words:
+        monkeypatch.setattr(descriptions, "MAX_DESCRIPTION", 1000)
+    with pytest.raises(RecordError, match=words) as error:
+        ssduck.upgrade(record, tmp_path / "new")
+    assert STEPS in str(error.value)
+    assert not (tmp_path / "new").exists()
