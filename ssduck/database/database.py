@@ -376,9 +376,9 @@ class Database:
         """
         record = self.record_of(world)
         with self._lock, world.pinned():
-            if record.check_ticks is not None:
+            if record.stored is not None:
                 for table in sorted(record.tables):
-                    record.check_ticks(table)
+                    record.stored.check_ticks(table)
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording
