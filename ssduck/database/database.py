@@ -367,11 +367,15 @@ class Database:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
 
         Raises:
-            RecordError: the folder holds other files, or cannot be written.
+            RecordError: the folder holds other files, or cannot be written; or a row of the record
+                is of none of its ticks.
             EvaluationError: the world is not recorded, or not at that time.
         """
         record = self.record_of(world)
         with self._lock, world.pinned():
+            if record.stored is not None:
+                for table in sorted(record.tables):
+                    record.stored.check_ticks(table)
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording

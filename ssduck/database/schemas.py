@@ -246,9 +246,9 @@ def _make_history_view(
         tables = {table.source, entities.name} & set(history.store.tables)
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)
-        if history.record.check_ticks is not None:
+        if history.record.stored is not None:
             for name in sorted(tables):
-                history.record.check_ticks(name)
+                history.record.stored.check_ticks(name)
         rows = history.store.select(table.source, waiting)
     if rows is None:
         _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])

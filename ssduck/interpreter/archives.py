@@ -201,7 +201,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
         number,
         source=rows.source,
         tags=run.tags,
-        check_ticks=rows.check_ticks,
+        stored=rows,
     )
     return ReplayedWorld(run.world, record, archive, camera_of(run.description))
 

@@ -42,9 +42,9 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     validation.boolean(repair, "check: repair")
     place = expand_path(path).absolute()
     if place.is_dir():
-        return check_folder(place, repair=repair) or list(_stray_rows(place))
+        return check_folder(place, repair=repair) or list(_wrong_rows(place))
     try:
-        return list(_damages_of_file(place)) or list(_stray_rows(place))
+        return list(_damages_of_file(place)) or list(_wrong_rows(place))
     except RecordError as error:
         log = place.with_name(f"{place.name}.wal")
         if not log.exists() or "damaged" not in error.message:
@@ -54,19 +54,22 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     return _without_log(place, damage) if repair else [damage]
 
 
-def _stray_rows(place: Path) -> Iterator[Damage]:
-    """Yields the tables that have rows of ticks that their record does not have."""
+def _wrong_rows(place: Path) -> Iterator[Damage]:
+    """Yields the tables that have rows of unknown ticks or entities, twice, or not all of them."""
     database = Database(":memory:", None)
     try:
         for run in recorded_runs(place, database):
             if not (run.has_begun and run.has_ticks):
                 continue
             record = replayed_world(run, database).source_record
-            assert record.check_ticks is not None
-            for table in sorted(record.tables & TABLES.keys()):
+            assert record.stored is not None
+            tables = sorted(record.tables & TABLES.keys() - {"entities"})
+            has_right_entities = True
+            for table in ("entities", *tables):
                 try:
-                    record.check_ticks(table)
+                    record.stored.check_rows(table, bodies=has_right_entities)
                 except RecordError as error:
+                    has_right_entities &= table != "entities"
                     episode = f"{table} of episode {run.number} of {run.world!r}"
                     yield Damage(run.path, error.message.removeprefix(f"{run.path} "), episode)
     finally:

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 from ssduck.errors import RecordError
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.opening import open_record
 from ssduck.recording.episode import Episode
+from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
-
-# The folders of files that belong to episodes, beside the tables.
-_FILES_OF_EPISODES = ("gym",)
 
 
 def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
     """Writes all episodes of a record to a new folder, in the present format.
 
-    All rows, the times of the starts, ids and tags stay as they are. The files get the labels and
-    checksums, episodes the ids, and tables the columns that older releases did not write; what was
-    not recorded is NULL. The record itself stays. Episodes without ticks are left out.
+    All rows, the times of the starts, ids, tags and steps stay as they are. The files get the
+    labels and checksums, episodes the ids, and tables the columns that older releases did not
+    write; what was not recorded is NULL. The record itself stays. Episodes without ticks are left
+    out.
 
     Args:
         path: the folder or the DuckDB file of the record.
@@ -47,7 +44,11 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
     listed = [episode for episode in episodes(source) if episode.ticks]
     if not listed:
         raise RecordError(f"{source} has no episode with ticks")
+    with_steps = set(recorded_steps(source) if source.is_dir() else ())
     for episode in listed:
+        # Before the episode is written, as the file may be damaged.
+        name = episode.world, episode.number
+        steps = EpisodeSteps.read(source, *name) if name in with_steps else None
         about = {"started": episode.started}
         if episode.id is not None:
             about["id"] = episode.id
@@ -56,20 +57,6 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
             (world,) = database.worlds.values()
             ticks = database.export(world, folder, None, (None, None), about=about)
         run = FolderRun(folder, episode.world, episode_number(ticks))
-        _copy_files(source, episode, run)
+        if steps is not None:
+            steps.write(folder, run.world, run.number)
     return episodes(folder)
-
-
-def _copy_files(source: Path, episode: Episode, run: FolderRun) -> None:
-    """Copies the files that belong to an episode, beside its tables."""
-    for name in _FILES_OF_EPISODES:
-        file = source / name / f"{episode.world}-{episode.number}.json"
-        if source.is_dir() and file.is_file():
-            content = file.read_bytes()
-            place = run.path / name / f"{run.world}-{run.number}.json"
-            place.parent.mkdir(exist_ok=True)
-            write_atomically(place, partial(_write, content))
-
-
-def _write(content: bytes, file: Path) -> None:
-    file.write_bytes(content)

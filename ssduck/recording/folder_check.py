@@ -20,6 +20,7 @@ from ssduck.recording.stores.checksums import (
     write_json,
 )
 from ssduck.recording.stores.descriptions import read_description
+from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     DESCRIPTION,
@@ -122,9 +123,17 @@ def partial_run(run: FolderRun) -> FolderRun:
 
 
 def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
-    """Yields the damaged and missing files of an episode; reads all bytes of all files."""
+    """Yields the damaged and missing files of an episode; reads all bytes of all files.
+
+    Of an episode with a folder that leads out of the record, only that is said: its files are those
+    of another record, which a repair must not rename.
+    """
     episode = f"episode {run.number} of {run.world!r}"
     problem: str | None
+    links = [_RunDamage(*link, f"all of {episode}", run=run) for link in _links_of(run)]
+    if links:
+        yield from links
+        return
     try:
         tables = run.tables
     except RecordError as error:
@@ -158,6 +167,16 @@ def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
     problem = parquet_problem(pairs, has_checksums=True) if pairs.is_file() else None
     if problem is not None:
         yield _RunDamage(pairs, problem, "the table of pairs, for other tools", run=run)
+
+
+def _links_of(run: FolderRun) -> Iterator[tuple[Path, str]]:
+    """Yields the folders of an episode that links lead out of the record, and what is wrong."""
+    models = (f"models/{model}" for model in MODELS)
+    for place in map(run.place, (*RECORDED, *models, INDEX, LOG, PAIRS)):
+        try:
+            check_inside(run.path, place)
+        except RecordError as error:
+            yield place, _problem_of(error, place)
 
 
 def _derived_files(run: FolderRun) -> tuple[Path, Path]:

@@ -83,6 +83,25 @@ def test_a_forged_row_is_an_error(
             ss.eval("max(SELECT z(this) FROM lab{} AS list);")
 
 
+@pytest.mark.parametrize("forge", [forged_file, forged_folder])
+@pytest.mark.parametrize("name", FORGERIES)
+def test_no_export_drops_it(
+    made: Path,
+    tmp_path: Path,
+    name: str,
+    forge: Callable[[Path, Path, str, str, str], Path],
+) -> None:
+    record = forge(made, tmp_path, "contacts", *FORGERIES[name])
+    with pytest.raises(RecordError, match="of the rows of contacts, one is at the tick"):
+        ssduck.upgrade(record, tmp_path / "new")
+    with (
+        ssduck.open(record) as ss,
+        pytest.raises(RecordError, match="of the rows of contacts, one is at the tick"),
+    ):
+        ss.export(tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
 def test_the_valid_records_are_none(made: Path) -> None:
     for record in (made / "folder", made / "file.duckdb"):
         assert ssduck.check(record) == []

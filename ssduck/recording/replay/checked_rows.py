@@ -30,6 +30,10 @@ _LINKS = {"contacts": {"a": "link_a", "b": "link_b"}}
 # The tables that have a row for each part of a body at each tick that has one of them.
 _COMPLETE = frozenset(("links", "joints", FRAMES))
 _LARGEST = 1 << 62
+# So many rows of all ticks are checked at once: a hundred megabytes; of tables whose rows are not
+# numbered, a member is taken to have so many at a tick.
+_ROWS_AT_ONCE = 1 << 19
+_ROWS_OF_MEMBER = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,11 @@ class CheckedRows:
             RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
         """
         rows = self.archive.fetch(table, first, last)
+        self._check(table, rows)
+        return rows
+
+    def _check(self, table: str, rows: pa.Table) -> None:
+        """Checks rows of all parts of some ticks."""
         for column in rows.schema:
             if column.type != pa.float64() and rows[column.name].null_count:
                 self._fail(table, f"the column {column.name!r} lacks a value")
@@ -69,7 +78,6 @@ class CheckedRows:
                 self._check_range(table, rows[link].to_numpy(), self._parts("links").take(indices))
         if RECORDED[table].key and rows.num_rows:
             self._check_keys(table, rows)
-        return rows
 
     def recheck(self) -> None:
         """Forgets which tables were checked: the archive has other rows now."""
@@ -90,6 +98,34 @@ class CheckedRows:
         if stray is not None:
             self._fail(table, stray_message(*stray))
         self._checked.add(table)
+
+    def check_rows(self, table: str, *, bodies: bool = True) -> None:
+        """Checks all rows of a table, a bounded number at a time.
+
+        Args:
+            table: the table.
+            bodies: whether to check that the bodies with parts are those of the table of entities,
+                whose rows must be right.
+
+        Raises:
+            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
+        """
+        self.check_ticks(table)
+        if not RECORDED[table].entity_columns:
+            return
+        numbers, step = self.ticks.numbers, self._ticks_at_once(table)
+        for start in range(0, len(numbers), step):
+            first, last = int(numbers[start]), int(numbers[start : start + step][-1])
+            rows = self.archive.fetch_stored(table, first, last)
+            self._check(table, rows)
+            if bodies and table in _COMPLETE and "entities" in self.archive.tables:
+                self._check_bodies(table, rows, self.fetch("entities", first, last))
+
+    def _ticks_at_once(self, table: str) -> int:
+        """Returns at how many ticks all rows of a table are about `_ROWS_AT_ONCE`."""
+        has_key = bool(RECORDED[table].key)
+        rows = int(self._parts(table).sum()) if has_key else _ROWS_OF_MEMBER * len(self.members)
+        return max(_ROWS_AT_ONCE // max(rows, 1), 1)
 
     def near_pairs(self, request: PairRequest) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown.
@@ -152,6 +188,21 @@ class CheckedRows:
             begins = np.flatnonzero(np.diff(keys // size, prepend=-1) | np.diff(owners, prepend=-1))
             if int(counts.take(owners.take(begins)).sum()) != len(keys):
                 self._fail(table, "a body lacks some of them")
+
+    def _check_bodies(self, table: str, rows: pa.Table, entities: pa.Table) -> None:
+        """Checks that the bodies with parts are those that are there, at each tick.
+
+        A body of one link needs no row of it: that would repeat the pose of the body.
+        """
+        has_parts = self._parts(table) > (table != "joints")
+        found = []
+        for owner, present in ((RECORDED[table].key[0], rows), ("id", entities)):
+            indices = self._indices(table, present[owner].to_numpy())
+            ticks = np.searchsorted(self.ticks.numbers, present["tick"].to_numpy())
+            keys = ticks * len(has_parts) + indices
+            found.append(np.unique(keys[has_parts.take(indices)]))
+        if not np.array_equal(found[0], found[1]):
+            self._fail(table, "those of a body are missing at a tick, or there without it")
 
     def _fail(self, table: str, reason: str) -> None:
         raise RecordError(f"{self.source} is damaged: of the rows of {table}, {reason}")

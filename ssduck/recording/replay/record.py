@@ -22,6 +22,7 @@ from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.mass_changes import MassChanges
 from ssduck.recording.replay.answer_cache import AnswerCache
 from ssduck.recording.replay.batch_queries import EntityShapes, LinkPosesOverTicks
+from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.past_world import PastWorld
 from ssduck.recording.replay.restore import SnapshotRestorer, links_of
 from ssduck.recording.replay.row_cache import RowCache
@@ -65,8 +66,7 @@ class Record:
         recording: what is recorded; None for a record of another time.
         source: the folder or the file that has it, for messages.
         tags: what the user says of the run, by name.
-        check_ticks: checks that all stored rows of a table are of ticks of the record; None if
-            this process wrote them.
+        stored: checks the stored rows of a table; None if this process wrote them.
 
     Attributes:
         entity_shapes: the shapes of the members.
@@ -87,10 +87,10 @@ class Record:
         recording: Recording | None = None,
         source: str = "the record",
         tags: Tags | None = None,
-        check_ticks: Callable[[str], None] | None = None,
+        stored: CheckedRows | None = None,
     ) -> None:
         self.tags: Tags = tags or {}
-        self.check_ticks = check_ticks
+        self.stored = stored
         self.recording = recording
         self.source = source
         self._world: weakref.ref[World] | None = None

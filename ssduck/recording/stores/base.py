@@ -184,6 +184,10 @@ class TickArchive(ABC):
         NULL or NaN. For `links`, those of bodies of one link may be left out.
         """
 
+    def fetch_stored(self, table: str, first: int, last: int) -> pa.Table:
+        """Returns the same rows, with all those that SQL reads: none is left out."""
+        return self.fetch(table, first, last)
+
     def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:  # noqa: ARG002
         """Returns the number and the time of a stored row that are those of no tick.
 

@@ -152,6 +152,13 @@ class ParquetArchive(TickArchive):
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
+        rows = self.fetch_stored(table, first, last)
+        if table == "links":  # the rows of bodies with one link repeat the pose of the body
+            rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
+        return rows
+
+    def fetch_stored(self, table: str, first: int, last: int) -> pa.Table:
+        """Returns the same rows, with the links of all bodies."""
         self._opened.check_process()
         if table == FRAMES and table not in self._files:  # no body has several links
             return arrow_types(table).empty_table()
@@ -162,10 +169,7 @@ class ParquetArchive(TickArchive):
         if self._log:
             logged = self._log[table].arrow.select(types.names).cast(types)
             parts.append(_between(logged, first, last))
-        rows = pa.concat_tables([types.empty_table(), *parts])
-        if table == "links":  # the rows of bodies with one link repeat the pose of the body
-            rows = rows.filter(pa.array(np.isin(rows["entity"].to_numpy(), self._linked)))
-        return rows
+        return pa.concat_tables([types.empty_table(), *parts])
 
     def _parts_with(self, table: str, first: int, last: int) -> range:
         """Returns the numbers of the parts with the ticks from first to last."""

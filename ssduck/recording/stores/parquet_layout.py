@@ -352,11 +352,12 @@ class FolderRun:
             table: the table, or the model such as `models/entities`.
             number: the number of the part.
         """
-        footer, problem = self._footer_of(table, number)
-        if footer is None or problem is not None:
-            return problem
         file = self.place(table) / part_name(number)
         try:
+            check_inside(self.path, file)
+            footer, problem = self._footer_of(table, number)
+            if footer is None or problem is not None:
+                return problem
             check_parquet(str(file), footer, table)
             return parquet_problem(file, has_checksums=self.has_checksums)
         except RecordError as error:

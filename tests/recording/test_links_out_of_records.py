@@ -1,0 +1,148 @@
+"""Symbolic links in a record from a stranger: a check names them, and a repair renames nothing."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from ssduck.recording import episode_steps
+from ssduck.recording.episode_steps import EpisodeSteps
+from ssduck.recording.stores import descriptions
+from tests.support.forged import EPISODE, describe, make_records, part
+
+EPISODES = "episodes/lab-0.json"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("linked")
+    make_records(place)
+    return place
+
+
+def linked(made: Path, kind: str, to: Path, place: str) -> tuple[Path, Path]:
+    """Returns a record with a link in a place, and the other record that it leads to."""
+    record, other = (
+        Path(shutil.copytree(made / kind, to / name)) for name in ("record", "another")
+    )
+    if (record / place).is_dir():
+        shutil.rmtree(record / place)
+    else:
+        (record / place).unlink()
+    (record / place).symlink_to(other / place)
+    return record, other
+
+
+def contents(record: Path) -> dict[str, bytes]:
+    files = (file for file in record.rglob("*") if file.is_file())
+    return {str(file.relative_to(record)): file.read_bytes() for file in files}
+
+
+@pytest.mark.parametrize("harm", ["another key", "a broken part", "nothing else"])
+@pytest.mark.parametrize(
+    "place", ["entities", "ticks/world=lab", f"joints/{EPISODE}", f"models/links/{EPISODE}"]
+)
+def test_a_repair_renames_nothing_outside(
+    made: Path, tmp_path: Path, place: str, harm: str
+) -> None:
+    record, other = linked(made, "folder", tmp_path, place)
+    if harm == "another key":
+        describe(record / EPISODES, key="0" * 16)
+    elif harm == "a broken part":
+        part(record, "contacts").write_bytes(b"broken")
+    before = contents(other), contents(record)
+    for repair in (False, True):
+        (damage,) = ssduck.check(record, repair=repair)
+        assert damage.file.is_relative_to(record / place)
+        assert damage.problem.startswith(f"is a symbolic link that leaves {record}")
+        assert not damage.is_repaired
+    assert (contents(other), contents(record)) == before
+
+
+def test_nor_files_of_a_log(made: Path, tmp_path: Path) -> None:
+    record, other = linked(made, "unfinished", tmp_path, "log")
+    describe(record / EPISODES, key="0" * 16)
+    before = contents(other)
+    (damage,) = ssduck.check(record, repair=True)
+    assert (damage.file, damage.is_repaired) == (record / "log" / EPISODE, False)
+    assert contents(other) == before
+
+
+def test_a_part_that_is_a_link_is_taken_out(made: Path, tmp_path: Path) -> None:
+    """Its own name is in the record, and what it leads to is not."""
+    file = f"joints/{EPISODE}/part-000000.parquet"
+    record, other = linked(made, "folder", tmp_path, file)
+    before = contents(other)
+    (damage,) = ssduck.check(record)
+    assert (damage.file, damage.is_repaired) == (record / file, False)
+    assert "is a symbolic link" in damage.problem
+    (damage,) = ssduck.check(record, repair=True)
+    assert damage.is_repaired
+    assert (record / f"{file}.damaged").is_symlink()
+    assert contents(other) == before
+
+
+def test_a_link_within_the_record_is_none(made: Path, tmp_path: Path) -> None:
+    record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
+    (record / "joints").rename(record / "elsewhere")
+    (record / "joints").symlink_to(record / "elsewhere")
+    assert ssduck.check(record, repair=True) == []
+
+
+# -- the steps of episodes ------------------------------------------------------------------------
+
+STEPS = f"{episode_steps.FOLDER}/lab-0.json"
+
+
+def with_steps(made: Path, to: Path) -> tuple[Path, EpisodeSteps]:
+    """Returns a record whose episode has steps, and these."""
+    record = Path(shutil.copytree(made / "folder", to / "record"))
+    steps = EpisodeSteps({"reward": "1"}, seed=7, options={"level": [1, None]}, success=False)
+    steps.add_tick(0.5, {"goal": [0.1, 2], "name": "left"})
+    steps.add_tick(0.75, {"goal": [0.1, 3], "name": "right"})
+    steps.rewards.append(0.1)
+    steps.add_action([1.0, -0.25])
+    steps.write(record, "lab", 0)
+    return record, steps
+
+
+def test_an_upgraded_record_has_the_steps(made: Path, tmp_path: Path) -> None:
+    record, steps = with_steps(made, tmp_path)
+    ssduck.upgrade(record, tmp_path / "new")
+    assert EpisodeSteps.read(tmp_path / "new", "lab", 0) == steps
+    assert (tmp_path / "new" / STEPS).read_bytes() == (record / STEPS).read_bytes()
+
+
+@pytest.mark.parametrize("place", [STEPS, episode_steps.FOLDER])
+def test_an_upgrade_copies_no_steps_of_elsewhere(made: Path, tmp_path: Path, place: str) -> None:
+    record, _ = with_steps(made, tmp_path)
+    (record / place).rename(tmp_path / "outside")
+    (record / place).symlink_to(tmp_path / "outside")
+    with pytest.raises(RecordError, match="is a symbolic link that leaves"):
+        ssduck.upgrade(record, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ('{"private": 1}', "is damaged.*the steps of the episode|'version' is to be a number"),
+        ("not steps", "is damaged"),
+        (" " * 2000 + "{}", "has more than 1,000 bytes"),
+    ],
+)
+def test_an_upgrade_copies_no_other_file(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str, words: str
+) -> None:
+    record, _ = with_steps(made, tmp_path)
+    (record / STEPS).write_text(content)
+    if "1,000" in words:
+        monkeypatch.setattr(descriptions, "MAX_DESCRIPTION", 1000)
+    with pytest.raises(RecordError, match=words) as error:
+        ssduck.upgrade(record, tmp_path / "new")
+    assert STEPS in str(error.value)
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,132 @@
+"""Rows that SelectScript refuses are found by `ssduck check`, which asks no question."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import duckdb
+import pyarrow as pa
+import pytest
+
+import ssduck
+from ssduck.recording.replay import checked_rows
+from tests.support.forged import make_records, part, rewrite, without_checksums
+
+FIRST = "tick = (SELECT min(tick) FROM rows)"
+# (table, what a stranger makes of its rows, words of the problem)
+FORGERIES = {
+    "rows twice": ("entities", f"FROM rows UNION ALL FROM rows WHERE {FIRST}", "a row is twice"),
+    "links twice": ("links", f"FROM rows UNION ALL FROM rows WHERE {FIRST}", "a row is twice"),
+    "joints twice": ("joints", f"FROM rows UNION ALL FROM rows WHERE {FIRST}", "a row is twice"),
+    "a missing link": (
+        "links",
+        f"FROM rows WHERE NOT (link = 1 AND {FIRST})",
+        "a body lacks some of them",
+    ),
+    "a body without links": (
+        "links",
+        "FROM rows WHERE NOT (entity = (SELECT entity FROM rows WHERE link = 1 LIMIT 1) AND "
+        f"{FIRST})",
+        "are missing at a tick",
+    ),
+    "no joints at a tick": ("joints", f"FROM rows WHERE NOT {FIRST}", "are missing at a tick"),
+    "an unknown entity": (
+        "entities",
+        f"FROM rows UNION ALL SELECT * REPLACE (999 AS id) FROM rows WHERE {FIRST}",
+        "the entity 999 is unknown",
+    ),
+    "an unknown link": (
+        "links",
+        f"FROM rows UNION ALL SELECT * REPLACE (77 AS link) FROM rows WHERE {FIRST}",
+        "a link is unknown",
+    ),
+    "a contact of nobody": (
+        "contacts",
+        "SELECT * REPLACE (CASE WHEN tick = (SELECT max(tick) FROM rows) THEN 999 ELSE a END AS a) "
+        "FROM rows",
+        "the entity 999 is unknown",
+    ),
+    "a contact of no link": (
+        "contacts",
+        "SELECT * REPLACE (77 AS link_a) FROM rows",
+        "a link is unknown",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("forged")
+    make_records(place)
+    return place
+
+
+def forged_file(made: Path, to: Path, table: str, select: str) -> Path:
+    file = Path(shutil.copy(made / "file.duckdb", to))
+    place = f'lab_record_0."{table} 0"'
+    with duckdb.connect(file) as plain:
+        before = plain.sql(f"FROM {place}").fetchall()
+        plain.execute(
+            f'CREATE TABLE {place[:-1]}new" AS WITH rows AS (FROM {place}) {select}; '
+            f'DELETE FROM {place}; INSERT INTO {place} FROM {place[:-1]}new"; '
+            f'DROP TABLE {place[:-1]}new"'
+        )
+        assert sorted(plain.sql(f"FROM {place}").fetchall(), key=str) != sorted(before, key=str)
+    return file
+
+
+def forged_folder(made: Path, to: Path, table: str, select: str) -> Path:
+    folder = Path(shutil.copytree(made / "folder", to / "folder"))
+
+    def forge(rows: pa.Table) -> pa.Table:  # DuckDB reads it by its name
+        new = duckdb.sql(select).to_arrow_table().select(rows.column_names).cast(rows.schema)
+        assert new != rows
+        return new
+
+    rewrite(part(folder, table), forge)
+    without_checksums(folder)
+    return folder
+
+
+@pytest.mark.parametrize("forge", [forged_file, forged_folder])
+@pytest.mark.parametrize("name", FORGERIES)
+def test_a_check_finds_them(
+    made: Path, tmp_path: Path, name: str, forge: Callable[[Path, Path, str, str], Path]
+) -> None:
+    table, select, words = FORGERIES[name]
+    record = forge(made, tmp_path, table, select)
+    found = ssduck.check(record)
+    assert [damage.loss for damage in found] == [f"{table} of episode 0 of 'lab'"]
+    assert f"of the rows of {table}, " in found[0].problem
+    assert words in found[0].problem
+
+
+def test_links_that_no_replay_reads(made: Path, tmp_path: Path) -> None:
+    """A folder has the links of bodies that have one: SQL reads them, SelectScript does not."""
+    select = (
+        "WITH one AS (SELECT entity FROM rows GROUP BY entity HAVING max(link) = 0) "
+        "FROM rows UNION ALL FROM rows WHERE entity IN (FROM one)"
+    )
+    (damage,) = ssduck.check(forged_folder(made, tmp_path, "links", select))
+    assert "of the rows of links, a row is twice there" in damage.problem
+
+
+@pytest.mark.parametrize("at_once", [1, 40, 1 << 19])
+@pytest.mark.parametrize("record", ["folder", "file.duckdb", "unfinished"])
+def test_the_valid_records_are_intact(
+    made: Path, record: str, at_once: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(checked_rows, "_ROWS_AT_ONCE", at_once)
+    assert ssduck.check(made / record) == []
+
+
+def test_rows_are_read_some_ticks_at_a_time(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault at the last of many steps is found."""
+    monkeypatch.setattr(checked_rows, "_ROWS_AT_ONCE", 1)
+    select = "FROM rows UNION ALL FROM rows WHERE tick = (SELECT max(tick) FROM rows)"
+    (damage,) = ssduck.check(forged_file(made, tmp_path, "joints", select))
+    assert "of the rows of joints, a row is twice there" in damage.problem
