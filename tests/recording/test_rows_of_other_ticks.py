@@ -44,17 +44,15 @@ def forged_file(made: Path, to: Path, table: str, tick: str, time: str) -> Path:
 def forged_folder(made: Path, to: Path, table: str, tick: str, time: str) -> Path:
     folder = shutil.copytree(made / "folder", to / "folder")
 
-    def forge(rows: pa.Table) -> pa.Table:  # DuckDB reads it by its name
-        return (
-            duckdb.sql(
-                "SELECT * REPLACE (CASE WHEN tick = last THEN new_tick ELSE tick END AS tick, CASE "
-                f"WHEN tick = last THEN new_time ELSE time END AS time) FROM (SELECT *, {tick} AS "
-                f"new_tick, {time} AS new_time, max(tick) OVER () AS last FROM rows)"
-            )
-            .to_arrow_table()
-            .select(rows.column_names)
-            .cast(rows.schema)
-        )
+    def forge(rows: pa.Table) -> pa.Table:
+        with duckdb.connect() as plain:
+            plain.register("valid", rows)
+            changed = plain.sql(
+                "SELECT * REPLACE (CASE WHEN tick = last THEN new_tick ELSE tick END AS tick, "
+                "CASE WHEN tick = last THEN new_time ELSE time END AS time) FROM (SELECT *, "
+                f"{tick} AS new_tick, {time} AS new_time, max(tick) OVER () AS last FROM valid)"
+            ).to_arrow_table()
+        return changed.select(rows.column_names).cast(rows.schema)
 
     rewrite(part(folder, table), forge)
     without_checksums(folder)
