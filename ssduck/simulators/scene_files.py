@@ -32,6 +32,8 @@ _NAMED = frozenset(("mesh", "texture", "visual", "collision", "cdf"))
 _MJCF_FILE = re.compile(r"file(?!name)(?:right|left|up|down|front|back)?")
 # The elements of MJCF files that name another model, whatever its name ends in.
 _MODELS = frozenset(("include", "model"))
+# What readers take for other texts: entities, and the pieces of a text.
+_UNEQUAL = (b"<!DOCTYPE", b"<![CDATA[")
 # The elements of SDF files whose <uri> is the name of a file.
 _WITH_URI = frozenset(("mesh", "heightmap"))
 # The attributes of <compiler> in MJCF files that name a folder.
@@ -156,7 +158,7 @@ class _SceneFiles:
                 self._add_parts(file, _PICTURES, _text(file), "picture")
             case "COLLADA":
                 for part in _root(file).iter("init_from"):
-                    self._add_name(file, _SCHEME.sub("", "".join(part.itertext()).strip()))
+                    self._add_name(file, _SCHEME.sub("", _plain_text(file, part)))
 
     def _read_model(self, model: Path) -> None:
         """Adds the names of files and folders in a model file."""
@@ -168,7 +170,7 @@ class _SceneFiles:
                     self._add_name(model, name)
                     self._inner[name] = None
         is_mjcf = root.tag not in ("robot", "sdf", "gazebo", "world")
-        for tag, text in _names_in(root):
+        for tag, text in _names_in(model, root):
             self._add_words(text)
             name = _SCHEME.sub("", text, count=1)
             self._add_name(model, name)
@@ -249,22 +251,28 @@ def _root(model: Path) -> ET.Element:
     """Returns the root of a model file.
 
     Raises:
-        SceneError: it cannot be read, or has a <!DOCTYPE>.
+        SceneError: it cannot be read, or has a <!DOCTYPE> or a <![CDATA[.
     """
     try:
         if not model.is_file():  # a pipe would be waited for
             raise SceneError(f"{model} is no regular file (Limits: files)")
-        if b"<!DOCTYPE" in model.read_bytes():  # readers differ in what they take entities for
-            raise SceneError(f"{model}: <!DOCTYPE> is not allowed (Limits: files)")
-        return read_xml(model)
+        content = model.read_bytes()
+        for word in _UNEQUAL:
+            if word in content:
+                raise SceneError(f"{model}: {word.decode()} is not allowed (Limits: files)")
+        return read_xml(model, with_comments=True)
     except (ET.ParseError, OSError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
         raise SceneError(f"{model} cannot be read: {error}") from error
 
 
-def _names_in(root: ET.Element) -> Iterator[tuple[str, str]]:
-    """Yields the names of files in a model file, each with its element."""
+def _names_in(model: Path, root: ET.Element) -> Iterator[tuple[str, str]]:
+    """Yields the names of files in a model file, each with its element.
+
+    Raises:
+        SceneError: the text that names a file is not one plain text.
+    """
     for part in root.iter():
         for attribute, name in part.attrib.items():
             is_urdf = attribute == "filename" and part.tag in _NAMED
@@ -272,7 +280,23 @@ def _names_in(root: ET.Element) -> Iterator[tuple[str, str]]:
                 yield part.tag, name
         if part.tag in _WITH_URI:
             for uri in part.iterfind("uri"):
-                yield part.tag, (uri.text or "").strip()
+                yield part.tag, _plain_text(model, uri)
+
+
+def _plain_text(model: Path, part: ET.Element) -> str:
+    """Returns the text of an element that names a file, as any reader takes it.
+
+    Raises:
+        SceneError: it has blanks around it, or comments or elements inside.
+    """
+    text = part.text or ""
+    if len(part) or text != text.strip():
+        whole = "".join(part.itertext())
+        raise SceneError(
+            f"{model}: <{part.tag}> has blanks, comments or elements beside the name of the file "
+            f"{short_repr(whole)} (Limits: files); write the name alone"
+        )
+    return text
 
 
 def _parts(file: Path, line: str) -> Iterator[str]:
