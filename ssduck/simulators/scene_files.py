@@ -20,7 +20,7 @@ from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
 from ssduck.simulators.model_xml import read_xml
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
-from ssduck.simulators.scenes import Scene
+from ssduck.simulators.scenes import Scene, scene_file
 
 # What a file is read as, and so which files it names.
 Role: TypeAlias = Literal["model", "OBJ", "COLLADA", "materials", "picture"]
@@ -33,7 +33,7 @@ _MJCF_FILE = re.compile(r"file(?!name)(?:right|left|up|down|front|back)?")
 # The elements of MJCF files that name another model, whatever its name ends in.
 _MODELS = frozenset(("include", "model"))
 # What readers take for other texts: entities, and the pieces of a text.
-_UNEQUAL = (b"<!DOCTYPE", b"<![CDATA[")
+_UNEQUAL = {b"<!DOCTYPE": "<!DOCTYPE>", b"<![CDATA[": "<![CDATA[]]>"}
 # The elements of SDF files whose <uri> is the name of a file.
 _WITH_URI = frozenset(("mesh", "heightmap"))
 # The attributes of <compiler> in MJCF files that name a folder.
@@ -50,6 +50,23 @@ _WORD = re.compile(r"\S+")
 MAX_NAME, MAX_WORDS = 500, 16
 # Where PyBullet looks beside the working directory.
 _DATA = ("", "data", "../data", "../../data")
+
+
+def check_scene_inside(scene: str | Path, folder: Path | None = None) -> None:
+    """Checks that the file of a scene is in a folder, before it is read.
+
+    Args:
+        scene: the file, or its folder.
+        folder: the folder; None for the one that the path of the file names.
+
+    Raises:
+        SceneError: the file is a link to one elsewhere.
+    """
+    file = scene_file(Path(scene))
+    own = Path(os.path.realpath(file.parent if folder is None else folder))
+    real = os.path.realpath(file)
+    if not Path(real).is_relative_to(own):
+        _refuse(file, real, own)
 
 
 def check_files_inside(scene: Scene) -> None:
@@ -251,15 +268,15 @@ def _root(model: Path) -> ET.Element:
     """Returns the root of a model file.
 
     Raises:
-        SceneError: it cannot be read, or has a <!DOCTYPE> or a <![CDATA[.
+        SceneError: it cannot be read, or has a <!DOCTYPE> or a <![CDATA[]]>.
     """
     try:
         if not model.is_file():  # a pipe would be waited for
             raise SceneError(f"{model} is no regular file (Limits: files)")
         content = model.read_bytes()
-        for word in _UNEQUAL:
+        for word, name in _UNEQUAL.items():
             if word in content:
-                raise SceneError(f"{model}: {word.decode()} is not allowed (Limits: files)")
+                raise SceneError(f"{model}: {name} is not allowed (Limits: files)")
         return read_xml(model, with_comments=True)
     except (ET.ParseError, OSError, ValueError) as error:
         if isinstance(error, SceneError):

@@ -299,7 +299,9 @@ def test_a_uri_of_sdf_is_one_plain_text(folder, outside, text, main):
         file: OBJ,
     }
     write(folder, outside, files)
-    with pytest.raises(SceneError, match=r"t.sdf: <(uri> has blanks, comments|!\[CDATA\[ is not)"):
+    with pytest.raises(
+        SceneError, match=r"t.sdf: <(uri> has blanks, comments|!\[CDATA\[\]\]> is not)"
+    ):
         strict(folder / main, simulator="pybullet")
 
 
@@ -319,3 +321,23 @@ def test_a_picture_of_collada_is_one_plain_text(folder, outside):
     write(folder, outside, files)
     with pytest.raises(SceneError, match=r"m.dae: <init_from> has blanks, comments"):
         strict(folder / "t.urdf")
+
+
+ELSEWHERE = '[[body]]\nname = "secret"\nbox = [1, 1, 1]\nmass = 1.0\n'
+
+
+@pytest.mark.parametrize("main", ["", "scene.toml", "t.urdf"])
+@pytest.mark.parametrize("content", [ELSEWHERE, "secret: not TOML", URDF])
+def test_a_scene_that_is_a_link_outside_is_not_read(folder, outside, main, content):
+    (outside / "secret").write_text(content)
+    (folder / (main or "scene.toml")).symlink_to(outside / "secret")
+    with pytest.raises(SceneError, match=r"outside/secret' is not in") as caught:
+        strict(folder / main)
+    assert "TOML" not in str(caught.value)
+
+
+def test_a_scene_that_is_a_link_inside_is_read(folder):
+    (folder / "other.toml").write_text(ELSEWHERE)
+    (folder / "scene.toml").symlink_to(folder / "other.toml")
+    with strict(folder) as ss:
+        assert ss.sql("SELECT name FROM entities").fetchall() == [("secret",)]
