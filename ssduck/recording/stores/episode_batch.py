@@ -236,7 +236,7 @@ class EpisodeBatch(TickArchive):
     def _set_variables(self, table: str) -> None:
         """Sets the files of a table that SQL reads, and the offsets of their ticks."""
         shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
-        paths = [(_pattern(f.path), e.offset) for e in shown for f in e.files[table]]
+        paths = [(pattern_of(f.path), e.offset) for e in shown for f in e.files[table]]
         files = exp.Array(expressions=[exp.Literal.string(path) for path, _ in paths]).sql("duckdb")
         offsets = ", ".join(str(int(offset)) for _, offset in paths)
         names = [quoted(name) for name in _variables(table)]
@@ -292,7 +292,7 @@ class EpisodeBatch(TickArchive):
         begin = max(int(np.searchsorted(self._starts, request.first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, request.last, side="right"))
         paths = [
-            (_pattern(file.path), episode.offset)
+            (pattern_of(file.path), episode.offset)
             for episode in self._episodes[begin:end]
             for file in episode.files["entities"]
         ]
@@ -318,11 +318,6 @@ def model_table(table: str) -> str:
 def _variables(table: str) -> tuple[str, str]:
     """Returns the names of DuckDB's variables of the files and the offsets of a table."""
     return f"files of {table}", f"offsets of {table}"
-
-
-def _pattern(path: str) -> str:
-    """Returns the path or address of a file as DuckDB reads it."""
-    return path if is_address(path) else pattern_of(path)
 
 
 def _text(text: str) -> str:
