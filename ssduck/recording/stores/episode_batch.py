@@ -32,6 +32,7 @@ from ssduck.recording.stores.parquet_archive import (
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
+from ssduck.recording.stores.stored_columns import check_parquet
 from ssduck.recording.stores.tick_checks import stray_row
 from ssduck.schema import MODELS, TABLES
 
@@ -51,18 +52,21 @@ class BatchedFile:
         path: where it is.
         checksum: the CRC-32 of its bytes.
         label: what its footer has to tell it from other parts.
+        table: its table, or `models/<table>`.
     """
 
     path: str
     checksum: int
     label: bytes
+    table: str
 
     def content(self) -> bytes:
         """Returns the bytes of the file.
 
         Raises:
             OSError: it cannot be read.
-            RecordError: they are not those that the manifest knows, or those of another part.
+            RecordError: they are not those that the manifest knows, or those of another part, or
+                claim more rows than a part has.
         """
         if is_address(self.path):
             content = ObjectPath(self.path).read_bytes()
@@ -71,8 +75,10 @@ class BatchedFile:
                 content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
-        if self.label not in footer_in(content):
+        footer = footer_in(content)
+        if self.label not in footer:
             raise RecordError(f"{self.path} {OTHER_PART}")
+        check_parquet(self.path, footer, self.table)
         return content
 
 
