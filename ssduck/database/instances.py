@@ -104,13 +104,12 @@ def reach_objects(connection: duckdb.DuckDBPyConnection) -> bool:
         UnsupportedError: the extra `s3` is not installed.
     """
     try:
-        from fsspec.implementations.arrow import ArrowFSWrapper
+        from ssduck.recording.stores.duckdb_objects import DuckdbObjects
     except ModuleNotFoundError as error:
         raise UnsupportedError(
             "fsspec is not installed, by which DuckDB reads objects; pip install 'ssduck[s3]' does "
             "it"
         ) from error
     if not connection.filesystem_is_registered("s3"):
-        named = type("S3Objects", (ArrowFSWrapper,), {"protocol": "s3"})
-        connection.register_filesystem(named(file_system()))
+        connection.register_filesystem(DuckdbObjects(file_system()))
     return True

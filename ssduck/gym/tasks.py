@@ -21,7 +21,7 @@ from ssduck.limits import Limits
 from ssduck.recording.episode_steps import plain
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
-from ssduck.simulators.scene_files import check_files_inside
+from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
 from ssduck.simulators.scenes import Scene, find_scene
 from ssduck.simulators.toml_reader import TomlTable, Vector
 from ssduck.world.world import World
@@ -314,6 +314,8 @@ def _scene(table: TomlTable, file: Path, limits: Limits) -> Scene:
     place = (file.parent / name).resolve()
     if not limits.files and not place.is_relative_to(file.parent.resolve()):
         table.fail("scene", f"{place} is not in the folder of the task")
+    if not limits.files:
+        check_scene_inside(place, file.parent)
     scene = find_scene(place)
     if not limits.files:
         check_files_inside(scene)

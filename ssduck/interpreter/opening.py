@@ -16,7 +16,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
-from ssduck.simulators.scene_files import check_files_inside
+from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
 from ssduck.simulators.scenes import find_scene, shipped_scenes
 from ssduck.world.world import World
 
@@ -50,13 +50,12 @@ def load(
     ...     ss.eval("SELECT id(this) FROM kitchen WHERE id(this) == 'fridge' AS list;")
     ['fridge']
     """
-    description = find_scene(scene)
     validation.instance(limits, Limits, "load: limits")
-    if (
-        limits is not None
-        and not limits.files
-        and description.path not in shipped_scenes().values()
-    ):
+    is_foreign = limits is not None and not limits.files and str(scene) not in shipped_scenes()
+    if is_foreign:
+        check_scene_inside(scene)
+    description = find_scene(scene)
+    if is_foreign and description.path not in shipped_scenes().values():
         check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:

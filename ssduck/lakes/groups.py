@@ -188,7 +188,7 @@ def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFi
     assert run.key is not None
     labels = (label_of(run.key, table, number) for number in range(len(names)))
     return [
-        BatchedFile(str(run.path / name), sums[name], label)
+        BatchedFile(str(run.path / name), sums[name], label, table)
         for name, label in zip(names, labels, strict=True)
     ]
 

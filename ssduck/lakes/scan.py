@@ -47,6 +47,8 @@ _OF_EPISODE = re.compile(
     r"(?:.+/world=(?P<world>[^/]+)/episode=(?P<part_of>0|[1-9][0-9]{0,8})/[^/.][^/]*"
     r"|(?:episodes|gym)/(?P<described>[^/]+)-(?P<number>0|[1-9][0-9]{0,8})\.json)"
 )
+# What a name has that is not the same as a path: empty parts, and those that are no names.
+_NO_PATH = re.compile(r"(?:^|/)\.{0,2}(?:/|$)")
 MISSING = "is missing: its files were there when the manifest was made"
 
 
@@ -110,7 +112,10 @@ def _records_in_store(place: ObjectPath) -> list[Path]:
 
 
 def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
-    """Returns the sizes and times of all objects below an address, by their names there."""
+    """Returns the sizes and times of all objects below an address, by their names there.
+
+    Objects whose names no path can have, such as `b//rec`, are no files of a record: left out.
+    """
     from pyarrow.fs import FileSelector, FileType
 
     selector = FileSelector(place.key, recursive=True, allow_not_found=True)
@@ -118,7 +123,7 @@ def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
     return {
         info.path[start:]: (info.size, info.mtime_ns)
         for info in file_system().get_file_info(selector)
-        if info.type == FileType.File
+        if info.type == FileType.File and not _NO_PATH.search(info.path[start:])
     }
 
 

@@ -126,9 +126,10 @@ class _Reader:
         for file in entry.files:
             folder, _, _ = file.name.rpartition("/")
             if folder in folders:
-                parts = files[folders[folder]]
-                label = label_of(key, folders[folder], len(parts))
-                parts.append(BatchedFile(f"{root}/{file.name}", file.checksum, label))
+                table = folders[folder]
+                parts = files[table]
+                label = label_of(key, table, len(parts))
+                parts.append(BatchedFile(f"{root}/{file.name}", file.checksum, label, table))
         names = [[file.path.rpartition("/")[2] for file in files[table]] for table in self._tables]
         if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
             raise RecordError(f"{entry.path} has other files than complete parts")

@@ -20,7 +20,7 @@ from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
 from ssduck.simulators.model_xml import read_xml
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
-from ssduck.simulators.scenes import Scene
+from ssduck.simulators.scenes import Scene, scene_file
 
 # What a file is read as, and so which files it names.
 Role: TypeAlias = Literal["model", "OBJ", "COLLADA", "materials", "picture"]
@@ -32,6 +32,8 @@ _NAMED = frozenset(("mesh", "texture", "visual", "collision", "cdf"))
 _MJCF_FILE = re.compile(r"file(?!name)(?:right|left|up|down|front|back)?")
 # The elements of MJCF files that name another model, whatever its name ends in.
 _MODELS = frozenset(("include", "model"))
+# What readers take for other texts: entities, and the pieces of a text.
+_UNEQUAL = {b"<!DOCTYPE": "<!DOCTYPE>", b"<![CDATA[": "<![CDATA[]]>"}
 # The elements of SDF files whose <uri> is the name of a file.
 _WITH_URI = frozenset(("mesh", "heightmap"))
 # The attributes of <compiler> in MJCF files that name a folder.
@@ -48,6 +50,23 @@ _WORD = re.compile(r"\S+")
 MAX_NAME, MAX_WORDS = 500, 16
 # Where PyBullet looks beside the working directory.
 _DATA = ("", "data", "../data", "../../data")
+
+
+def check_scene_inside(scene: str | Path, folder: Path | None = None) -> None:
+    """Checks that the file of a scene is in a folder, before it is read.
+
+    Args:
+        scene: the file, or its folder.
+        folder: the folder; None for the one that the path of the file names.
+
+    Raises:
+        SceneError: the file is a link to one elsewhere.
+    """
+    file = scene_file(Path(scene))
+    own = Path(os.path.realpath(file.parent if folder is None else folder))
+    real = os.path.realpath(file)
+    if not Path(real).is_relative_to(own):
+        _refuse(file, real, own)
 
 
 def check_files_inside(scene: Scene) -> None:
@@ -156,7 +175,7 @@ class _SceneFiles:
                 self._add_parts(file, _PICTURES, _text(file), "picture")
             case "COLLADA":
                 for part in _root(file).iter("init_from"):
-                    self._add_name(file, _SCHEME.sub("", "".join(part.itertext()).strip()))
+                    self._add_name(file, _SCHEME.sub("", _plain_text(file, part)))
 
     def _read_model(self, model: Path) -> None:
         """Adds the names of files and folders in a model file."""
@@ -168,7 +187,7 @@ class _SceneFiles:
                     self._add_name(model, name)
                     self._inner[name] = None
         is_mjcf = root.tag not in ("robot", "sdf", "gazebo", "world")
-        for tag, text in _names_in(root):
+        for tag, text in _names_in(model, root):
             self._add_words(text)
             name = _SCHEME.sub("", text, count=1)
             self._add_name(model, name)
@@ -249,22 +268,28 @@ def _root(model: Path) -> ET.Element:
     """Returns the root of a model file.
 
     Raises:
-        SceneError: it cannot be read, or has a <!DOCTYPE>.
+        SceneError: it cannot be read, or has a <!DOCTYPE> or a <![CDATA[]]>.
     """
     try:
         if not model.is_file():  # a pipe would be waited for
             raise SceneError(f"{model} is no regular file (Limits: files)")
-        if b"<!DOCTYPE" in model.read_bytes():  # readers differ in what they take entities for
-            raise SceneError(f"{model}: <!DOCTYPE> is not allowed (Limits: files)")
-        return read_xml(model)
+        content = model.read_bytes()
+        for word, name in _UNEQUAL.items():
+            if word in content:
+                raise SceneError(f"{model}: {name} is not allowed (Limits: files)")
+        return read_xml(model, with_comments=True)
     except (ET.ParseError, OSError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
         raise SceneError(f"{model} cannot be read: {error}") from error
 
 
-def _names_in(root: ET.Element) -> Iterator[tuple[str, str]]:
-    """Yields the names of files in a model file, each with its element."""
+def _names_in(model: Path, root: ET.Element) -> Iterator[tuple[str, str]]:
+    """Yields the names of files in a model file, each with its element.
+
+    Raises:
+        SceneError: the text that names a file is not one plain text.
+    """
     for part in root.iter():
         for attribute, name in part.attrib.items():
             is_urdf = attribute == "filename" and part.tag in _NAMED
@@ -272,7 +297,23 @@ def _names_in(root: ET.Element) -> Iterator[tuple[str, str]]:
                 yield part.tag, name
         if part.tag in _WITH_URI:
             for uri in part.iterfind("uri"):
-                yield part.tag, (uri.text or "").strip()
+                yield part.tag, _plain_text(model, uri)
+
+
+def _plain_text(model: Path, part: ET.Element) -> str:
+    """Returns the text of an element that names a file, as any reader takes it.
+
+    Raises:
+        SceneError: it has blanks around it, or comments or elements inside.
+    """
+    text = part.text or ""
+    if len(part) or text != text.strip():
+        whole = "".join(part.itertext())
+        raise SceneError(
+            f"{model}: <{part.tag}> has blanks, comments or elements beside the name of the file "
+            f"{short_repr(whole)} (Limits: files); write the name alone"
+        )
+    return text
 
 
 def _parts(file: Path, line: str) -> Iterator[str]:

@@ -186,11 +186,9 @@ def find_scene(name: str | Path) -> Scene:
     shipped = shipped_scenes()
     if str(name) in shipped:
         return read_scene(shipped[str(name)])
-    path = Path(name)
-    if _is(path, Path.is_dir):
-        path = path / "scene.toml"
-        if not path.is_file():
-            raise SceneError(f"{path.parent} is a folder without a scene.toml")
+    path = scene_file(Path(name))
+    if path != Path(name) and not path.is_file():
+        raise SceneError(f"{path.parent} is a folder without a scene.toml")
     if not _is(path, Path.is_file):
         raise UnknownNameError(
             f"there is no scene {str(name)!r}: neither a shipped one ({', '.join(shipped)}) "
@@ -206,6 +204,11 @@ def find_scene(name: str | Path) -> Scene:
     raise SceneError(
         f"{path}: unknown file type; a scene ends in .toml, a model in {', '.join(MODEL_SUFFIXES)}"
     )
+
+
+def scene_file(path: Path) -> Path:
+    """Returns the file of a scene: that of a folder is its `scene.toml`."""
+    return path / "scene.toml" if _is(path, Path.is_dir) else path
 
 
 def _is(path: Path, check: Callable[[Path], bool]) -> bool:

@@ -115,6 +115,36 @@ def test_errors_name_file_and_key(folder, before, after, message):
         make_task(folder / "task.toml")
 
 
+@pytest.mark.parametrize("scene", ["sub", "sub/scene.toml", "."])
+@pytest.mark.parametrize(
+    "content", ["[[body]]\nname = 'secret'\nbox = [1, 1, 1]\n", "no TOML: secret"]
+)
+def test_a_scene_that_is_a_link_outside_is_not_read(folder, tmp_path_factory, scene, content):
+    private = tmp_path_factory.mktemp("private") / "scene.toml"
+    private.write_text(content)
+    (folder / "sub").mkdir()
+    for place in (folder, folder / "sub"):
+        (place / "scene.toml").symlink_to(private)
+    (folder / "task.toml").write_text(TASK.replace('"push.xml"', f'"{scene}"'))
+    with pytest.raises(SceneError, match=r"is not in") as caught:
+        make_task(folder / "task.toml")
+    assert "secret" not in str(caught.value)
+
+
+def test_a_scene_that_is_a_link_inside_is_read(folder):
+    (folder / "sub").mkdir()
+    (folder / "sub" / "scene.toml").symlink_to(folder / "other.toml")
+    (folder / "other.toml").write_text("[[body]]\nname = 'secret'\nbox = [1, 1, 1]\nmass = 1.0\n")
+    task = TASK.replace('"push.xml"', '"sub"')
+    task = (
+        task.partition("[[actions]]")[0]
+        .replace("sim.pusher", "sim.secret")
+        .replace("sim.ball", "sim.secret")
+    )
+    (folder / "task.toml").write_text(task)
+    make_task(folder / "task.toml").close()
+
+
 def test_files_of_the_scene_stay_in_the_folder(folder):
     asset = '<asset><mesh name="m" file="/etc/hostname.stl"/></asset><worldbody>'
     (folder / "push.xml").write_text(MODEL.replace("<worldbody>", asset, 1))

@@ -16,11 +16,13 @@ from ssduck.errors import ArgumentError, RecordError
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.groups import _checked_parts as checked_parts
+from ssduck.lakes.groups import _files_of as files_of
 from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import SCHEMA, read_manifest
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.lakes.workers import answer_episodes, forget_readers
 from ssduck.recording.stores.checksums import json_text, write_parquet
+from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.lakes.conftest import EPISODES
 from tests.support.lake_questions import answer_of
 
@@ -362,3 +364,19 @@ def test_a_manifest_that_groups_other_cameras_changes_none(folder):
     assert [json.loads(text) == [5.0, 5.0, 5.0] for text, _ in answers] == [
         number == 1 for number in range(EPISODES)
     ]
+
+
+@pytest.mark.parametrize("table", ["entities", "ticks"])
+def test_a_part_of_too_many_rows_is_not_read_with_others(folder, monkeypatch, table):
+    """The sums of the manifest are right, but the part claims more rows than a part has."""
+    lake = ssduck.lake(folder)
+    file = folder / f"{table}/world=sim/episode=1/part-000000.parquet"
+    metadata = pq.read_metadata(file)
+    most = metadata.num_rows * metadata.num_columns
+    entry = next(one for one in lake.entries if one.episode == 1)
+    run = FolderRun(folder, entry.world, entry.episode)
+    (batched,) = files_of(run, entry, table)
+    assert batched.content() == file.read_bytes()
+    monkeypatch.setattr("ssduck.recording.stores.stored_columns.MAX_VALUES", most - 1)
+    with pytest.raises(RecordError, match=f"claims {metadata.num_rows:,} rows, more than"):
+        batched.content()

@@ -1,14 +1,16 @@
 """A lake in an object store: a local S3 server, on the loopback."""
 
+import json
+
 import pytest
 
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.lakes.lake import MANIFEST
-from ssduck.recording.stores.object_store import ObjectPath
+from ssduck.recording.stores.object_store import ObjectPath, endpoint_and_region
 from tests.lakes.conftest import EPISODES
 from tests.support.lake_episodes import REWARD, SUCCESS
-from tests.support.lake_questions import PROGRAMS
+from tests.support.lake_questions import PROGRAMS, answer_of, by_itself
 from tests.support.s3_server import s3_server
 
 pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
@@ -83,3 +85,57 @@ def test_a_closed_episode_has_a_summary_in_the_store(address, recorded, monkeypa
 def test_nothing_there(address):
     with pytest.raises(RecordError, match="there is no record"):
         ssduck.lake("s3://runs/of tomorrow")
+
+
+# Names that are patterns, or parts of a URL, beside names that they would match or leave.
+NAMES = ["rec[12]", "rec1", "rec*", "rec?", "rec#1", "rec", "rec%31", "rec[!a]\\b"]
+ASKED = [
+    "SELECT tick, x(this) FROM sim{} WHERE id(this) == 'gripper' AS list;",
+    "least(clearance(sim.gripper, sim.cup));",
+]
+
+
+def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
+    """Each record has another episode, so that reading another record is seen."""
+    wanted = {}
+    for number, name in enumerate(NAMES):
+        episode = number % EPISODES
+        with ssduck.open(recorded, "sim", episode) as ss:
+            ss.export(f"s3://runs/names/{name}")
+        wanted[f"s3://runs/names/{name}"] = [by_itself(recorded, episode, one) for one in ASKED]
+    assert wanted["s3://runs/names/rec[12]"] != wanted["s3://runs/names/rec1"]
+    for place, answers in wanted.items():
+        with ssduck.open(place) as ss:
+            assert [answer_of(ss, program) for program in ASKED] == answers
+    lake = ssduck.lake("s3://runs/names")
+    for index, program in enumerate(ASKED):
+        if index:  # all are asked together
+            monkeypatch.setattr("ssduck.lakes.workers.answer_by_itself", None)
+        rows = lake.ask(program, processes=1).to_pylist()
+        found = {row["path"]: (row["answer"], row["error"]) for row in rows}
+        texts = {place: answers[index] for place, answers in wanted.items()}
+        assert found == {place: (json.loads(t), e) for place, (t, e) in texts.items()}
+
+
+def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatch):
+    from ssduck.recording.stores.duckdb_objects import ArrowFSWrapper
+
+    with ssduck.open(recorded, "sim", 0) as ss:
+        ss.export("s3://runs/alone/rec[1]")
+    monkeypatch.setattr(ArrowFSWrapper, "glob", None)
+    with ssduck.open("s3://runs/alone/rec[1]") as ss:
+        assert ss.sql("SELECT count(*) FROM entities_history").fetchone()[0] > 0
+
+
+@pytest.mark.parametrize("name", ["/record", "a//record", "./record", "a/../record"])
+def test_objects_that_no_path_names_are_left_out(address, recorded, name):
+    place = "s3://runs/slashes " + name.replace("/", "_")
+    with ssduck.open(recorded, "sim", 0) as ss:
+        ss.export(f"{place}/good")
+    client = pytest.importorskip("boto3").client("s3", endpoint_url=endpoint_and_region()[0])
+    bucket, _, folder = place[5:].partition("/")
+    about = (recorded / "ssduck.json").read_bytes()
+    client.put_object(Bucket=bucket, Key=f"{folder}/{name}/ssduck.json", Body=about)
+    lake = ssduck.lake(place)
+    assert lake.episodes["path"].to_pylist() == [f"{place}/good"]
+    assert lake.episodes["error"].to_pylist() == [None]

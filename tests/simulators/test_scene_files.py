@@ -233,7 +233,7 @@ def test_a_mesh_is_a_regular_file(folder, outside):
 def test_a_picture_of_collada_is_in_the_folder(folder, outside):
     files = {
         "t.urdf": URDF.replace("m.obj", "m.dae"),
-        "m.dae": '<COLLADA xmlns="c"><init_from>&#47;etc/p.png</init_from></COLLADA>',
+        "m.dae": '<COLLADA xmlns="c"><!-- a --><init_from>&#47;etc/p.png</init_from></COLLADA>',
     }
     write(folder, outside, files)
     with pytest.raises(SceneError, match=r"m.dae: '/etc/p.png' is not in"):
@@ -270,3 +270,74 @@ def test_copies_of_the_shipped_scenes_are_read(tmp_path, name):
     shutil.copytree(shipped_scenes()[name].parent, tmp_path / name)
     with strict(tmp_path / name / "scene.toml") as ss:
         assert ss.eval(f"SELECT count(*) AS n FROM {name} AS value;") > 0
+
+
+SDF = (
+    '<sdf version="1.6"><model name="m"><link name="l"><!-- the body --><collision name="c">'
+    "<geometry><mesh><uri>{}</uri></mesh></geometry></collision></link></model></sdf>"
+)
+# The names as PyBullet and ElementTree read them differ: the first is a link, the other a file.
+UNEQUAL_NAMES = {
+    "m.obj<!-- -->x": ("m.obj", "m.objx"),
+    "m.obj<?a b?>x": ("m.obj", "m.objx"),
+    "m.obj<![CDATA[x]]>": ("m.obj", "m.objx"),
+    "m.obj<b/>x": ("m.obj", "m.objx"),
+    " m.obj": (" m.obj", "m.obj"),
+    "\nm.obj": ("\nm.obj", "m.obj"),
+    "m.obj ": ("m.obj ", "m.obj"),
+}
+
+
+@pytest.mark.parametrize("main", ["t.sdf", "scene.toml"])
+@pytest.mark.parametrize("text", UNEQUAL_NAMES)
+def test_a_uri_of_sdf_is_one_plain_text(folder, outside, text, main):
+    link, file = UNEQUAL_NAMES[text]
+    files = {
+        "scene.toml": '[[body]]\nname = "b"\nsdf = "t.sdf"\n',
+        "t.sdf": SDF.format(text),
+        link: "->secret.obj",
+        file: OBJ,
+    }
+    write(folder, outside, files)
+    with pytest.raises(
+        SceneError, match=r"t.sdf: <(uri> has blanks, comments|!\[CDATA\[\]\]> is not)"
+    ):
+        strict(folder / main, simulator="pybullet")
+
+
+def test_a_plain_uri_of_sdf_is_read(folder, outside):
+    pytest.importorskip("pybullet")
+    write(folder, outside, {"t.sdf": SDF.format("m.obj"), "m.obj": OBJ})
+    with strict(folder / "t.sdf", simulator="pybullet") as ss:
+        assert ss.eval("SELECT count(*) AS n FROM t AS value;") == 1
+
+
+def test_a_picture_of_collada_is_one_plain_text(folder, outside):
+    files = {
+        "t.urdf": URDF.replace("m.obj", "m.dae"),
+        "m.dae": "<COLLADA><init_from>p.png<!-- -->x</init_from></COLLADA>",
+        "p.png": "->folder/p.png",
+    }
+    write(folder, outside, files)
+    with pytest.raises(SceneError, match=r"m.dae: <init_from> has blanks, comments"):
+        strict(folder / "t.urdf")
+
+
+ELSEWHERE = '[[body]]\nname = "secret"\nbox = [1, 1, 1]\nmass = 1.0\n'
+
+
+@pytest.mark.parametrize("main", ["", "scene.toml", "t.urdf"])
+@pytest.mark.parametrize("content", [ELSEWHERE, "secret: not TOML", URDF])
+def test_a_scene_that_is_a_link_outside_is_not_read(folder, outside, main, content):
+    (outside / "secret").write_text(content)
+    (folder / (main or "scene.toml")).symlink_to(outside / "secret")
+    with pytest.raises(SceneError, match=r"outside/secret' is not in") as caught:
+        strict(folder / main)
+    assert "TOML" not in str(caught.value)
+
+
+def test_a_scene_that_is_a_link_inside_is_read(folder):
+    (folder / "other.toml").write_text(ELSEWHERE)
+    (folder / "scene.toml").symlink_to(folder / "other.toml")
+    with strict(folder) as ss:
+        assert ss.sql("SELECT name FROM entities").fetchall() == [("secret",)]

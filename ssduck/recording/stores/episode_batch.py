@@ -32,6 +32,7 @@ from ssduck.recording.stores.parquet_archive import (
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
+from ssduck.recording.stores.stored_columns import check_parquet
 from ssduck.recording.stores.tick_checks import stray_row
 from ssduck.schema import MODELS, TABLES
 
@@ -51,18 +52,21 @@ class BatchedFile:
         path: where it is.
         checksum: the CRC-32 of its bytes.
         label: what its footer has to tell it from other parts.
+        table: its table, or `models/<table>`.
     """
 
     path: str
     checksum: int
     label: bytes
+    table: str
 
     def content(self) -> bytes:
         """Returns the bytes of the file.
 
         Raises:
             OSError: it cannot be read.
-            RecordError: they are not those that the manifest knows, or those of another part.
+            RecordError: they are not those that the manifest knows, or those of another part, or
+                claim more rows than a part has.
         """
         if is_address(self.path):
             content = ObjectPath(self.path).read_bytes()
@@ -71,8 +75,10 @@ class BatchedFile:
                 content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
-        if self.label not in footer_in(content):
+        footer = footer_in(content)
+        if self.label not in footer:
             raise RecordError(f"{self.path} {OTHER_PART}")
+        check_parquet(self.path, footer, self.table)
         return content
 
 
@@ -236,7 +242,7 @@ class EpisodeBatch(TickArchive):
     def _set_variables(self, table: str) -> None:
         """Sets the files of a table that SQL reads, and the offsets of their ticks."""
         shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
-        paths = [(_pattern(f.path), e.offset) for e in shown for f in e.files[table]]
+        paths = [(pattern_of(f.path), e.offset) for e in shown for f in e.files[table]]
         files = exp.Array(expressions=[exp.Literal.string(path) for path, _ in paths]).sql("duckdb")
         offsets = ", ".join(str(int(offset)) for _, offset in paths)
         names = [quoted(name) for name in _variables(table)]
@@ -292,7 +298,7 @@ class EpisodeBatch(TickArchive):
         begin = max(int(np.searchsorted(self._starts, request.first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, request.last, side="right"))
         paths = [
-            (_pattern(file.path), episode.offset)
+            (pattern_of(file.path), episode.offset)
             for episode in self._episodes[begin:end]
             for file in episode.files["entities"]
         ]
@@ -318,11 +324,6 @@ def model_table(table: str) -> str:
 def _variables(table: str) -> tuple[str, str]:
     """Returns the names of DuckDB's variables of the files and the offsets of a table."""
     return f"files of {table}", f"offsets of {table}"
-
-
-def _pattern(path: str) -> str:
-    """Returns the path or address of a file as DuckDB reads it."""
-    return path if is_address(path) else pattern_of(path)
 
 
 def _text(text: str) -> str:

@@ -30,7 +30,7 @@ from ssduck.recording.stores.history_sql import (
     quoted,
     stray_tick,
 )
-from ssduck.recording.stores.object_store import ObjectPath, parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
@@ -282,15 +282,14 @@ def exact_path(place: Path) -> str:
     Raises:
         RecordError: the path also has a backslash, which DuckDB takes for a slash then.
     """
-    path = str(place.resolve())
-    return path if isinstance(place, ObjectPath) else pattern_of(path)
+    return pattern_of(str(place.resolve()))
 
 
 def pattern_of(path: str) -> str:
-    """Returns the same for an absolute path without links."""
+    """Returns the same for an absolute path without links, or an address."""
     if not _PATTERN.search(path):
         return path
-    if "\\" in path and os.sep != "\\":
+    if not is_address(path) and "\\" in path and os.sep != "\\":
         raise RecordError(
             f"{path} cannot be read: DuckDB takes a backslash in such a name for a slash; rename "
             "the folder"
