@@ -441,7 +441,7 @@ _SENSINGS = Table(
         Column("rays", "integer", "number of all its rays, pixels or contact points"),
         Column("measured", "double", "simulated time of the reading, s"),
     ),
-    ("world.snapshot.Snapshot._write_sensings",),
+    ("world.sensor_readings.write_sensings",),
     entity_columns=("sensor", "entity"),
     is_on_demand=True,
 )

@@ -6,6 +6,7 @@ import ssduck
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers
 from ssduck.view.live import LiveSource
 
@@ -46,7 +47,7 @@ def page(ss):
 def test_its_past_is_refused_with_the_reason(page, ss, question):
     if "entity" in question:
         question = question | {"entity": ss["kitchen"][CUP].id}
-    assert REASON in page.answer(question)["error"]["message"]
+    assert REASON in page.answer(question, StopRequest())["error"]["message"]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_its_past_is_refused_with_the_reason(page, ss, question):
 )
 def test_its_present_is_asked(page, ss, language, text):
     ss["kitchen"].step()
-    answer = page.answer({"type": "ask", "text": text, "language": language})
+    answer = page.answer({"type": "ask", "text": text, "language": language}, StopRequest())
     assert answer["rows"]
     if language == "sql":
         assert answer["rows"] == [list(row) for row in ss.sql(text).fetchall()]

@@ -10,6 +10,7 @@ from ssduck.errors import UnsupportedError
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers
 from ssduck.view.live import LiveSource
 
@@ -46,7 +47,7 @@ def page(ss):
 def asked(page, text, language="selectscript", **more):
     """Returns the rows of an answer as the page gets them; the error if there is one."""
     question = {"type": "ask", "text": text, "language": language, **more}
-    answer = json.loads(json.dumps(page.answer(question)))
+    answer = json.loads(json.dumps(page.answer(question, StopRequest())))
     return answer["error"] if "error" in answer else answer["rows"]
 
 
@@ -87,7 +88,7 @@ def test_a_switch_counts_at_once(ss, page):
 def test_a_field_of_view_is_the_same(ss, page):
     program = "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.05);"
     ss.worlds[0].step(2)
-    answer = page.answer({"type": "ask", "text": program})
+    answer = page.answer({"type": "ask", "text": program}, StopRequest())
     assert (page._result.cells == ss.eval(program).cells).all()
     assert page._result.cells.any()
     assert answer["picture"] is not None

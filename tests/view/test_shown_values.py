@@ -12,6 +12,7 @@ from ssduck.view.shown_values import MAX_LETTERS, MAX_VALUES, shown_rows
 
 pytest.importorskip("websockets", reason="the extra view is not installed")
 
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.view.answers import Answers
 from ssduck.view.live import LiveSource
 
@@ -66,7 +67,7 @@ def page():
 def test_a_page_gets_the_beginning_of_a_nested_list(page, monkeypatch, text):
     made = []
     monkeypatch.setattr(shown_values, "as_json", lambda value: made.append(value) or as_json(value))
-    answer = page.answer({"type": "ask", "text": text, "language": "sql"})
+    answer = page.answer({"type": "ask", "text": text, "language": "sql"}, StopRequest())
     assert "error" not in answer
     assert len(made) <= MAX_VALUES
     assert len(answer["marks"]) == len(answer["rows"]) <= answer["count"]

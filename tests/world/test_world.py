@@ -257,12 +257,11 @@ def test_a_robot_that_is_not_enabled_meets_nothing(write):
     text = scene.format("carrier", "carrier", "false") + scene.format("table", "table", "true")
     world = ssduck.World.load(find_scene(write("room.toml", text)))
     world.request_tables(["contacts"])
-    contacts = world.snapshot.tables["contacts"]
-    assert contacts.count
+    assert world.snapshot.tables["contacts"].count
     world["carrier"].enabled = False
-    assert not contacts.count
+    assert not world.snapshot.tables["contacts"].count
     world.step(24)
-    assert not contacts.count
+    assert not world.snapshot.tables["contacts"].count
     assert world["carrier"].velocity[2] < -0.9
     world.close()
 

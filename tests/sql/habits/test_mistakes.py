@@ -283,7 +283,6 @@ def test_of_many_names_that_nothing_bears_some_are_told(world):
         f"{K} WHERE id(this) == 'table' AS list;",
         f"{K} WHERE 'cam' IN id(this) AND id(this) LIKE 'nothing' AS list;",
         f"{K} WHERE id(this) IN 'table and chair' AS list;",
-        f"{K} WHERE type(this) == 'tabel' AS list;",
         "SELECT name FROM people WHERE this.name == 'tabel' AS list;",
         "t = 'tabel'; t == 'tabel';",
         "found = 5; level = 3; x = 5; x + 1 > 5;",
