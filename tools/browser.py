@@ -30,6 +30,10 @@ def chromium() -> str | None:
     )
 
 
+class ProtocolError(Exception):
+    """The browser refused a call, as for a page that is just loaded again."""
+
+
 class Browser:
     """A Chromium without a network beyond this computer.
 
@@ -78,7 +82,8 @@ class Browser:
         while True:
             reply = json.loads(self._socket.recv(timeout=TIMEOUT))
             if reply.get("id") == number:
-                assert "error" not in reply, reply["error"]
+                if "error" in reply:
+                    raise ProtocolError(reply["error"]["message"])
                 return reply["result"]
             self.messages.append(reply)
 
@@ -123,9 +128,11 @@ class Page:
         """Waits until an expression is true, and returns its value."""
         end = time.monotonic() + TIMEOUT
         while time.monotonic() < end:
-            value = self.value(expression)
-            if value:
-                return value
+            # A page that is just loaded again has no value yet.
+            with contextlib.suppress(ProtocolError):
+                value = self.value(expression)
+                if value:
+                    return value
             time.sleep(0.02)
         raise TimeoutError(f"{expression}: {self.errors()}")
 
