@@ -15,16 +15,18 @@ BASH = shutil.which("bash")
 
 @pytest.mark.skipif(BASH is None, reason="needs bash")
 def test_bash_completes_commands_after_the_installation(tmp_path: Path) -> None:
-    command = Path(sys.executable).with_name("ssduck")
     environment = os.environ | {"HOME": str(tmp_path)}
-    subprocess.run([command, "--install-completion", "bash"], env=environment, check=True)
+    environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
+
+    def bash(script: str) -> str:
+        return subprocess.run(
+            [str(BASH), "-c", script], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+
+    bash("ssduck --install-completion; exit $?")  # it asks which shell has called it
     # What bash does when Tab is pressed behind `ssduck vi`.
     script = (
         f"source {next((tmp_path / '.bash_completions').iterdir())}; COMP_WORDS=(ssduck vi); "
         'COMP_CWORD=1; _ssduck_completion ssduck; echo "${COMPREPLY[@]}"'
     )
-    environment["PATH"] = f"{command.parent}:{environment['PATH']}"
-    done = subprocess.run(
-        [str(BASH), "-c", script], env=environment, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.split() == ["view"]
+    assert bash(script).split() == ["view"]

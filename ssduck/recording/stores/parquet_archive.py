@@ -180,7 +180,10 @@ class ParquetArchive(TickArchive):
     def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
         """Returns the number and the time of a stored row that are those of no tick."""
         logged = self._log[table].arrow if self._log else None
-        rows = self.select(table, None) if self._files.get(table) else None
+        rows, files = None, self._files.get(table)
+        if files:
+            self._check(table, range(len(files)))
+            rows = f"SELECT tick, time FROM {_scan(files)}"  # noqa: S608
         return stray_tick(self._connection, rows, ticks, logged)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
