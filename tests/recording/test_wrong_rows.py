@@ -80,8 +80,11 @@ def forged_file(made: Path, to: Path, table: str, select: str) -> Path:
 def forged_folder(made: Path, to: Path, table: str, select: str) -> Path:
     folder = Path(shutil.copytree(made / "folder", to / "folder"))
 
-    def forge(rows: pa.Table) -> pa.Table:  # DuckDB reads it by its name
-        new = duckdb.sql(select).to_arrow_table().select(rows.column_names).cast(rows.schema)
+    def forge(rows: pa.Table) -> pa.Table:
+        with duckdb.connect() as plain:
+            plain.register("rows", rows)
+            found = plain.sql(select).to_arrow_table()
+        new = found.select(rows.column_names).cast(rows.schema)
         assert new != rows
         return new
 
