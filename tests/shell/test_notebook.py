@@ -2,6 +2,7 @@
 
 import base64
 import http.server
+import importlib.util
 import io
 import json
 import threading
@@ -14,10 +15,12 @@ import ssduck
 from tools import draw_notebook
 from tools.browser import Browser, chromium
 
-pytest.importorskip("nbconvert", reason="no nbconvert")
-pytest.importorskip("ipykernel", reason="no ipykernel")
-
-pytestmark = pytest.mark.slow
+# Not imported: a process with ipykernel is taken for a notebook.
+MISSING = [name for name in ("nbconvert", "ipykernel") if importlib.util.find_spec(name) is None]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}"),
+]
 
 
 @pytest.fixture(scope="module")
