@@ -107,6 +107,9 @@ class WriterConnection:
             try:
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
+                # DuckDB asks Arrow in Python for the types of a table, where Ctrl-C may come.
+                if tables and "KeyboardInterrupt" in str(error):
+                    raise KeyboardInterrupt from error
                 raise self._reading_error(error) from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
