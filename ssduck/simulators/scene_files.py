@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
-from ssduck.simulators.model_xml import read_xml
+from ssduck.simulators.model_xml import parse_xml
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
 from ssduck.simulators.scenes import Scene, scene_file
 
@@ -277,7 +277,7 @@ def _root(model: Path) -> ET.Element:
         for word, name in _UNEQUAL.items():
             if word in content:
                 raise SceneError(f"{model}: {name} is not allowed (Limits: files)")
-        return read_xml(model, with_comments=True)
+        return parse_xml(content, with_comments=True)
     except (ET.ParseError, OSError, ValueError) as error:
         if isinstance(error, SceneError):
             raise

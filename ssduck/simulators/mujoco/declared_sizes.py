@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ssduck.errors import SceneError
-from ssduck.simulators.model_xml import read_xml
+from ssduck.simulators.model_xml import parse_xml
 
 # The largest number of elements of a model, with copies; of pixels, heights and user's numbers.
 MAX_ELEMENTS, MAX_NUMBERS = 1_000_000, 100_000_000
@@ -82,7 +82,7 @@ def check_iterations(options: Any, file: Path) -> None:
 def _count(file: Path, main: Path, files: set[Path]) -> int:
     """Returns the number of elements of a file; MuJoCo reports one that cannot be read."""
     try:
-        root = read_xml(file)
+        root = parse_xml(file.read_bytes())
     except (ET.ParseError, OSError, ValueError):
         return 0
     total = 0
