@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -30,6 +29,7 @@ from ssduck.recording.stores.checksums import (
 )
 from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, label_of, part_name
+from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
 
 # The Arrow schema in a footer, in base64: it begins with four bytes of ones.
@@ -111,7 +111,7 @@ class EpisodeGroup:
             raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
         self.number = number
         self._parts = _model_parts(self.run, entry)
-        self._present = _present(_last_rows(self.run, entry))
+        self._present = present_at_end(_last_rows(self.run, entry))
         # The files of the episodes that were found to be of the group, and what their labels have.
         self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
@@ -135,7 +135,7 @@ class EpisodeGroup:
         for model in MODELS:
             self._check_model(run, entry, model)
         rows = _last_rows(run, entry)
-        if not np.array_equal(_present(rows), self._present):
+        if not np.array_equal(present_at_end(rows), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         assert run.key is not None  # its parts have labels
         self._members[entry.key] = entry.files, run.key
@@ -227,10 +227,3 @@ def _last_rows(run: FolderRun, entry: EpisodeEntry) -> pa.Table:
     content = _files_of(run, entry, "entities")[-1].content()
     part = pq.ParquetFile(pa.BufferReader(content))
     return part.read(["tick", "time", "id"], use_threads=False)
-
-
-def _present(rows: pa.Table) -> npt.NDArray[np.int64]:
-    """Returns the ids of the entities at the last tick, ascending."""
-    ticks = rows["tick"].to_numpy()
-    present: npt.NDArray[np.int64] = np.sort(rows["id"].to_numpy()[ticks == ticks.max(initial=0)])
-    return present

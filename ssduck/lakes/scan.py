@@ -17,7 +17,7 @@ from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.checksums import content_problem
+from ssduck.recording.stores.checksums import checksum_of, content_problem
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system
 from ssduck.recording.stores.parquet_layout import (
@@ -40,8 +40,6 @@ from ssduck.recording.stores.summaries import (
 from ssduck.schema import MODELS
 
 DUCKDB_SUFFIX = ".duckdb"
-# The number of bytes that are read at a time.
-_MOST_BYTES = 1 << 22
 # The names of the objects of an episode.
 _OF_EPISODE = re.compile(
     r"(?:.+/world=(?P<world>[^/]+)/episode=(?P<part_of>0|[1-9][0-9]{0,8})/[^/.][^/]*"
@@ -216,19 +214,6 @@ def _folders(run: FolderRun) -> Iterator[str]:
         names = []
     yield from (name for name in names if name not in ("episodes", "gym", "models"))
     yield from (f"models/{table}" for table in MODELS)
-
-
-def checksum_of(file: Path) -> int:
-    """Returns the CRC-32 of the bytes of a file, which may be large.
-
-    Raises:
-        OSError: it cannot be read.
-    """
-    checksum = 0
-    with file.open("rb", buffering=0) as stream:
-        while content := stream.read(_MOST_BYTES):
-            checksum = zlib.crc32(content, checksum)
-    return checksum
 
 
 def _listing_of_file(file: Path) -> Listing:

@@ -27,11 +27,11 @@ from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, to_text
-from ssduck.lakes.scan import checksum_of
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
+from ssduck.recording.stores.checksums import checksum_of
 from ssduck.recording.stores.episode_batch import (
     BatchedEpisode,
     BatchedFile,

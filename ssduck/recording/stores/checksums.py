@@ -136,14 +136,22 @@ def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
     match = None if footer is None else _last(_FOOTER_SUMS, footer)
     if footer is None or problem is not None or match is None:
         return problem
-    return None if match.group(1) == _hex(_sum_of_data(file, len(footer))) else WRONG_CHECKSUM
+    return None if match.group(1) == _hex(checksum_of(file, len(footer))) else WRONG_CHECKSUM
 
 
-def _sum_of_data(file: Path, footer: int) -> int:
-    """Returns the CRC-32 of a file without its last bytes, the footer."""
+def checksum_of(file: Path, left_out: int = 0) -> int:
+    """Returns the CRC-32 of a file, which may be large.
+
+    Args:
+        file: the file.
+        left_out: the number of bytes at its end that do not count.
+
+    Raises:
+        OSError: it cannot be read.
+    """
     checksum, piece = 0, memoryview(bytearray(_PIECE))
     with file.open("rb", buffering=0) as stream:
-        left = stream.seek(0, 2) - footer
+        left = stream.seek(0, 2) - left_out
         stream.seek(0)
         while left > 0 and (count := stream.readinto(piece[: min(left, _PIECE)])):
             checksum = zlib.crc32(piece[:count], checksum)

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -144,9 +145,15 @@ def _group_of(run: FolderRun, models: Mapping[str, pa.Table]) -> str | None:
         sink.update(repr((table, columns)).encode())
     content = pa.BufferReader(parts["entities"][-1].read_bytes())
     last = pq.ParquetFile(content).read(["tick", "id"], use_threads=False)
-    ticks = last["tick"].to_numpy()
-    sink.update(np.sort(last["id"].to_numpy()[ticks == ticks.max(initial=0)]).tobytes())
+    sink.update(present_at_end(last).tobytes())
     return sink.hexdigest()
+
+
+def present_at_end(rows: pa.Table) -> npt.NDArray[np.int64]:
+    """Returns the ids of the entities at the last tick of some rows of theirs, ascending."""
+    ticks = rows["tick"].to_numpy()
+    present: npt.NDArray[np.int64] = np.sort(rows["id"].to_numpy()[ticks == ticks.max(initial=0)])
+    return present
 
 
 def _has_current_columns(table: str, footers: Sequence[pq.FileMetaData]) -> bool:
