@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import chain, count
 
@@ -22,6 +22,7 @@ from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA
 from ssduck.recording.tags import Tags
 from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
+from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
 
 # The schemas and databases that DuckDB has already.
@@ -200,22 +201,25 @@ class WorldRegistry:
         Args:
             columns: only these columns of the tables of entities; None for all rows there are.
         """
-        for bound in self.bound:
-            world = bound.reference()
-            if world is None or not world.is_restored:
-                continue
+        for bound, snapshot in self._snapshots():
             if columns is None:
-                world.snapshot.settle()
+                snapshot.settle()
                 self.register(bound)  # its buffers may be others
             elif columns:
-                world.snapshot.tables["entities"].settle(columns)
+                snapshot.tables["entities"].settle(columns)
 
     def write_contacts(self) -> None:
         """Writes the contacts of the ticks, of which there may be more or fewer than before."""
+        for bound, snapshot in self._snapshots():
+            if snapshot.write_contacts():
+                self.register(bound)
+
+    def _snapshots(self) -> Iterator[tuple[BoundWorld, Snapshot]]:
+        """Yields the worlds whose tables have a tick, each with its snapshot."""
         for bound in self.bound:
             world = bound.reference()
-            if world is not None and world.is_restored and world.snapshot.write_contacts():
-                self.register(bound)
+            if world is not None and world.is_restored:
+                yield bound, world.snapshot
 
     def record(
         self, bound: BoundWorld, recording: Recording | None, tags: Tags | None = None

@@ -582,8 +582,5 @@ class Snapshot:
     def _write_contacts(self) -> None:
         """Writes the contacts of this tick into their table."""
         self._are_contacts_written = True
-        table = self._tables["contacts"]
-        write_contacts(table, self._contacts, self._layout)
-        table["tick"].fill(self.number)
-        table["time"].fill(self.time)
-        table.publish_unknown()
+        write_contacts(self._tables["contacts"], self._contacts, self._layout)
+        self._publish("contacts")
