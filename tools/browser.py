@@ -165,12 +165,16 @@ class Page:
         self.wait(f"__ss.answers > {before}")
 
     def picture(self) -> npt.NDArray[np.uint8]:
-        """Returns the pixels, (height, width, 3)."""
+        """Returns the pixels of a page of ssduck once all is drawn, (height, width, 3)."""
         frames = self.value("__ss.frames")
         self.value(
             "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))"
         )
         assert frames <= self.value("__ss.frames")
+        return self.screenshot()
+
+    def screenshot(self) -> npt.NDArray[np.uint8]:
+        """Returns the pixels of any page as it is, (height, width, 3)."""
         data = self.call("Page.captureScreenshot", format="png")["data"]
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
 

@@ -6,8 +6,6 @@ runs the cells; Chromium shows the page that nbconvert makes of them.
 
 from __future__ import annotations
 
-import base64
-import io
 import json
 import os
 import subprocess
@@ -94,10 +92,9 @@ def _save(shown: Path, path: Path) -> Path:
                 "document.readyState === 'complete' && document.querySelector('img')?.complete"
             )
             page.value("document.documentElement.style.overflow = 'hidden'; 0")
-            data = page.call("Page.captureScreenshot", format="png")["data"]
+            image = Image.fromarray(page.screenshot())
         finally:
             browser.close()
-    image = Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB")
     image.quantize(192).save(path, optimize=True)
     return path
 
