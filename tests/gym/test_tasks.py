@@ -142,7 +142,9 @@ def test_a_scene_that_is_a_link_inside_is_read(folder):
         .replace("sim.ball", "sim.secret")
     )
     (folder / "task.toml").write_text(task)
-    make_task(folder / "task.toml").close()
+    env = make_task(folder / "task.toml")
+    assert [body.name for body in env.unwrapped.task.scene.bodies] == ["secret"]
+    env.close()
 
 
 def test_files_of_the_scene_stay_in_the_folder(folder):

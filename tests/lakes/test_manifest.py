@@ -13,7 +13,7 @@ from ssduck.lakes.manifest import entries_of, from_bytes, table_of, to_bytes
 from ssduck.recording.stores.checksums import json_text
 from tests.lakes.conftest import EPISODES, STEPS
 from tests.support.command_line import write_scene
-from tests.support.lake_questions import PROGRAMS, by_itself
+from tests.support.lake_questions import PROGRAMS, by_itself, tags_by_two_lakes
 
 QUESTION = PROGRAMS["last tick"]
 
@@ -161,12 +161,7 @@ def test_a_half_written_episode(folder):
 
 
 def test_tags_of_two_lakes_are_kept(folder):
-    first, second = ssduck.lake(folder), ssduck.lake(folder)
-    assert first.set_tags({"seen": 1}, "episode = 3") == 1
-    assert second.set_tags({"heard": 2}, "episode = 3") == 1  # it has not read of the first
-    for lake in (second, ssduck.lake(folder)):
-        (row,) = lake.select("episode = 3").to_pylist()
-        assert (row["seen"], row["heard"]) == (1, 2)
+    assert tags_by_two_lakes(folder) == [(1, 2), (1, 2)]
 
 
 def test_patterns_files_and_folders(recorded, tmp_path):

@@ -10,7 +10,7 @@ from ssduck.lakes.lake import MANIFEST
 from ssduck.recording.stores.object_store import ObjectPath, endpoint_and_region
 from tests.lakes.conftest import EPISODES
 from tests.support.lake_episodes import REWARD, SUCCESS
-from tests.support.lake_questions import PROGRAMS, answer_of, by_itself
+from tests.support.lake_questions import PROGRAMS, answer_of, by_itself, tags_by_two_lakes
 from tests.support.s3_server import s3_server
 
 pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
@@ -53,12 +53,7 @@ def test_the_manifest_is_there_and_tags_are_written(address, monkeypatch):
 
 
 def test_tags_of_two_lakes_are_kept(address):
-    first, second = ssduck.lake(address), ssduck.lake(address)
-    assert first.set_tags({"seen": 1}, "episode = 3") == 1
-    assert second.set_tags({"heard": 2}, "episode = 3") == 1  # it has not read of the first
-    for lake in (second, ssduck.lake(address)):
-        (row,) = lake.select("episode = 3").to_pylist()
-        assert (row["seen"], row["heard"]) == (1, 2)
+    assert tags_by_two_lakes(address) == [(1, 2), (1, 2)]
 
 
 def test_damage_is_one_row(address):

@@ -87,3 +87,17 @@ class KillingQuestion(ProgramQuestion):
             return answer(present, entry)
 
         return answer_or_die
+
+
+def tags_by_two_lakes(place):
+    """Returns `seen` and `heard` of an episode, as the second of two lakes and a new one have them.
+
+    The first lake gives the one tag, the second, which has not read of it, the other.
+    """
+    first, second = ssduck.lake(place), ssduck.lake(place)
+    assert first.set_tags({"seen": 1}, "episode = 3") == 1
+    assert second.set_tags({"heard": 2}, "episode = 3") == 1
+    (known,), (new,) = (
+        lake.select("episode = 3").to_pylist() for lake in (second, ssduck.lake(place))
+    )
+    return [(row["seen"], row["heard"]) for row in (known, new)]
