@@ -171,8 +171,9 @@ def decide_upward(
         points = pairs.points_all_around(mesh.directions)
         upward = points.compress(mesh.directions[2] >= min_height - HEIGHT_ROOM, axis=1)
         above = _upward_bounds(upward, min_height - HEIGHT_ROOM) - pairs.limits
-        decisions.part(batch).decide(above > 0.0, NOT_UPWARD, above[above > 0.0] / 2.0)
-        left = np.flatnonzero(~(above > 0.0))
+        is_above = above > 0.0
+        decisions.part(batch).decide(is_above, NOT_UPWARD, above[is_above] / 2.0)
+        left = np.flatnonzero(~is_above)
         if len(left):
             some = pairs.select(left)
             found = _classified(some, points.take(left, axis=2), mesh, min_height, kept)
