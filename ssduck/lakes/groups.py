@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
@@ -41,12 +40,12 @@ class _ModelPart:
     """A part of a model.
 
     Attributes:
-        content: the bytes of the file.
-        label: its label, which names its episode.
+        file: the file.
+        content: its bytes.
     """
 
+    file: BatchedFile
     content: bytes
-    label: bytes
 
     def is_like(self, other: _ModelPart) -> bool:
         """Checks whether another part has the same rows, but for the number of the run."""
@@ -58,11 +57,11 @@ class _ModelPart:
         Besides the label itself, they differ in the copy of it within the columns' schema, and in
         the checksum of the footer.
         """
-        if self._footer is None or len(label) != len(self.label):
+        if self._footer is None or len(label) != len(self.file.label):
             return None
         data, footer, schema, place = self._footer
-        changed = footer.replace(self.label, label)
-        columns = base64.b64encode(schema.replace(self.label, label))
+        changed = footer.replace(self.file.label, label)
+        columns = base64.b64encode(schema.replace(self.file.label, label))
         return data + with_footer_sum(changed[:place] + columns + changed[place + len(columns) :])
 
     @cached_property
@@ -78,8 +77,7 @@ class _ModelPart:
     @cached_property
     def rows(self) -> pa.Table:
         """The rows."""
-        rows = pq.ParquetFile(pa.BufferReader(self.content)).read(use_threads=False)
-        return rows.replace_schema_metadata()
+        return self.file.rows(self.content).replace_schema_metadata()
 
 
 def _without_run(rows: pa.Table) -> pa.Table:
@@ -218,12 +216,11 @@ def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> l
         problem = content_problem(content, has_checksums=True)
         if problem is not None:
             raise RecordError(f"{file.path} {problem}")
-        parts.append(_ModelPart(content, file.label))
+        parts.append(_ModelPart(file, content))
     return parts
 
 
 def _last_rows(run: FolderRun, entry: EpisodeEntry) -> pa.Table:
     """Returns `tick`, `time` and `id` of the last part of an episode's entities."""
-    content = _files_of(run, entry, "entities")[-1].content()
-    part = pq.ParquetFile(pa.BufferReader(content))
-    return part.read(["tick", "time", "id"], use_threads=False)
+    file = _files_of(run, entry, "entities")[-1]
+    return file.rows(file.content(), ["tick", "time", "id"])

@@ -18,7 +18,6 @@ from typing import TypeAlias
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ssduck.errors import ProgramWarning, RecordError, SelectScriptError
 from ssduck.interpreter.episode_batches import BatchInterpreter
@@ -134,10 +133,7 @@ class _Reader:
         if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
             raise RecordError(f"{entry.path} has other files than complete parts")
         ticks_of_parts = [
-            pq.ParquetFile(pa.BufferReader(file.content())).read(
-                columns=["tick", "time", "wall_time"], use_threads=False
-            )
-            for file in files["ticks"]
+            file.rows(file.content(), ["tick", "time", "wall_time"]) for file in files["ticks"]
         ]
         rows = pa.concat_tables(ticks_of_parts)
         ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()

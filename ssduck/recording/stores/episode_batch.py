@@ -65,8 +65,7 @@ class BatchedFile:
 
         Raises:
             OSError: it cannot be read.
-            RecordError: they are not those that the manifest knows, or those of another part, or
-                claim more rows than a part has.
+            RecordError: they are not those that the manifest knows, or those of another part.
         """
         if is_address(self.path):
             content = ObjectPath(self.path).read_bytes()
@@ -75,11 +74,23 @@ class BatchedFile:
                 content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
-        footer = footer_in(content)
-        if self.label not in footer:
+        if self.label not in footer_in(content):
             raise RecordError(f"{self.path} {OTHER_PART}")
-        check_parquet(self.path, footer, self.table)
         return content
+
+    def rows(self, content: bytes, columns: list[str] | None = None) -> pa.Table:
+        """Returns the rows of the file, of some columns or of all.
+
+        Args:
+            content: its bytes.
+            columns: the names of the columns; None for all.
+
+        Raises:
+            RecordError: it lacks columns of the table, or claims more rows than a part has.
+        """
+        metadata = check_parquet(self.path, footer_in(content), self.table)
+        part = pq.ParquetFile(pa.BufferReader(content), metadata=metadata)
+        return part.read(columns, use_threads=False)
 
 
 @dataclass(frozen=True)
@@ -210,8 +221,7 @@ class EpisodeBatch(TickArchive):
             episode = self._episodes[index]
             key = episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                part = pq.ParquetFile(pa.BufferReader(content))
-                rows = part.read(columns=_TICK.names, use_threads=False)
+                rows = file.rows(content, _TICK.names)
                 check_ticks(rows, episode.ticks, table, file.path)
                 self._checked.add(key)
         except RecordError as error:
@@ -278,6 +288,7 @@ class EpisodeBatch(TickArchive):
             if table == "ticks"
             else [
                 _rows(
+                    file,
                     self._content(table, file, index),
                     types,
                     self._episodes[index].offset,
@@ -352,18 +363,20 @@ def check_ticks(rows: pa.Table, ticks: pa.Table, table: str, path: str) -> None:
         raise RecordError(f"{path} is damaged: of the rows of {table}, {stray}")
 
 
-def _rows(content: bytes, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
+def _rows(
+    file: BatchedFile, content: bytes, types: pa.Schema, offset: int, first: int, last: int
+) -> pa.Table:
     """Returns the columns of a part that change with the tick, its ticks moved by an offset.
 
     Args:
-        content: the bytes of the part.
+        file: the file of the part.
+        content: its bytes.
         types: the columns.
         offset: the offset.
         first: the first tick whose rows are returned, with the offset.
         last: the last of them.
     """
-    part = pq.ParquetFile(pa.BufferReader(content))
-    rows = part.read(columns=types.names, use_threads=False)
+    rows = file.rows(content, types.names)
     if not set(types.names) <= set(rows.column_names):
         raise RecordError("a part of an older record is read by itself")
     return _moved(rows.select(types.names), types, offset, first, last)
