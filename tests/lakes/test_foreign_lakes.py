@@ -376,7 +376,9 @@ def test_a_part_of_too_many_rows_is_not_read_with_others(folder, monkeypatch, ta
     entry = next(one for one in lake.entries if one.episode == 1)
     run = FolderRun(folder, entry.world, entry.episode)
     (batched,) = files_of(run, entry, table)
-    assert batched.content() == file.read_bytes()
+    content = batched.content()
+    assert content == file.read_bytes()
+    assert batched.rows(content).num_rows == metadata.num_rows
     monkeypatch.setattr("ssduck.recording.stores.stored_columns.MAX_VALUES", most - 1)
     with pytest.raises(RecordError, match=f"claims {metadata.num_rows:,} rows, more than"):
-        batched.content()
+        batched.rows(content)
