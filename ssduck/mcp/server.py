@@ -16,11 +16,11 @@ from mcp.server import MCPServer
 from mcp.server.mcpserver import Image
 from mcp.server.mcpserver.exceptions import ToolError
 
-from ssduck.errors import SelectScriptError
+from ssduck.errors import SelectScriptError, printable
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.mcp.answers import Answers, InterpreterAnswers, Language, WorkerError
-from ssduck.mcp.texts import as_text, printable
+from ssduck.mcp.texts import as_text
 
 
 def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPServer[Any]:
