@@ -17,7 +17,6 @@ from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.stores.base import PairRequest, RowBlock, TickArchive
 from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, TWICE, RowChecks, keys_of
-from ssduck.schema import RECORDED
 from ssduck.world.layout import EntityInfo
 
 # So many rows of all ticks are checked at once, of a store without parts: a hundred megabytes; of
