@@ -171,17 +171,19 @@ def _element_total(values: list[Any], counted: dict[int, int]) -> int:
     count = len(values)
     for value in values:
         kind = type(value)
-        if kind is int:
-            if not -_WIDE < value < _WIDE:
-                count += value.bit_length() // _BITS_PER_ELEMENT
-        elif kind is str:
-            count += len(value)
-        elif kind is list or kind is dict:
+        if kind is list or kind is dict:
+            if not value:
+                continue
             total = counted.get(id(value))
             if total is None:
                 parts = value if kind is list else list(value.values())
                 total = counted[id(value)] = _element_total(parts, counted)
             count += total
+        elif kind is int:
+            if value > _WIDE or value < -_WIDE:
+                count += value.bit_length() // _BITS_PER_ELEMENT
+        elif kind is str:
+            count += len(value)
     return count
 
 
