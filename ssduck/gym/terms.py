@@ -223,7 +223,7 @@ class Judge:
         for name in variables:  # so that errors suggest them
             interpreter.add_variable(name, None)
         self._texts = [self._expanded(term) for term in terms]
-        columns = ", ".join(f"({text})" for text in self._texts)
+        columns = ", ".join(f"({text}\n)" for text in self._texts)  # a comment ends with its line
         # Each was compiled by itself, so that none is more than an expression.
         self._program = interpreter.compile("SELECT " + columns + " FROM [0] AS list;")  # noqa: S608
         self.is_temporal = any(_is_temporal(self._tree(term.text)) for term in terms)
@@ -323,7 +323,7 @@ class Judge:
                         raise ArgumentError(f"{term.key} uses {name}, and there is no such term")
                     if term.key in CONDITIONS:
                         raise ArgumentError(f"{term.key} cannot use {name}: write its term out")
-                    replacement = f"({self._expanded(condition)})"
+                    replacement = f"({self._expanded(condition)}\n)"
                 case _:
                     return None
             replacements.append((node.span.start, node.span.end, replacement))

@@ -181,3 +181,18 @@ def test_an_element_is_of_its_own_variable(few, tmp_path):
     folder = forged(few, tmp_path, v=[1, 2], v__0=9)
     right = "v[0] == 1 AND v[1] == 2 AND v__0 == 9 AND z(sim.ball) > -9"
     assert all(next(iter(score(folder, success=right))).success)
+
+
+def test_terms_may_end_with_comments(few):
+    """All terms are one statement."""
+    plain = {
+        "success": "z(sim.ball) > 0.4",
+        "reward": {"a": "IF(success; 1; 0)", "b": "z(sim.ball)"},
+    }
+    told = {
+        "success": f"{plain['success']} # high",
+        "reward": {"a": "IF(success; 1; 0) -- done", "b": "z(sim.ball)"},
+    }
+    assert [one.rewards for one in score(few, **told)] == [
+        one.rewards for one in score(few, **plain)
+    ]

@@ -117,7 +117,8 @@ class RowChecks:
         places = self._places(rows[owner].to_numpy()[is_first]), present[is_body]
         if len(ticks[0]) == len(ticks[1]):
             keys = keys_of(np.concatenate(ticks), np.concatenate(places), len(has_parts))
-            if np.array_equal(*map(_ascending, np.split(keys, 2))):
+            found, expected = map(_ascending, np.split(keys, 2))
+            if np.array_equal(found, expected):
                 return None
         return "those of a body are missing at a tick, or there without it"
 
