@@ -206,7 +206,7 @@ def test_tags_that_differ_in_case_only(folder):
         ("Goal = 2 AND goal = 1 AND EPISODE = 0", [0]),
     ):
         assert lake.ask("1;", where=where, processes=1)["episode"].to_pylist() == episodes
-    with pytest.raises(ArgumentError, match="GOAL may be '[Gg]oal' and '[Gg]oal'"):
+    with pytest.raises(ArgumentError, match=r"GOAL may be '[Gg]oal' and '[Gg]oal'"):
         lake.ask("1;", where="GOAL = 1")
 
 
