@@ -156,8 +156,12 @@ class Lake:
         return f"<Lake {self.path!r}: {len(self)} episodes>"
 
     def _selected(self, where: str | None) -> list[EpisodeEntry]:
-        """Returns the episodes for which a condition holds; warns of one that holds for none."""
-        entries = [self._entries[place] for place in self._places(where)]
+        """Returns the episodes for which a condition holds; all if there is none."""
+        return [self._entries[place] for place in self._places(where)]
+
+    def _selected_or_warned(self, where: str | None) -> list[EpisodeEntry]:
+        """Returns the same, and warns of a condition that holds for none."""
+        entries = self._selected(where)
         if where is not None and not entries:
             warn(no_episode(where, self.episodes))
         return entries
@@ -320,7 +324,7 @@ class Lake:
             engines["processes"] = validation.integer(
                 engines["processes"], "ask: processes", minimum=1
             )
-        entries = self._selected(where)
+        entries = self._selected_or_warned(where)
         if engine == "local" and engines["processes"] is None:
             engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)
@@ -420,7 +424,7 @@ class Lake:
             RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
         """
         added = checked_tags(tags)
-        entries = self._selected(where)
+        entries = self._selected_or_warned(where)
         self._write_tags({entry.key: added for entry in entries if entry.error is None})
         return sum(entry.error is None for entry in entries)
 
