@@ -204,7 +204,7 @@ class ParquetArchive(TickArchive):
         """Returns that rows of a part have other values than the model of their table."""
         columns = model_columns(table)
         for file in self._files.get(table, ()) if columns else ():
-            rows = with_joint_numbers(table, _model_columns_in(file, columns))
+            rows = with_joint_numbers(table, _columns_of(file, columns))
             if (problem := other_model(table, rows, self._models[table])) is not None:
                 return problem
         return None
@@ -290,15 +290,14 @@ def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
     return rows.select(types.names).cast(types)
 
 
-def _model_columns_in(file: Path, names: Sequence[str]) -> pa.Table:
-    """Returns some columns of the rows of a part, as far as it has them; texts are numbered."""
+def _columns_of(file: Path, names: Sequence[str]) -> pa.Table:
+    """Returns some columns of the rows of a part, as far as it has them."""
     try:
-        part = pq.ParquetFile(parquet_source(file), read_dictionary=names)
+        part = pq.ParquetFile(parquet_source(file))
         present = [name for name in names if name in part.schema_arrow.names]
-        rows = part.read(columns=present, use_threads=False).select(present)
+        return part.read(columns=present, use_threads=False).select(present)
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-    return rows.unify_dictionaries()
 
 
 def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
