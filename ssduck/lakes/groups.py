@@ -111,7 +111,7 @@ class EpisodeGroup:
         self.number = number
         self._checks = RowChecks(members_of(self.models))
         self._parts = _model_parts(self.run, entry)
-        self._present = present_at_end(_last_part(self.run, entry)[1])
+        self._present = present_at_end(_last_rows(self.run, entry))
         # The files of the episodes that were found to be of the group, and what their labels have.
         self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
@@ -134,15 +134,12 @@ class EpisodeGroup:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
         for model in MODELS:
             self._check_model(run, entry, model)
-        file, rows, content = _last_part(run, entry)
+        rows = _last_rows(run, entry)
         if not np.array_equal(present_at_end(rows), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         assert run.key is not None  # its parts have labels
         self._members[entry.key] = entry.files, run.key
-        if len(_files_of(run, entry, "entities")) > 1:
-            return run.key, None
-        file.check_model(content, self.models)
-        return run.key, rows
+        return run.key, rows if len(_files_of(run, entry, "entities")) == 1 else None
 
     def check_rows(self, entry: EpisodeEntry) -> None:
         """Checks all rows of the entities of an episode of the group.
@@ -156,9 +153,7 @@ class EpisodeGroup:
         ends = [*starts[1:], int(ticks.numbers[-1]) + 1]
         files = _files_of(run, entry, "entities")
         for file, start, end in zip(files, starts, ends, strict=True):
-            content = file.content()
-            file.check(content, self._checks, ticks, (start, end - 1))
-            file.check_model(content, self.models)
+            file.check(file.content(), self._checks, ticks, (start, end - 1))
 
     def _check_model(self, run: FolderRun, entry: EpisodeEntry, model: str) -> None:
         """Checks that a model of an episode is that of the group.
@@ -241,8 +236,7 @@ def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> l
     return parts
 
 
-def _last_part(run: FolderRun, entry: EpisodeEntry) -> tuple[BatchedFile, pa.Table, bytes]:
-    """Returns the file of the last part of an episode's entities, its keys and its bytes."""
+def _last_rows(run: FolderRun, entry: EpisodeEntry) -> pa.Table:
+    """Returns the rows of the last part of an episode's entities: the columns to be checked."""
     file = _files_of(run, entry, "entities")[-1]
-    content = file.content()
-    return file, file.keys(content), content
+    return file.keys(file.content())

@@ -81,10 +81,6 @@ def of_unknown(rows: pa.Table) -> pa.Table:
     return with_column("id", lambda ids: [*ids[:-1], 999])(rows)
 
 
-def of_another_name(rows: pa.Table) -> pa.Table:
-    return with_column("name", lambda names: [*names[:-1], "cap"])(rows)
-
-
 def without_value(rows: pa.Table) -> pa.Table:
     return with_column("visible", lambda values: [*values[:-1], None])(rows)
 
@@ -150,30 +146,18 @@ def test_wrong_rows_are_an_error_of_their_episode(
     assert words in answers[FORGED][2]
 
 
-def test_another_name_is_an_error_of_its_episode(tmp_path: Path) -> None:
-    record = recorded(tmp_path / "r")
-    rewrite_rows(record, of_another_name)
-    words = "the column 'name' has another value than its model"
-    errors = [error for _, error in answers_of(record, "max(SELECT z FROM lab{} AS list);")]
-    assert [error is not None for error in errors] == [n == FORGED for n in range(EPISODES)]
-    assert words in str(errors[FORGED])
-    statement = ssduck.lake(record).sql("greatest(z(lab.cup));")
-    told = duckdb.sql(f"SELECT error FROM ({statement}) ORDER BY episode").fetchall()
-    assert [words in str(error) for (error,) in told] == [n == FORGED for n in range(EPISODES)]
-
-
 def test_the_ticks_of_a_file_are_checked_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checked: list[str] = []
 
-    check_model = BatchedFile.check_model
+    require = BatchedFile.require
 
-    def counted(self, content, models):
+    def counted(self, problem):
         checked.append(self.table)
-        check_model(self, content, models)
+        require(self, problem)
 
-    monkeypatch.setattr(BatchedFile, "check_model", counted)
+    monkeypatch.setattr(BatchedFile, "require", counted)
     record = recorded(tmp_path / "r")
     answers_of(record, PROGRAMS[0])
     assert checked.count("entities") == EPISODES

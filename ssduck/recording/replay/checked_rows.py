@@ -75,17 +75,11 @@ class CheckedRows:
                     table, block.rows, entities.rows, single=self.archive.has_single_links
                 )
                 self._require(table, problem)
-            self._set_checked("entities")
+            self._checked.add("entities")
         else:
             for block in blocks:
                 self._check_block(table, block)
-        self._set_checked(table)
-
-    def _set_checked(self, table: str) -> None:
-        """Checks what rows repeat of their models, and takes note that all was checked."""
-        if table not in self._checked:
-            self._require(table, self.archive.model_problem(table))
-            self._checked.add(table)
+        self._checked.add(table)
 
     def _blocks(self, table: str) -> Iterator[RowBlock]:
         starts = self.ticks.numbers[:: self._ticks_at_once]

@@ -216,13 +216,6 @@ class TickArchive(ABC):
         """
         return iter(())
 
-    def model_problem(self, table: str) -> str | None:  # noqa: ARG002
-        """Returns that stored rows have other values than the model of their table.
-
-        None if there is no such row, or SQL reads these values of the model.
-        """
-        return None
-
     @abstractmethod
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown.

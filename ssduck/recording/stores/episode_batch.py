@@ -40,13 +40,7 @@ from ssduck.recording.stores.parquet_archive import (
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
-from ssduck.recording.stores.row_checks import (
-    TABLES_OF_BODIES,
-    RowChecks,
-    key_types,
-    model_columns,
-    other_model,
-)
+from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks, key_types
 from ssduck.recording.stores.stored_columns import check_parquet
 from ssduck.schema import MODELS, TABLES
 
@@ -133,17 +127,6 @@ class BatchedFile:
         """
         block = RowBlock(*between, self.keys(content))
         self.require(checks.problem_of_block(self.table, block, ticks))
-
-    def check_model(self, content: bytes, models: Mapping[str, pa.Table]) -> None:
-        """Checks what the rows repeat of their models, but for the number of the run.
-
-        Raises:
-            RecordError: they have other values than the models.
-        """
-        names = [name for name in model_columns(self.table) if name != _RUN]
-        if names:
-            rows = self.rows(content, names).select(names)
-            self.require(other_model(self.table, rows, models[self.table]))
 
     def require(self, problem: str | None) -> None:
         """Raises a RecordError if there is a problem with the rows."""
@@ -302,7 +285,6 @@ class EpisodeBatch(TickArchive):
             key = episode.key_of(file)
             if table != "ticks" and key not in self._checked:
                 file.check(content, self.checks, episode.tick_buffer, episode.ticks_of_part(number))
-                file.check_model(content, self._models)
                 if table in TABLES_OF_BODIES:
                     self._check_bodies(file, content, self._content("entities", number, index))
                 self._checked.add(key)

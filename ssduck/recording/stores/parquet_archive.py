@@ -37,7 +37,7 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
-from ssduck.recording.stores.row_checks import key_types, model_columns, other_model
+from ssduck.recording.stores.row_checks import key_types
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
@@ -200,15 +200,6 @@ class ParquetArchive(TickArchive):
             rows = self._log[table].arrow.select(types.names).cast(types)
             yield RowBlock(self._starts[len(files)], ends[len(files)] - 1, rows)
 
-    def model_problem(self, table: str) -> str | None:
-        """Returns that rows of a part have other values than the model of their table."""
-        columns = model_columns(table)
-        for file in self._files.get(table, ()) if columns else ():
-            rows = with_joint_numbers(table, _columns_of(file, columns))
-            if (problem := other_model(table, rows, self._models[table])) is not None:
-                return problem
-        return None
-
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         logged = self._log["entities"].arrow if self._log else buffered
@@ -288,16 +279,6 @@ def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     return rows.select(types.names).cast(types)
-
-
-def _columns_of(file: Path, names: Sequence[str]) -> pa.Table:
-    """Returns some columns of the rows of a part, as far as it has them."""
-    try:
-        part = pq.ParquetFile(parquet_source(file))
-        present = [name for name in names if name in part.schema_arrow.names]
-        return part.read(columns=present, use_threads=False).select(present)
-    except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 
 
 def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
