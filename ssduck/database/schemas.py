@@ -247,7 +247,7 @@ def _make_history_view(
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)
         if history.record.stored is not None:
-            for name in sorted(tables, reverse=True):  # links with their entities, at once
+            for name in sorted(tables):
                 history.record.stored.check_rows(name)
         rows = history.store.select(table.source, waiting)
     if rows is None:

@@ -58,7 +58,7 @@ class CheckedRows:
         Args:
             table: the table.
             bodies: whether to check that the bodies with parts are those of the table of entities,
-                which is checked then, too.
+                whose rows must be right.
 
         Raises:
             RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
@@ -68,14 +68,11 @@ class CheckedRows:
         blocks = self._blocks(table)
         if bodies and table in TABLES_OF_BODIES and "entities" in self.archive.tables:
             for block, entities in zip(blocks, self._blocks("entities"), strict=True):
-                if "entities" not in self._checked:
-                    self._check_block("entities", entities)
                 self._check_block(table, block)
                 problem = self._checks.problem_of_bodies(
                     table, block.rows, entities.rows, single=self.archive.has_single_links
                 )
                 self._require(table, problem)
-            self._checked.add("entities")
         else:
             for block in blocks:
                 self._check_block(table, block)
