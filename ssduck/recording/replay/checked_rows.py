@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.stores.base import PairRequest, TickArchive
+from ssduck.recording.stores.base import PairRequest, PartGroup, TickArchive
 from ssduck.recording.stores.tick_checks import stray_message, stray_row
 from ssduck.schema import FRAMES, RECORDED
 from ssduck.world.layout import EntityInfo
@@ -52,6 +52,7 @@ class CheckedRows:
     ticks: TickBuffer
     source: str
     _checked: set[str] = field(default_factory=set)
+    _checked_groups: set[tuple[str, PartGroup]] = field(default_factory=set)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last, both included.
@@ -82,6 +83,7 @@ class CheckedRows:
     def recheck(self) -> None:
         """Forgets which tables were checked: the archive has other rows now."""
         self._checked.clear()
+        self._checked_groups.clear()
 
     def check_ticks(self, table: str) -> None:
         """Checks that all rows of a table have the number and the time of a tick of the record.
@@ -98,6 +100,36 @@ class CheckedRows:
         if stray is not None:
             self._fail(table, stray_message(*stray))
         self._checked.add(table)
+
+    def check_groups(self, table: str, first: int, last: int) -> None:
+        """Checks the same of the rows that a view reads for the ticks from first to last.
+
+        Raises:
+            RecordError: a row has the number or the time of no tick of the record.
+        """
+        if table in self._checked:
+            return
+        groups = self.archive.part_groups(table)
+        found = [
+            group
+            for group in groups
+            if not group.parts or (group.first <= last and first <= group.last)
+        ]
+        if len(found) == len(groups):
+            self.check_ticks(table)
+            return
+        for group in found:
+            if (table, group) not in self._checked_groups:
+                self._check_group(table, group)
+
+    def _check_group(self, table: str, group: PartGroup) -> None:
+        begin, end = self.ticks.numbers.searchsorted([group.first, group.last + 1]).tolist()
+        numbers, times = self.ticks.numbers[begin:end], self.ticks.times[begin:end]
+        ticks = pa.table({"tick": numbers, "time": times})
+        stray = self.archive.stray_tick_in(table, group, ticks)
+        if stray is not None:
+            self._fail(table, stray_message(*stray))
+        self._checked_groups.add((table, group))
 
     def check_rows(self, table: str, *, bodies: bool = True) -> None:
         """Checks all rows of a table, a bounded number at a time.

@@ -146,6 +146,21 @@ class TickStore(ABC):
         """
 
 
+@dataclass(frozen=True)
+class PartGroup:
+    """Parts of a table that a view reads together, or not at all; or rows that are in no part.
+
+    Attributes:
+        parts: their numbers among the parts that are there; empty for the rows in none.
+        first: their first tick.
+        last: their last tick.
+    """
+
+    parts: range
+    first: int
+    last: int
+
+
 class TickArchive(ABC):
     """Recorded ticks that can be read: the stored rows, without the buffered ones.
 
@@ -198,6 +213,26 @@ class TickArchive(ABC):
             ticks: the numbers and times of the ticks of the record, `tick` and `time`.
         """
         return None
+
+    def part_groups(self, table: str) -> Sequence[PartGroup]:  # noqa: ARG002
+        """Returns the groups of parts of which the view of a table reads those of its ticks only.
+
+        The rows that it always reads are a group without parts. There are no groups if the rows of
+        a table are all checked together.
+        """
+        return ()
+
+    def stray_tick_in(
+        self, table: str, group: PartGroup, ticks: pa.Table
+    ) -> tuple[int, float | None] | None:
+        """Returns the number and the time of a row of a group that are those of no tick of it.
+
+        Args:
+            table: a table of a world.
+            group: one of its groups.
+            ticks: the numbers and times of the ticks of the group.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:

@@ -21,7 +21,13 @@ from ssduck.recording.model_checks import check_models
 from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values, with_joint_numbers
-from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
+from ssduck.recording.stores.base import (
+    BufferViews,
+    PairRequest,
+    PartGroup,
+    StoreConnection,
+    TickArchive,
+)
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import (
     all_columns,
@@ -91,21 +97,38 @@ class ParquetArchive(TickArchive):
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
         DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
-        whose ticks are others: n parts have √n groups.
+        whose ticks are others. The rows that are read must have been checked; see `stray_tick`.
         """
         if table not in self._files:
             return None
         columns = TABLES[table].columns
         count = len(self._files[table])
-        size = math.isqrt(count) if count >= MANY_PARTS else count
-        parts = [
-            self._select_parts(table, range(begin, min(begin + size, count)))
-            for begin in range(0, count, size or 1)
-        ]
+        groups = [group.parts for group in self.part_groups(table)] or [range(count)]
+        parts = [self._select_parts(table, group) for group in groups if group]
         names = column_list(column.name for column in columns)
         views = () if buffer_views is None else buffer_views(table)
         parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
         return " UNION ALL ".join(parts)
+
+    def part_groups(self, table: str) -> list[PartGroup]:
+        """Returns the groups of the parts of a table, √n of n parts, if these are many.
+
+        The log is a group, too.
+        """
+        count = len(self._files.get(table, ()))
+        if count < MANY_PARTS:
+            return []
+        size = math.isqrt(count)
+        groups = [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        logged = [range(count, count)] if self._log else []
+        return [PartGroup(parts, *self._ticks_of(parts)) for parts in (*groups, *logged)]
+
+    def _ticks_of(self, parts: range) -> tuple[int, int]:
+        """Returns the first and the last tick of some parts; of the log if they are none."""
+        starts, last = self._starts, int(self.ticks.numbers[-1])
+        if parts and parts.stop < len(starts):
+            last = starts[parts.stop] - 1
+        return starts[parts.start], last
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
@@ -118,16 +141,14 @@ class ParquetArchive(TickArchive):
     def _select_parts(self, table: str, parts: range) -> str:
         """Returns a SELECT of all columns of some parts of a table."""
         files = self._files[table]
-        self._check(table, parts)
         if table not in self._columns:
             self._columns[table] = _columns_in(files[0])
         selected = files[parts.start : parts.stop]
         rows = self._select_all(selected, self._columns[table], TABLES[table].columns)
         if len(parts) == len(files):
             return rows
-        starts = self._starts
-        last = starts[parts.stop] - 1 if parts.stop < len(starts) else int(self.ticks.numbers[-1])
-        return f"{rows} WHERE tick BETWEEN {starts[parts.start]} AND {last}"
+        first, last = self._ticks_of(parts)
+        return f"{rows} WHERE tick BETWEEN {first} AND {last}"
 
     def _select_all(
         self, files: Sequence[Path], present: Sequence[str], columns: Sequence[Column]
@@ -180,16 +201,31 @@ class ParquetArchive(TickArchive):
     def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
         """Returns the number and the time of a stored row that are those of no tick."""
         logged = self._log[table].arrow if self._log else None
-        rows, files = None, self._files.get(table)
-        if files:
-            self._check(table, range(len(files)))
-            rows = f"SELECT tick, time FROM {_scan(files)}"  # noqa: S608
+        rows = self._numbers_and_times(table, range(len(self._files.get(table, ()))))
         return stray_tick(self._connection, rows, ticks, logged)
+
+    def stray_tick_in(
+        self, table: str, group: PartGroup, ticks: pa.Table
+    ) -> tuple[int, float | None] | None:
+        """Returns the same of a row of some parts, or of the log."""
+        if group.parts:
+            rows = self._numbers_and_times(table, group.parts)
+            return stray_tick(self._connection, rows, ticks)
+        return stray_tick(self._connection, None, ticks, self._log[table].arrow)
+
+    def _numbers_and_times(self, table: str, parts: range) -> str | None:
+        """Returns a SELECT of the ticks of the rows of parts, whose bytes it checks."""
+        if not parts:
+            return None
+        self._check(table, parts)
+        files = self._files[table][parts.start : parts.stop]
+        return f"SELECT tick, time FROM {_scan(files)}"  # noqa: S608
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         logged = self._log["entities"].arrow if self._log else buffered
         parts = self._parts_with("entities", request.first, request.last)
+        self._check("entities", parts)
         stored = self._select_parts("entities", parts) if parts else None
         return near_pair_rows(self._connection, stored, request, logged)
 
