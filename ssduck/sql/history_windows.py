@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from sqlglot import exp
@@ -46,7 +46,7 @@ def history_windows(
     return [] if None in windows else [window for window in windows if window is not None]
 
 
-def _window_of(table: exp.Table, ends: dict[str, str]) -> HistoryWindow | None:
+def _window_of(table: exp.Table, ends: Mapping[str, str]) -> HistoryWindow | None:
     """Returns the ticks of a table that is read as `SELECT … WHERE tick BETWEEN $a AND $b`."""
     clause = table.parent
     select = None if clause is None else clause.parent

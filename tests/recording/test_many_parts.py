@@ -207,7 +207,8 @@ def test_a_question_about_a_tick_checks_the_group_of_its_part(
         checks.clear()
         join = "body = lab.body_0; SELECT tick FROM lab{T} WHERE z(body) <= z(this) AS list;"
         assert ss.eval(join) == [20]
-        assert set(checks) == {f"entities {part}" for part in (0, 1, 2, 6, 7, 8)}
+        rest = {f"entities {part}" for part in (0, 1, 2, 6, 7, 8)}
+        assert {name for name in checks if name.startswith("entities")} == rest
         checks.clear()
         assert ss.sql("SELECT count(*) FROM entities_history").fetchone() == (20,)
         assert checks == []

@@ -161,7 +161,8 @@ class ParquetStore(TickStore):
     def _fill_a_part(self, rows: Mapping[str, pa.Table]) -> bool:
         """Checks whether the log has as many rows as a part with these, or would with one tick."""
         counts = {table: self._log.count(table) + added.num_rows for table, added in rows.items()}
-        ticks, most = counts["ticks"], max(counts.values())
+        ticks: int = counts["ticks"]
+        most: int = max(counts.values())
         return ticks >= PART_TICKS or most + most / ticks > MAX_BUFFERED_ROWS
 
     def _store_empty_models(self) -> None:
