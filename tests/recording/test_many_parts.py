@@ -191,9 +191,7 @@ def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any
     return ss.eval(f"SELECT {selected} FROM lab{{T}} AS list;")
 
 
-def test_a_question_about_a_tick_checks_the_group_of_its_part(
-    run: Path, checks: list[str]
-) -> None:
+def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks: list[str]) -> None:
     """Ten parts are groups of three; any other statement has all of them checked."""
     with ssduck.open(run) as ss:
         times = ss.past("lab").times
