@@ -299,11 +299,11 @@ def _make_history_view(
 
 
 def _check_history(bound: BoundWorld, table: Table, connection: Connection) -> None:  # noqa: ARG001
-    """Checks the ticks of all rows of a view of a history."""
+    """Checks all rows of a view of a history."""
     history = bound.history
     if history is not None and history.record.stored is not None:
         for name in _tables_of(table, history):
-            history.record.stored.check_ticks(name)
+            history.record.stored.check_rows(name)
 
 
 def _tables_of(table: Table, history: WorldHistory) -> list[str]:

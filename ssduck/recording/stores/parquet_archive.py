@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -25,6 +25,7 @@ from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
     PartGroup,
+    RowBlock,
     StoreConnection,
     TickArchive,
 )
@@ -34,14 +35,16 @@ from ssduck.recording.stores.history_sql import (
     column_list,
     near_pair_rows,
     quoted,
-    stray_tick,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
+from ssduck.recording.stores.row_checks import key_types
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
+# So many rows of a table without a key are checked at once.
+_ROWS_AT_ONCE = 1 << 17
 _PATTERN = re.compile(r"[*?[]")
 
 
@@ -60,6 +63,8 @@ class ParquetArchive(TickArchive):
     Raises:
         RecordError: a file is missing or damaged, or nothing was stored.
     """
+
+    has_single_links = True
 
     def __init__(self, run: FolderRun, recording: Recording, connection: StoreConnection) -> None:
         self.recording = recording
@@ -97,7 +102,7 @@ class ParquetArchive(TickArchive):
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
         DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
-        whose ticks are others. The rows that are read must have been checked; see `stray_tick`.
+        whose ticks are others. The rows that are read must have been checked; see `key_rows`.
         """
         if table not in self._files:
             return None
@@ -198,28 +203,30 @@ class ParquetArchive(TickArchive):
         end = int(np.searchsorted(self._starts, last, side="right"))
         return range(begin, min(end, len(self._files[table])))
 
-    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
-        """Returns the number and the time of a stored row that are those of no tick."""
-        logged = self._log[table].arrow if self._log else None
-        rows = self._numbers_and_times(table, range(len(self._files.get(table, ()))))
-        return stray_tick(self._connection, rows, ticks, logged)
+    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
+        """Yields all stored rows that SQL reads of a table, for a check of them: part by part."""
+        yield from self._rows_of(table, range(len(self._files[table])))
+        yield from self._rows_of_log(table)
 
-    def stray_tick_in(
-        self, table: str, group: PartGroup, ticks: pa.Table
-    ) -> tuple[int, float | None] | None:
-        """Returns the same of a row of some parts, or of the log."""
-        if group.parts:
-            rows = self._numbers_and_times(table, group.parts)
-            return stray_tick(self._connection, rows, ticks)
-        return stray_tick(self._connection, None, ticks, self._log[table].arrow)
+    def group_rows(self, group: PartGroup, table: str) -> Iterator[RowBlock]:
+        """Yields the same rows of some parts, or of the log."""
+        return self._rows_of(table, group.parts) if group.parts else self._rows_of_log(table)
 
-    def _numbers_and_times(self, table: str, parts: range) -> str | None:
-        """Returns a SELECT of the ticks of the rows of parts, whose bytes it checks."""
-        if not parts:
-            return None
-        self._check(table, parts)
-        files = self._files[table][parts.start : parts.stop]
-        return f"SELECT tick, time FROM {_scan(files)}"  # noqa: S608
+    def _rows_of(self, table: str, parts: range) -> Iterator[RowBlock]:
+        types = key_types(table)
+        for number in parts:
+            part = range(number, number + 1)
+            self._check(table, part)
+            file = self._files[table][number]
+            blocks = [_rows_of_part(file, types)] if RECORDED[table].key else _rows_in(file, types)
+            for rows in blocks:
+                yield RowBlock(*self._ticks_of(part), rows)
+
+    def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
+        if self._log:
+            types, count = key_types(table), len(self._files[table])
+            rows = self._log[table].arrow.select(types.names).cast(types)
+            yield RowBlock(*self._ticks_of(range(count, count)), rows)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
@@ -278,6 +285,15 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     Raises:
         RecordError: the file is damaged or missing.
     """
+    return _between(_rows_of_part(file, types), first, last)
+
+
+def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
+    """Returns some columns of the rows of a part, with NULL for missing ones.
+
+    Raises:
+        RecordError: the file is damaged or missing.
+    """
     try:
         part = pq.ParquetFile(parquet_source(file))
         present = set(part.schema_arrow.names)
@@ -286,13 +302,23 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-    rows = _between(rows, first, last)
     if "joint" in types.names:
         rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     return rows.select(types.names).cast(types)
+
+
+def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
+    """Yields some columns of the rows of a part, not all rows at once, which takes less memory."""
+    try:
+        for batch in pq.ParquetFile(parquet_source(file)).iter_batches(
+            _ROWS_AT_ONCE, columns=types.names, use_threads=False
+        ):
+            yield pa.Table.from_batches([batch]).select(types.names).cast(types)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
