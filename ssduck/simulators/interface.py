@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -221,8 +222,9 @@ class ContactPoints:
     frictions: Array
 
     @classmethod
+    @cache
     def none(cls) -> ContactPoints:
-        """Returns no contact points."""
+        """Returns no contact points, the same each time."""
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
 

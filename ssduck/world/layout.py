@@ -206,19 +206,24 @@ class BodyGroup:
         self.write_states(link_poses, block)
         self.write_boxes(link_poses, block)
 
-    def write_later(self, link_poses: LinkPoses, table: LiveTable) -> None:
+    def write_later(self, link_poses: LinkPoses, table: LiveTable) -> bool:
         """Writes these rows of the table of entities when they are read: few programs read all.
 
         Numbers that may not be finite are written at once, and those of sensors' poses.
+
+        Returns:
+            Whether the numbers are surely known, and no number of the table was written.
         """
         block = table.doubles("x", "zmax")
-        if link_poses.are_finite and table.is_complete and not self._mounts:
+        is_later = link_poses.are_finite and table.is_complete and not self._mounts
+        if is_later:
             table.defer("x", "z", partial(self._write_positions, link_poses, block))
             table.defer("qw", "wz", partial(self.write_states, link_poses, block))
         elif not (self.write_states(link_poses, block) and table.is_complete):
             self.write_boxes(link_poses, block)
-            return
+            return False
         table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
+        return is_later
 
     def _write_positions(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the positions of these rows, if there are no sensors."""

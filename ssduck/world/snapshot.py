@@ -461,7 +461,7 @@ class Snapshot:
         is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
-        self._write_poses(*self._link_poses, with_static=is_static_new)
+        is_later = self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
             self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
         self._contacts, self._are_contacts_written = state.contacts, "contacts" not in tables
@@ -469,7 +469,7 @@ class Snapshot:
         self._read_sensors = state.sensors
         if "sensings" in tables:
             write_sensings(self._tables["sensings"], state.readings, self.rows)
-        self._finish()
+        self._finish(are_known=is_later and not is_static_new)
 
     def _read_state(
         self,
@@ -502,7 +502,7 @@ class Snapshot:
         context = TickContext(number, simulator.time, layout, is_discontinuous)
         sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
         due = self.sensing.due(context, sensors, is_external=simulator.is_external)
-        poses = sensor_poses(layout, static, moving, due)
+        poses = sensor_poses(layout, static, moving, due) if due else []
         contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
             contacts = simulator.read_contacts()
@@ -532,15 +532,19 @@ class Snapshot:
         sensors = [info for info in layout.entities if info.sensor is not None]
         return sensors if all_sensors else [info for info in sensors if info.id in requested]
 
-    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
-        """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
+    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> bool:
+        """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move.
+
+        Returns whether those of moving bodies are surely known, and are written later.
+        """
         table, bodies = self._tables["entities"], self._layout.moving_bodies
         block = table.overwritten("x", "zmax")
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
-        bodies.write_later(moving, table)
+        is_later = bodies.write_later(moving, table)
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
+        return is_later
 
     def _write_parts(self, name: str) -> None:
         """Writes the rows of links or shapes; those of bodies that cannot move are written once."""
@@ -550,22 +554,27 @@ class Snapshot:
                 (group.write_links if name == "links" else group.write_shapes)(poses, block)
         self._written[name] = self._link_poses[0]
 
-    def _finish(self) -> None:
-        """Writes tick and time into the tables that were read, and publishes them."""
+    def _finish(self, *, are_known: bool) -> None:
+        """Writes tick and time into the tables that were read, and publishes them.
+
+        Args:
+            are_known: whether the table of entities surely has no unknown number.
+        """
         if not self._is_past:
             self._tables["ticks"]["wall_time"].fill(time.time())
-        for name in ("entities", "ticks", *self._read.difference(("contacts",))):
-            self._publish(name)
+        self._publish("entities", are_known=are_known)
+        for name in ("ticks", *self._read.difference(("contacts",))):
+            self._publish(name, are_known=name == "ticks")
         # The warning for a past tick was given when it was taken.
         if not self._tables["entities"].is_complete and not self._is_past:
             self._warn_of_unknown(self._tables["entities"].doubles("x", "zmax"))
 
-    def _publish(self, name: str) -> None:
-        """Writes tick and time into a table, and publishes it."""
+    def _publish(self, name: str, *, are_known: bool = False) -> None:
+        """Writes tick and time into a table, and publishes it, unless all numbers are known."""
         table = self._tables[name]
         table["tick"].fill(self.number)
         table["time"].fill(self.time)
-        if name != "ticks":  # its numbers are always known
+        if not are_known:
             table.publish_unknown()
 
     def _warn_of_unknown(self, numbers: Array) -> None:
