@@ -14,6 +14,7 @@ import copy
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate, chain
 from typing import Any
 
@@ -139,7 +140,8 @@ class Snapshot:
 
     def settle(self) -> None:
         """Writes all rows of this tick that were left for later: DuckDB reads without asking."""
-        self.tables["entities"].settle()
+        for name in ("entities", "links", "shapes"):
+            self.tables[name].settle()
 
     def contacts(self) -> ContactPairs:
         """Returns the contacts of this tick, whose table must have been requested."""
@@ -547,11 +549,15 @@ class Snapshot:
         return is_later
 
     def _write_parts(self, name: str) -> None:
-        """Writes the rows of links or shapes; those of bodies that cannot move are written once."""
-        block = self._tables[name].doubles("x", "zmax")
+        """Writes the rows of links or shapes: of bodies that cannot move once, of others later."""
+        table = self._tables[name]
+        block = table.overwritten("x", "zmax")
         for group, poses in self.body_groups:
-            if self._written.get(name) is not poses:
-                (group.write_links if name == "links" else group.write_shapes)(poses, block)
+            write = group.write_links if name == "links" else group.write_shapes
+            if poses.are_finite and table.is_complete and group is self._layout.moving_bodies:
+                table.defer("x", "zmax", partial(write, poses, block))
+            elif self._written.get(name) is not poses:
+                write(poses, block)
         self._written[name] = self._link_poses[0]
 
     def _finish(self, *, are_known: bool) -> None:
