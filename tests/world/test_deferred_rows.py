@@ -24,6 +24,8 @@ def lab():
         yield ss, ss.add_variable("lab", ssduck.World.attach(model, data)), model, data
 
 
+PARTS = "SELECT zmax FROM lab.{} WHERE entity = (SELECT id FROM lab.entities WHERE name = 'ball')"
+
 READERS = {
     "a property": lambda ss, world: world["ball"].aabb[1][2],
     "SQL": lambda ss, world: ss.sql(HIGHEST).fetchall()[0][0],
@@ -35,6 +37,14 @@ READERS = {
     ).fetchall()[0][0],
     "a what-if world": lambda ss, world: world.what_if()["ball"].aabb[1][2],
     "a trigger": lambda ss, world: ss["seen"][5],
+    "a link": lambda ss, world: world["ball"].links[0].aabb[1][2],
+    "SQL of links": lambda ss, world: ss.sql(PARTS.format("links")).fetchall()[0][0],
+    "SQL of shapes": lambda ss, world: ss.sql(PARTS.format("shapes")).fetchall()[0][0],
+    "a query of links": lambda ss, world: ss.eval("aabb(links(lab.ball)[0]);")[5],
+    "the record of links": lambda ss, world: ss.sql(
+        PARTS.format("links_history") + " ORDER BY tick DESC LIMIT 1"
+    ).fetchall()[0][0],
+    "a copy's links": lambda ss, world: world.what_if()["ball"].links[0].aabb[1][2],
 }
 
 
