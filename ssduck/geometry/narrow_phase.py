@@ -240,10 +240,11 @@ class NarrowPhase:
     def contact_normals(self, a: int, b: int) -> list[Point]:
         """Returns the normals, from a to b, of touching shapes (within 1 mm and both margins)."""
         with self._lock:
-            near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
-            results = [
-                (self.shapes.signed_distance(s, t), self.shapes.margin(s, t)) for s, t in near
-            ]
+            return self._normals(self._near_shapes(a, b, self._reach(a, b)))
+
+    def _normals(self, near: list[tuple[int, int]]) -> list[Point]:
+        """Returns the contact normals of pairs of shapes, of those that touch."""
+        results = [(self.shapes.signed_distance(s, t), self.shapes.margin(s, t)) for s, t in near]
         touching = [r for r, margin in results if r.distance <= TOUCHING_DISTANCE + margin]
         return [(-x, -y, -z) for x, y, z in (r.normal for r in touching if r.normal)]
 
@@ -258,10 +259,14 @@ class NarrowPhase:
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
-            near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
+            near = self._near_shapes(a, b, self._reach(a, b))
             if not near or not self.is_over(a, b):
                 return False
-            return any(normal[2] >= MIN_UP for normal in self.contact_normals(a, b))
+            return any(normal[2] >= MIN_UP for normal in self._normals(near))
+
+    def _reach(self, a: int, b: int) -> float:
+        """Returns the largest distance of shapes of two entities that touch, m."""
+        return TOUCHING_DISTANCE + self._margins_of(a, b)
 
     def is_over(self, a: int, b: int) -> bool:
         """Checks whether the centre of b's box is over the convex hull of a's footprint."""
@@ -425,6 +430,9 @@ class NarrowPhase:
     def box(self, e: int) -> Array:
         """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
         rows = self._tick.boxes[self.starts[e] : self.starts[e + 1]]
+        if len(rows) == 1:
+            box: Array = rows[0]
+            return box
         return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
 
     def box_centre(self, e: int) -> Array:
@@ -472,4 +480,4 @@ def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list
 
 def _is_known(tick: TickSolids, starts: Sequence[int], e: int) -> bool:
     """Checks whether all poses and shapes of an entity are known."""
-    return all(tick.are_known[starts[e] : starts[e + 1]])
+    return all(tick.are_known[shape] for shape in range(starts[e], starts[e + 1]))

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.poses import rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
+from ssduck.geometry.poses import placed_point, rotate, rotation_matrices, unit_quaternions
 from ssduck.geometry.solids import Solid
+
+T = TypeVar("T")
+
+# After this number of shapes, what belongs to each is computed for all at once.
+MAX_SINGLE = 16
 
 
 class TickSolids:
@@ -28,6 +35,11 @@ class TickSolids:
         solids: the solid of each shape.
         positions, orientations, boxes: see above.
         margins: the collision margin of each shape, metres.
+        quaternions: the orientation of each shape, of length 1.
+        are_known: whether the pose and the solid of each shape are known.
+        corners: the box of each shape: lower corner, upper corner.
+        centres: the centre of the sphere around each shape.
+        inscribed_centres: the centre of the sphere in each shape.
     """
 
     def __init__(
@@ -47,20 +59,25 @@ class TickSolids:
         self.positions, self.orientations, self.boxes = positions, orientations, boxes
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
+        self.quaternions = _OfShapes(self._quaternion, self._unit_orientations_as_tuples)
+        self.are_known = _OfShapes(self._is_known, self._all_known)
+        self.corners = _OfShapes(lambda shape: boxes[shape].tolist(), boxes.tolist)
+        self.centres = self._points_of(lambda solid: solid.centre)
+        self.inscribed_centres = self._points_of(lambda solid: solid.inscribed_centre)
 
     def placed(self, shape: int) -> PlacedSolid:
         """Returns a shape in the world."""
         if shape not in self._placed:
             x, y, z = self.positions[shape].tolist()
-            quaternion = self._unit_orientations[shape].tolist()
-            orientation = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-            self._placed[shape] = PlacedSolid(self.solids[shape], (x, y, z), orientation)
+            self._placed[shape] = PlacedSolid(
+                self.solids[shape], (x, y, z), self.quaternions[shape]
+            )
         return self._placed[shape]
 
     def rank(self, shape: int) -> tuple[str | float, ...]:
         """Returns the place of a shape in the order of shapes, by its geometry and its pose."""
         if shape not in self._ranks:
-            pose = *self.positions[shape].tolist(), *self._unit_orientations[shape].tolist()
+            pose = *self.positions[shape].tolist(), *self.quaternions[shape]
             self._ranks[shape] = (self.solids[shape].key, *pose)
         return self._ranks[shape]
 
@@ -86,8 +103,6 @@ class TickSolids:
         for row, column in zip(*(side.tolist() for side in is_near.nonzero()), strict=True):
             yield first[row], second[column]
 
-    # Computed for all shapes at once, when first needed.
-
     @cached_property
     def bounding_radii(self) -> list[float]:
         """The radius of the sphere around each solid, m; infinite for half-spaces."""
@@ -99,9 +114,19 @@ class TickSolids:
         """Whether each shape is a half-space."""
         return np.isinf(np.array(self.bounding_radii, dtype=np.float64))
 
+    # -- poses: of few shapes one by one, or of all at once -----------------------------------
+
     @cached_property
     def _unit_orientations(self) -> Array:
         return unit_quaternions(self.orientations)
+
+    def _unit_orientations_as_tuples(self) -> list[Quaternion]:
+        return [(w, x, y, z) for w, x, y, z in self._unit_orientations.tolist()]
+
+    def _quaternion(self, shape: int) -> Quaternion:
+        w, x, y, z = self.orientations[shape].tolist()
+        length = math.sqrt(w * w + x * x + y * y + z * z) or math.nan
+        return w / length, x / length, y / length, z / length
 
     @cached_property
     def are_finite(self) -> Flags:
@@ -109,38 +134,55 @@ class TickSolids:
         poses = np.concatenate((self.positions, self._unit_orientations), axis=1)
         return np.asarray(np.isfinite(poses).all(axis=1))
 
-    @cached_property
-    def are_known(self) -> list[bool]:
-        """Whether the pose and the solid of each shape are known."""
+    def _all_known(self) -> list[bool]:
         known = np.array([solid.is_known for solid in self._distinct], dtype=bool)
         are_known: list[bool] = (self.are_finite & known[self._indices]).tolist()
         return are_known
 
-    @cached_property
-    def corners(self) -> list[list[float]]:
-        """The box of each shape: lower corner, upper corner."""
-        corners: list[list[float]] = self.boxes.tolist()
-        return corners
+    def _is_known(self, shape: int) -> bool:
+        pose = *self.positions[shape].tolist(), *self.quaternions[shape]
+        return self.solids[shape].is_known and all(map(math.isfinite, pose))
 
-    @cached_property
-    def centres(self) -> list[list[float]]:
-        """The centre of the sphere around each shape."""
-        return self._to_world([solid.centre for solid in self._distinct])
+    def _points_of(self, point_of: Callable[[Solid], Point]) -> _OfShapes[list[float]]:
+        """Returns a point of each shape, which is a point of its solid, in the world."""
 
-    @cached_property
-    def inscribed_centres(self) -> list[list[float]]:
-        """The centre of the sphere in each shape."""
-        return self._to_world([solid.inscribed_centre for solid in self._distinct])
+        def of_one(shape: int) -> list[float]:
+            position = self.positions[shape].tolist()
+            return placed_point(position, self.quaternions[shape], point_of(self.solids[shape]))
 
-    def _to_world(self, points: list[Point]) -> list[list[float]]:
-        """Returns a point of each shape in the world; `points` are those of the solids."""
-        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
-        with np.errstate(invalid="ignore"):
-            moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
-        return moved
+        def of_all() -> list[list[float]]:
+            points = list(map(point_of, self._distinct))
+            local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
+            with np.errstate(invalid="ignore"):
+                moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
+            return moved
+
+        return _OfShapes(of_one, of_all)
 
     @cached_property
     def matrices(self) -> Array:
         """The rotation matrices, (n, 3, 3)."""
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit_orientations)
+
+
+class _OfShapes(dict[int, T]):
+    """What belongs to each shape: of few shapes one by one, of more for all at once.
+
+    Both give the same, to the last bit.
+
+    Args:
+        of_one: a function that returns what belongs to a shape.
+        of_all: a function that returns what belongs to each shape.
+    """
+
+    def __init__(self, of_one: Callable[[int], T], of_all: Callable[[], Sequence[T]]) -> None:
+        self._of_one, self._of_all = of_one, of_all
+
+    def __missing__(self, shape: int) -> T:
+        """Returns what belongs to a shape that nobody asked for yet."""
+        if len(self) < MAX_SINGLE:
+            self[shape] = found = self._of_one(shape)
+            return found
+        self.update(enumerate(self._of_all()))
+        return self[shape]

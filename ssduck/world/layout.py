@@ -262,7 +262,7 @@ class BodyGroup:
         indices = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         positions, orientations = compose(
             link_poses.positions[indices],
-            link_poses.states[indices, 3:7],
+            link_poses.orientations[indices],
             np.array([mount.position for mount in self._mounts]).reshape(-1, 3),
             np.array([mount.orientation for mount in self._mounts]).reshape(-1, 4),
         )
@@ -280,10 +280,19 @@ class BodyGroup:
         links, inner_positions, inner_orientations = self._shape_places
         positions = link_poses.positions.take(links, axis=0)
         positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
-        orientations = link_poses.states[:, 3:7].take(links, axis=0)
+        orientations = link_poses.orientations.take(links, axis=0)
         orientations = multiply(orientations, inner_orientations)
-        boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
+        if self._are_shapes_links:
+            boxes = self._boxes(link_poses)[:, : len(self._shapes)]
+        else:
+            boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
         block[:, self._shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
+
+    @cached_property
+    def _are_shapes_links(self) -> bool:
+        """Whether each link has one shape, in the order of the links: then it has its box."""
+        frames = [shape.frame for shape in self._shapes]
+        return frames == list(range(len(self._link_rows)))
 
     @cached_property
     def _shape_places(self) -> tuple[Indices, Array, Array]:
@@ -298,7 +307,7 @@ class BodyGroup:
         """Returns positions (n, 3), orientations (n, 4) and boxes (n, 6) of the sites' regions."""
         rows = np.array(list(self._regions), dtype=np.intp)
         boxes = self._boxes(link_poses)[:, rows].T
-        return link_poses.positions[rows], link_poses.states[rows, 3:7], boxes
+        return link_poses.positions[rows], link_poses.orientations[rows], boxes
 
     def _entity_boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of the bodies, then those of the sensors, (6, entities)."""

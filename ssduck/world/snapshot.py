@@ -123,6 +123,8 @@ class Snapshot:
         self._warned: set[int] = set()
         # The ticks at which masses and margins were last read.
         self._masses_tick = self._margins_tick = 0
+        # The margins that were read last; the same list while the simulator has the same.
+        self._margins: list[list[float]] | None = None
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -245,7 +247,7 @@ class Snapshot:
 
     def _lay_out(self, layout: TableLayout) -> None:
         """Resets the tables for the entities of a layout."""
-        self._layout, self._written = layout, {}
+        self._layout, self._written, self._margins = layout, {}, None
         entities = layout.entities
         self._tables["entities"].fill(
             len(entities),
@@ -425,7 +427,11 @@ class Snapshot:
             return
         self._margins_tick = self.number
         bodies = [body for _, body in self._layout.bodies]
-        current = np.array([*chain(*simulator.read_margins(bodies))], np.float64)
+        margins = simulator.read_margins(bodies)
+        if margins is self._margins:
+            return
+        self._margins = margins
+        current = np.array([*chain(*margins)], np.float64)
         shapes = self._tables["shapes"]
         if not np.array_equal(current, shapes["margin"]):
             shapes["margin"][:] = current

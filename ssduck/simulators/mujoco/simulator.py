@@ -289,6 +289,7 @@ class MuJoCoSimulator(PartialSimulator):
             matrices,
             partial(_states, raw, turns),
             are_finite=bool(np.vdot(raw, raw) < _MODERATE),
+            orientations=raw[:, _RAW[2]] if turns is None else None,
         )
 
     def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:
