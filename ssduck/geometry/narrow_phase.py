@@ -34,7 +34,7 @@ from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import TickSolids
+from ssduck.geometry.tick_solids import ShapePlaces, TickSolids
 
 T = TypeVar("T")
 
@@ -58,9 +58,7 @@ class NarrowPhase:
     Args:
         solids: the distinct solids.
         solid_indices: (shapes,), the index of each shape's solid.
-        positions: (shapes, 3), in the world.
-        orientations: (shapes, 4), quaternions w, x, y, z of any length.
-        boxes: (shapes, 6), lower corner, upper corner, in the world.
+        places: where the shapes are.
         starts: (entities + 1,): the shapes of entity e are `starts[e]` to `starts[e + 1] - 1`.
         calls: counts the calls of FCL.
         margins: (shapes,), the collision margins, metres; None for none.
@@ -75,15 +73,13 @@ class NarrowPhase:
         self,
         solids: Sequence[Solid],
         solid_indices: Indices,
-        positions: Array,
-        orientations: Array,
-        boxes: Array,
+        places: ShapePlaces,
         starts: Sequence[int],
         calls: CallCounter,
         margins: Array | None = None,
     ) -> None:
         self.calls = calls
-        self._tick = TickSolids(solids, solid_indices, positions, orientations, boxes, margins)
+        self._tick = TickSolids(solids, solid_indices, places, margins)
         self.shapes = ShapeComparisons(self._tick, calls)
         self.starts = list(starts)
         # Each entity's shapes that have points, and whether all its poses and shapes are known.
@@ -106,9 +102,9 @@ class NarrowPhase:
     def regrouped(self, shapes: Indices, starts: Sequence[int]) -> NarrowPhase:
         """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
         tick = self._tick
-        placed = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
-        margins = np.array(tick.margins)[shapes]
-        return NarrowPhase(tick.solids, shapes, *placed, starts, self.calls, margins)
+        parts = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
+        places, margins = ShapePlaces(*parts), np.array(tick.margins)[shapes]
+        return NarrowPhase(tick.solids, shapes, places, starts, self.calls, margins)
 
     def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
         """Returns the narrow phase of the tick with further shapes, which are of no entity yet.
@@ -119,10 +115,9 @@ class NarrowPhase:
         """
         tick = self._tick
         before = tick.positions, tick.orientations, tick.boxes
-        positions, orientations, boxes = map(np.concatenate, zip(before, poses, strict=True))
-        placed = positions, orientations, boxes
+        places = ShapePlaces(*map(np.concatenate, zip(before, poses, strict=True)))
         solids, indices = table.solids, table.solid_indices
-        return NarrowPhase(solids, indices, *placed, self.starts, self.calls, table.margins)
+        return NarrowPhase(solids, indices, places, self.starts, self.calls, table.margins)
 
     # -- relations ------------------------------------------------------------------------
 
@@ -429,10 +424,10 @@ class NarrowPhase:
 
     def box(self, e: int) -> Array:
         """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
-        rows = self._tick.boxes[self.starts[e] : self.starts[e + 1]]
-        if len(rows) == 1:
-            box: Array = rows[0]
-            return box
+        shapes = range(self.starts[e], self.starts[e + 1])
+        if len(shapes) == 1:
+            return np.array(self._tick.corners[shapes[0]])
+        rows = self._tick.boxes[shapes.start : shapes.stop]
         return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
 
     def box_centre(self, e: int) -> Array:

@@ -20,22 +20,44 @@ T = TypeVar("T")
 MAX_SINGLE = 16
 
 
+class ShapePlaces:
+    """Where n shapes are in the world.
+
+    Args:
+        positions: (n, 3).
+        orientations: (n, 4), quaternions w, x, y, z of any length.
+        boxes: (n, 6), lower corner, upper corner.
+
+    Attributes:
+        positions, orientations, boxes: see above.
+    """
+
+    def __init__(self, positions: Array, orientations: Array, boxes: Array) -> None:
+        self.positions, self.orientations, self.boxes = positions, orientations, boxes
+
+    def pose(self, shape: int) -> tuple[list[float], list[float]]:
+        """Returns the position and the orientation of a shape."""
+        return self.positions[shape].tolist(), self.orientations[shape].tolist()
+
+    def box(self, shape: int) -> list[float]:
+        """Returns the box of a shape: lower corner, upper corner."""
+        box: list[float] = self.boxes[shape].tolist()
+        return box
+
+
 class TickSolids:
     """The solids of the shapes of a tick.
 
     Args:
         solids: the distinct solids.
         solid_indices: (n,), the index of each shape's solid.
-        positions: (n, 3), in the world.
-        orientations: (n, 4), quaternions w, x, y, z of any length.
-        boxes: (n, 6), lower corner, upper corner, in the world.
+        places: where the shapes are.
         margins: (n,), the collision margins, metres; None for none.
 
     Attributes:
         solids: the solid of each shape.
-        positions, orientations, boxes: see above.
+        places: see above.
         margins: the collision margin of each shape, metres.
-        quaternions: the orientation of each shape, of length 1.
         are_known: whether the pose and the solid of each shape are known.
         corners: the box of each shape: lower corner, upper corner.
         centres: the centre of the sphere around each shape.
@@ -46,9 +68,7 @@ class TickSolids:
         self,
         solids: Sequence[Solid],
         solid_indices: Indices,
-        positions: Array,
-        orientations: Array,
-        boxes: Array,
+        places: ShapePlaces,
         margins: Array | None = None,
     ) -> None:
         self._distinct = solids
@@ -56,29 +76,26 @@ class TickSolids:
         indices = self._indices.tolist()
         self.margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
         self.solids: list[Solid] = [solids[index] for index in indices]
-        self.positions, self.orientations, self.boxes = positions, orientations, boxes
+        self.places = places
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
-        self.quaternions = _OfShapes(self._quaternion, self._unit_orientations_as_tuples)
+        self._poses = _OfShapes(self._pose, self._all_poses)
         self.are_known = _OfShapes(self._is_known, self._all_known)
-        self.corners = _OfShapes(lambda shape: boxes[shape].tolist(), boxes.tolist)
+        self.corners = _OfShapes(places.box, lambda: places.boxes.tolist())
         self.centres = self._points_of(lambda solid: solid.centre)
         self.inscribed_centres = self._points_of(lambda solid: solid.inscribed_centre)
 
     def placed(self, shape: int) -> PlacedSolid:
         """Returns a shape in the world."""
         if shape not in self._placed:
-            x, y, z = self.positions[shape].tolist()
-            self._placed[shape] = PlacedSolid(
-                self.solids[shape], (x, y, z), self.quaternions[shape]
-            )
+            self._placed[shape] = PlacedSolid(self.solids[shape], *self._poses[shape])
         return self._placed[shape]
 
     def rank(self, shape: int) -> tuple[str | float, ...]:
         """Returns the place of a shape in the order of shapes, by its geometry and its pose."""
         if shape not in self._ranks:
-            pose = *self.positions[shape].tolist(), *self.quaternions[shape]
-            self._ranks[shape] = (self.solids[shape].key, *pose)
+            position, orientation = self._poses[shape]
+            self._ranks[shape] = (self.solids[shape].key, *position, *orientation)
         return self._ranks[shape]
 
     def pairs_within(
@@ -114,19 +131,35 @@ class TickSolids:
         """Whether each shape is a half-space."""
         return np.isinf(np.array(self.bounding_radii, dtype=np.float64))
 
+    @property
+    def positions(self) -> Array:
+        """The positions, (n, 3)."""
+        return self.places.positions
+
+    @property
+    def orientations(self) -> Array:
+        """The orientations, (n, 4), of any length."""
+        return self.places.orientations
+
+    @property
+    def boxes(self) -> Array:
+        """The boxes, (n, 6): lower corner, upper corner."""
+        return self.places.boxes
+
     # -- poses: of few shapes one by one, or of all at once -----------------------------------
 
     @cached_property
     def _unit_orientations(self) -> Array:
         return unit_quaternions(self.orientations)
 
-    def _unit_orientations_as_tuples(self) -> list[Quaternion]:
-        return [(w, x, y, z) for w, x, y, z in self._unit_orientations.tolist()]
+    def _all_poses(self) -> list[tuple[Point, Quaternion]]:
+        poses = zip(self.positions.tolist(), self._unit_orientations.tolist(), strict=True)
+        return [((x, y, z), (w, i, j, k)) for (x, y, z), (w, i, j, k) in poses]
 
-    def _quaternion(self, shape: int) -> Quaternion:
-        w, x, y, z = self.orientations[shape].tolist()
-        length = math.sqrt(w * w + x * x + y * y + z * z) or math.nan
-        return w / length, x / length, y / length, z / length
+    def _pose(self, shape: int) -> tuple[Point, Quaternion]:
+        (x, y, z), (w, i, j, k) = self.places.pose(shape)
+        length = math.sqrt(w * w + i * i + j * j + k * k) or math.nan
+        return (x, y, z), (w / length, i / length, j / length, k / length)
 
     @cached_property
     def are_finite(self) -> Flags:
@@ -140,15 +173,14 @@ class TickSolids:
         return are_known
 
     def _is_known(self, shape: int) -> bool:
-        pose = *self.positions[shape].tolist(), *self.quaternions[shape]
-        return self.solids[shape].is_known and all(map(math.isfinite, pose))
+        position, orientation = self._poses[shape]
+        return self.solids[shape].is_known and all(map(math.isfinite, position + orientation))
 
     def _points_of(self, point_of: Callable[[Solid], Point]) -> _OfShapes[list[float]]:
         """Returns a point of each shape, which is a point of its solid, in the world."""
 
         def of_one(shape: int) -> list[float]:
-            position = self.positions[shape].tolist()
-            return placed_point(position, self.quaternions[shape], point_of(self.solids[shape]))
+            return placed_point(*self._poses[shape], point_of(self.solids[shape]))
 
         def of_all() -> list[list[float]]:
             points = list(map(point_of, self._distinct))

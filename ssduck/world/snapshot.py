@@ -37,6 +37,7 @@ from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.model_columns import joint_columns, link_columns, shape_columns
 from ssduck.world.run_numbers import new_run
+from ssduck.world.shape_places import TickPlaces
 from ssduck.world.sensor_readings import (
     Reading,
     SensorReader,
@@ -289,20 +290,17 @@ class Snapshot:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
             solids, solid_indices, starts, numbers, shape_table = self._comparable
-            table = self._tables["shapes"]
             narrow = NarrowPhase(
                 solids,
                 solid_indices,
-                table.doubles("x", "z").T.copy(),
-                table.doubles("qw", "qz").T.copy(),
-                table.doubles("xmin", "zmax").T.copy(),
+                TickPlaces(self._layout, self.body_groups),
                 starts,
                 self.calls,
                 shape_table.margins,
             )
-            entities = self._tables["entities"]
+            entities, links = self._tables["entities"], self._tables["shapes"]["link"]
             boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
-            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, table["link"])
+            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, links)
         return self._shapes
 
     def shapes_and_sites(self) -> ShapeQueries:
@@ -356,6 +354,10 @@ class Snapshot:
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
         return (self._tables if table == "entities" else self.tables)[table].value(column, row)
+
+    def values_in(self, row: int, columns: Sequence[str]) -> list[Any]:
+        """Returns the values of an entity's columns in a row; None for unknown ones."""
+        return self._tables["entities"].values_in(row, columns)
 
     # -- a tick ---------------------------------------------------------------------------
 
