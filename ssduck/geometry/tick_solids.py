@@ -81,7 +81,7 @@ class TickSolids:
         self._ranks: dict[int, tuple[str | float, ...]] = {}
         self._poses = _OfShapes(self._pose, self._all_poses)
         self.are_known = _OfShapes(self._is_known, self._all_known)
-        self.corners = _OfShapes(places.box, lambda: places.boxes.tolist())
+        self.corners = _OfShapes(places.box, self._all_corners)
         self.centres = self._points_of(lambda solid: solid.centre)
         self.inscribed_centres = self._points_of(lambda solid: solid.inscribed_centre)
 
@@ -175,6 +175,10 @@ class TickSolids:
     def _is_known(self, shape: int) -> bool:
         position, orientation = self._poses[shape]
         return self.solids[shape].is_known and all(map(math.isfinite, position + orientation))
+
+    def _all_corners(self) -> list[list[float]]:
+        corners: list[list[float]] = self.boxes.tolist()
+        return corners
 
     def _points_of(self, point_of: Callable[[Solid], Point]) -> _OfShapes[list[float]]:
         """Returns a point of each shape, which is a point of its solid, in the world."""

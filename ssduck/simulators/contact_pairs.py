@@ -1,4 +1,4 @@
-"""The contacts of a tick between two entities or links: whether they press, by how much, and where."""
+"""The contacts of a tick between two entities or links: whether they press, and by how much."""
 
 from __future__ import annotations
 
@@ -81,7 +81,5 @@ def _are_of(sides: Sides, a: int, b: int) -> Flags:
 def _are_at(sides: Sides, id: int) -> Flags:
     """Checks which sides of contacts are those of an entity or a link, (2, n)."""
     entities, links = sides
-    if id < LINK_FACTOR:
-        are_there: Flags = entities == id
-        return are_there
-    return (entities == entity_of(id)) & (links == link_of(id))
+    are_there: Flags = entities == entity_of(id)
+    return are_there if id < LINK_FACTOR else are_there & (links == link_of(id))

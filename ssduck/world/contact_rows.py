@@ -51,7 +51,10 @@ def contact_pairs(
         rows = table()
         if not rows.is_complete:
             raise EvaluationError("a contact has an unknown number")
-        entities, links = np.stack((rows["a"], rows["b"])), np.stack((rows["link_a"], rows["link_b"]))
+        entities, links = (
+            np.stack((rows["a"], rows["b"])),
+            np.stack((rows["link_a"], rows["link_b"])),
+        )
         return (entities, links), rows["force"], rows.doubles("nx", "nz")
 
     if unwritten is not None:

@@ -1,16 +1,55 @@
-"""Tells where the shapes of a tick are, from the poses of their links: `TickPlaces`."""
+"""The shapes of a world for comparisons, and where they are at a tick."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
+from typing import Self
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array
+from ssduck.geometry.solids import solid_of
+from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.geometry.tick_solids import ShapePlaces
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world.layout import BodyGroup, TableLayout
+
+
+@dataclass(frozen=True, eq=False)
+class ComparableShapes:
+    """What comparisons of the shapes of a world need to know besides their places.
+
+    Attributes:
+        starts: the first shape of each entity, and the number of all.
+        numbers: the number of each entity by its id.
+        table: the solids of the shapes, their entities, and what else they have.
+    """
+
+    starts: Sequence[int]
+    numbers: Mapping[int, int]
+    table: ShapeTable
+
+    @classmethod
+    def of(cls, layout: TableLayout, margins: Array) -> Self:
+        """Returns that of the bodies of a layout; margins (shapes,), m."""
+        bodies = layout.bodies
+        shapes = [shape for _, body in bodies for shape in body.shapes]
+        distinct = {shape.geometry.key: shape.geometry for shape in shapes}
+        indices = {key: index for index, key in enumerate(distinct)}
+        solid_indices = np.array([indices[shape.geometry.key] for shape in shapes], dtype=np.intp)
+        solids = list(map(solid_of, distinct.values()))
+        counts = [len(body.shapes) for _, body in bodies]
+        starts = list(accumulate(counts, initial=0))
+        numbers = {id: number for number, (id, _) in enumerate(bodies)}
+        # Sensors have no shapes: they share an empty range after those of all bodies.
+        sensor_ids = [info.id for info in layout.entities if info.body is None]
+        numbers |= dict.fromkeys(sensor_ids, len(bodies))
+        owners = np.repeat(np.arange(len(bodies)), counts)
+        table = ShapeTable(solids, solid_indices, owners, margins)
+        return cls([*starts, starts[-1]], numbers, table)
 
 
 class TickPlaces(ShapePlaces):

@@ -15,20 +15,18 @@ import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import accumulate, chain
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
-from ssduck.geometry.solids import Solid, solid_of
-from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
@@ -37,7 +35,6 @@ from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.model_columns import joint_columns, link_columns, shape_columns
 from ssduck.world.run_numbers import new_run
-from ssduck.world.shape_places import TickPlaces
 from ssduck.world.sensor_readings import (
     Reading,
     SensorReader,
@@ -46,6 +43,7 @@ from ssduck.world.sensor_readings import (
     sensor_poses,
     write_sensings,
 )
+from ssduck.world.shape_places import ComparableShapes, TickPlaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +115,7 @@ class Snapshot:
         self._shapes: ShapeQueries | None = None
         self._shapes_and_sites: ShapeQueries | None = None
         self._boxes: BoxQueries | None = None
-        self._solids: tuple[TableLayout, Any] | None = None
+        self._solids: tuple[TableLayout, ComparableShapes] | None = None
         # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
@@ -289,18 +287,24 @@ class Snapshot:
     def shapes(self) -> ShapeQueries:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
-            solids, solid_indices, starts, numbers, shape_table = self._comparable
-            narrow = NarrowPhase(
-                solids,
-                solid_indices,
-                TickPlaces(self._layout, self.body_groups),
-                starts,
-                self.calls,
-                shape_table.margins,
-            )
-            entities, links = self._tables["entities"], self._tables["shapes"]["link"]
+            shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
+            table, entities = shapes.table, self._tables["entities"]
             boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
-            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, links)
+            self._shapes = ShapeQueries(
+                NarrowPhase(
+                    table.solids,
+                    table.solid_indices,
+                    places,
+                    shapes.starts,
+                    self.calls,
+                    table.margins,
+                ),
+                shapes.numbers,
+                table,
+                boxes,
+                ids,
+                self._tables["shapes"]["link"],
+            )
         return self._shapes
 
     def shapes_and_sites(self) -> ShapeQueries:
@@ -325,30 +329,11 @@ class Snapshot:
         return self._boxes
 
     @property
-    def _comparable(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], ShapeTable]:
-        """The solids; each shape's index among them; each entity's first shape; entity numbers."""
+    def _comparable(self) -> ComparableShapes:
+        """What comparisons of the shapes need to know, the same while nothing changes."""
         if self._solids is None or self._solids[0] is not self._layout:
-            bodies = self._layout.bodies
-            shapes = [shape for _, body in bodies for shape in body.shapes]
-            distinct = {shape.geometry.key: shape.geometry for shape in shapes}
-            indices = {key: index for index, key in enumerate(distinct)}
-            solid_indices = np.array(
-                [indices[shape.geometry.key] for shape in shapes], dtype=np.intp
-            )
             margins = self._tables["shapes"]["margin"].copy()
-            solids = list(map(solid_of, distinct.values()))
-            counts = [len(body.shapes) for _, body in bodies]
-            starts = list(accumulate(counts, initial=0))
-            numbers = {id: number for number, (id, _) in enumerate(bodies)}
-            # Sensors have no shapes: they share an empty range after those of all bodies.
-            sensor_ids = [info.id for info in self.entities if info.body is None]
-            numbers |= dict.fromkeys(sensor_ids, len(bodies))
-            owners = np.repeat(np.arange(len(bodies)), counts)
-            shape_table = ShapeTable(solids, solid_indices, owners, margins)
-            self._solids = (
-                self._layout,
-                (solids, solid_indices, [*starts, starts[-1]], numbers, shape_table),
-            )
+            self._solids = self._layout, ComparableShapes.of(self._layout, margins)
         return self._solids[1]
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
