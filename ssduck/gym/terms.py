@@ -183,12 +183,15 @@ class Terms:
         Raises:
             ArgumentError: a value is of the wrong type.
         """
-        checked = iter([term.check(value) for term, value in zip(self, values, strict=True)])
+        left = iter(values)
         success, failure, stop = (
-            None if term is None else next(checked)
+            None if term is None else term.check(next(left))
             for term in (self.success, self.failure, self.stop_when)
         )
-        parts = dict(zip(self.parts, checked, strict=True))
+        parts = {
+            name: term.check(value)
+            for (name, term), value in zip(self.parts.items(), left, strict=True)
+        }
         return Judgement(success, failure, stop, sum(parts.values()) if parts else None, parts)
 
 
