@@ -22,6 +22,8 @@ from ssduck.language.tree import (
     Query,
     TimeIndex,
 )
+from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
+from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
 # A reward: one term, or several by name, which are added.
@@ -206,6 +208,7 @@ class Judge:
 
     Attributes:
         terms: the terms.
+        past_tables: the tables to be recorded for terms that read the past; none if none does.
     """
 
     def __init__(
@@ -221,7 +224,11 @@ class Judge:
         columns = ", ".join(f"({text})" for text in self._texts)
         # Each was compiled by itself, so that none is more than an expression.
         self._program = interpreter.compile("SELECT " + columns + " FROM [0] AS list;")  # noqa: S608
-        self.is_temporal = any(_is_temporal(self._tree(term.text)) for term in terms)
+        trees = [self._tree(term.text) for term in terms]
+        self.past_tables: frozenset[str] = frozenset()
+        if any(map(_is_temporal, trees)):
+            read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
+            self.past_tables = read.union(RECORDED_BY_DEFAULT)
 
     def set_variables(self, values: Mapping[str, Any]) -> None:
         """Sets the variables.
