@@ -184,6 +184,8 @@ def test_pybullet(wrap, reconnects):
         ({"success": "z(sim.ball) >"}, SelectScriptError, "success: "),
         ({"success": "z(sim.ball) > 1; 2"}, ArgumentError, "one expression"),
         ({"success": ""}, ArgumentError, "success: a term is a text"),
+        ({"success": "x(sim.ball) > 9 AND z(sim.bal) > 1"}, UnknownNameError, "success: .*'ball'"),
+        ({"failure": "x(sim.ball) < 9 OR z(sim.bal) > 1"}, UnknownNameError, "failure: .*'ball'"),
         ({"success": "x(sim.table.tabel) > 1"}, SelectScriptError, "did you mean 'table'"),
         ({"success": "x(sim.table.site) > 1"}, SelectScriptError, "'site'; its links: table;"),
         ({"success": "joint(sim.pusher, 'psuh') > 1"}, SelectScriptError, "'psuh'; .*'push'"),
