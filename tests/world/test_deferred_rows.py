@@ -1,5 +1,7 @@
 """Rows are written when something reads them, and are those of the present tick then."""
 
+from itertools import chain
+
 import mujoco
 import numpy as np
 import pytest
@@ -212,7 +214,7 @@ def test_a_shape_is_where_the_table_has_it():
             snapshot = world.snapshot
             places = TickPlaces(snapshot.layout, snapshot.body_groups)
             one_by_one = [
-                (*sum(places.pose(shape), []), *places.box(shape)) for shape in range(len(rows))
+                (*chain(*places.pose(shape)), *places.box(shape)) for shape in range(len(rows))
             ]
             assert len(rows) == 6
             assert one_by_one == rows
