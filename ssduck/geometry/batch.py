@@ -23,7 +23,6 @@ from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, pair_keys
-from ssduck.geometry.proofs.proposals import decide_by_proposals
 from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
@@ -275,7 +274,7 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
 
 
 def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
-    """Decides a few convex shapes by proposals of FCL."""
+    """Decides a few convex shapes by what decided them before, and by proposals of FCL."""
     decisions = Decisions.none(len(first))
     if len(first) > _MAX_PROPOSALS:
         return decisions
@@ -284,11 +283,8 @@ def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Arr
     indices = np.flatnonzero(are_known.take(first) & are_known.take(second))
     if not len(indices):
         return decisions
-    first, second = first.take(indices), second.take(indices)
-    proposed = proposer.propose(tick.positions, tick.matrices, first, second)
-    found = decide_by_proposals(
-        tick.placed_cores, proposer.interiors, proposed, first, second, bounds.take(indices)
-    )
+    poses, pairs = (tick.positions, tick.matrices), (first.take(indices), second.take(indices))
+    found = proposer.decide(tick.placed_cores, poses, *pairs, bounds.take(indices))
     decisions.decide(indices, found.verdicts, found.room)
     return decisions
 
