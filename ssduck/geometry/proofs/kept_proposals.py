@@ -28,14 +28,11 @@ class Proposals:
         points: (2, 3, n), on or in the first shapes, and the second ones, in the world.
         directions: (3, n), from the second to the first, of any length.
         meet: (n,), whether the shapes are thought to overlap, around the points.
-        slide: (n,), whether the points, which are the same, may better be in the middle of the
-            overlap along the direction.
     """
 
     points: Array
     directions: Array
     meet: Flags
-    slide: Flags
 
 
 class KeptProposals:
@@ -75,15 +72,9 @@ class KeptProposals:
 def placed_proposals(
     bodies: PlacedCores, first: Indices, second: Indices, columns: Array
 ) -> Proposals:
-    """Returns what is kept of pairs, (10, n), moved with their shapes.
-
-    Points in shapes that meet move to the middle between both.
-    """
+    """Returns what is kept of pairs, (10, n), moved with their shapes."""
     both = np.concatenate((first, second))
     local = np.concatenate((columns[3:6], columns[6:9]), axis=1)
     points = bodies.to_world(both, local[None])[0]
     points += bodies.centres.take(both, axis=1)
-    on_each = points.reshape(3, 2, -1).swapaxes(0, 1)
-    meet = columns[9] > 0.0
-    middles = (on_each[0] + on_each[1]) / 2.0
-    return Proposals(np.where(meet, middles, on_each), columns[:3], meet, meet)
+    return Proposals(points.reshape(3, 2, -1).swapaxes(0, 1), columns[:3], columns[9] > 0.0)

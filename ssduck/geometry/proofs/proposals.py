@@ -53,7 +53,6 @@ class Proposer:
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
         self.interiors = ConvexInteriors(solids, solid_indices)
         self._solids, self._solid_indices = solids, solid_indices
-        self._are_balls = np.array([one.type == "sphere" for one in solids], bool)[solid_indices]
         self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
         self._kept = KeptProposals()
 
@@ -76,7 +75,7 @@ class Proposer:
             proof = Proof(bodies, self.interiors, proposals, *pairs)
             found = proof.decisions(bounds.take(places))
             decisions.decide(places, found.verdicts, found.room)
-            self._kept.keep(keys.take(places), proof.directions, proof.local, proposals.meet)
+            self._kept.keep(keys.take(places), proof.directions, proof.local, proof.meet)
 
         places, columns = self._kept.find(keys)
         if len(places):
@@ -142,9 +141,7 @@ class Proposer:
         )
         meet = directions.any(axis=0)
         directions = np.where(meet, directions, on_first - on_second)
-        are_balls = self._are_balls  # of these, FCL's point is not in the middle
-        slide = meet & (are_balls.take(first) | are_balls.take(second))
-        return Proposals(np.array((on_first, on_second)), directions, meet, slide)
+        return Proposals(np.array((on_first, on_second)), directions, meet)
 
 
 _NO_DIRECTION = np.zeros(3)
@@ -186,6 +183,7 @@ class Proof:
         directions: (3, n), of unit length.
         local: (3, 2 n), the points on the first shapes, then those on the second, in their frames
             from the solids' centres.
+        meet: (n,), whether the shapes may overlap, so that the points are the same.
     """
 
     def __init__(
@@ -202,30 +200,35 @@ class Proof:
         both = np.concatenate((first, second))
         inner = interiors.of(both)
         centres = bodies.centres.take(both, axis=1)
-        vectors = np.zeros((2, 3, 2 * count))
+        between_points = proposals.points[0] - proposals.points[1]
+        vectors = np.zeros((3, 3, 2 * count))
         np.subtract(np.concatenate(proposals.points, axis=1), centres, out=vectors[0])
-        np.negative(directions, out=vectors[1, :, :count])
-        vectors[1, :, count:] = directions
-        local, outward = bodies.to_local(both, vectors)
+        for vector, of_second in ((vectors[1], directions), (vectors[2], 0.5 * between_points)):
+            np.negative(of_second, out=vector[:, :count])
+            vector[:, count:] = of_second
+        local, outward, halves = bodies.to_local(both, vectors)
         # From below: by the supports.
         heights = inner.heights(outward)
         between = np.einsum("cn,cn->n", directions, centres[:, :count] - centres[:, count:])
         self.least = between - heights[:count] - heights[count:]
+        meet = proposals.meet | (self.least < 0.0)
         self.least[lengths == 0.0] = -np.inf
-        # A point of both moves to the middle of the overlap along the direction.
-        steps = 0.5 * (between - heights[:count] + heights[count:])
-        steps -= np.einsum("cn,cn->n", outward[:, count:], local[:, count:])
-        steps *= proposals.slide
-        local += np.concatenate((-steps, steps)) * outward
+        # Of shapes that meet, the points become one, equally deep in both along the direction.
+        halves *= np.concatenate((meet, meet))
+        local += halves
+        depths = inner.depths(local)
+        steps = 0.5 * (depths[:count] - depths[count:])
+        steps *= meet
+        local += np.concatenate((steps, -steps)) * outward
         # From above: by the balls around the points.
         local += _SHRINK * (inner.inscribed_offsets - local)
         depths = inner.depths(local)
         radii = depths - 2.0 * _SHRINK * inner.bounding_radii
-        self.greatest = column_lengths(proposals.points[0] - proposals.points[1])
+        self.greatest = column_lengths(between_points) * ~meet
         self.greatest -= radii[:count]
         self.greatest -= radii[count:]
         self.greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
-        self.directions, self.local = directions, local
+        self.directions, self.local, self.meet = directions, local, meet
 
     def decisions(self, bounds: Array) -> Decisions:
         """Returns the verdicts on the signed distances that the bounds (n,), metres, prove."""
