@@ -87,7 +87,7 @@ def matching_pairs(
     by_cores = partial(_by_cores, kept=None if kept is None else kept.witnesses)
     by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
     rules: tuple[Rule, ...] = (
-        _by_planes,
+        *((_by_planes,) if tick.table.has_planes else ()),
         by_axes,
         _by_proposals,
         by_axes,  # a few boxes
@@ -223,9 +223,11 @@ def _matching_entities(
         if not len(open_pairs):
             break
         is_kept = False
-        found = rule(tick, first[open_pairs], second[open_pairs], bounds[open_pairs])
-        decisions.decide(open_pairs, found.verdicts, found.room)
-        open_pairs = open_pairs[found.verdicts == UNDECIDED]
+        some = first.take(open_pairs), second.take(open_pairs), bounds.take(open_pairs)
+        found = rule(tick, *some)
+        if found.verdicts.any():
+            decisions.decide(open_pairs, found.verdicts, found.room)
+            open_pairs = open_pairs[found.verdicts == UNDECIDED]
     _compare_one_by_one(decisions, open_pairs, owners, candidates, is_below)
     if kept is not None and not is_kept:
         _keep(kept, tick, candidates, decisions)
