@@ -67,9 +67,7 @@ class SomeInteriors:
         inscribed_offsets: (3, m), the centres of the balls in the solids.
     """
 
-    def __init__(
-        self, numbers: Array, hull_rows: Indices, corners: Array, planes: Array
-    ) -> None:
+    def __init__(self, numbers: Array, hull_rows: Indices, corners: Array, planes: Array) -> None:
         self._numbers = numbers
         self.inscribed_offsets, self.bounding_radii = numbers[16:19], numbers[20]
         self._hulls = np.flatnonzero(hull_rows >= 0)

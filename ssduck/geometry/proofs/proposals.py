@@ -136,9 +136,7 @@ class Proposer:
                 nearest = fcl.DistanceResult()
                 distance(one, other, wanted, nearest)
             rows += (*nearest.nearest_points, _NO_DIRECTION)
-        on_first, on_second, directions = (
-            np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
-        )
+        on_first, on_second, directions = np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
         meet = directions.any(axis=0)
         directions = np.where(meet, directions, on_first - on_second)
         return Proposals(np.array((on_first, on_second)), directions, meet)
