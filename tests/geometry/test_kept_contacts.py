@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ssduck.geometry.contact_support import MIN_UP
-from ssduck.geometry.proofs import contact_directions
+from ssduck.geometry.proofs import contact_directions, kept_parts
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
 from ssduck.geometry.proofs.kept_parts import _COST, _CREDIT, _MAX_PARTS, _PAUSE, KeptParts
 from ssduck.geometry.proofs.nearest_points import decide_upward_round
@@ -176,6 +176,7 @@ def test_shapes_that_move_far_are_divided_anew(monkeypatch):
         "points",
         lambda pairs, owners, ways: counts.append(len(owners)) or compute(pairs, owners, ways),
     )
+    monkeypatch.setattr(kept_parts, "_CREDIT", 1.0)
     random, kept = np.random.default_rng(6), KeptParts()
     two = [pair for kinds in COMBINATIONS for pair in made(kinds, 2)]
     with_parts, without = [], []

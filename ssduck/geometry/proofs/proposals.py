@@ -10,7 +10,8 @@ counts:
 
 * The supports of the shapes against any direction bound their signed distance from below.
 * Of any point of each shape, the balls around them in the shapes bound it from above: the distance
-  of the points less both radii.
+  of the points less both radii. Of shapes that meet, it is one point, moved along the direction to
+  where it is equally deep in both.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.interiors import ConvexInteriors
+from ssduck.geometry.proofs.interiors import ConvexInteriors, SomeInteriors
 from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals, placed_proposals
 from ssduck.geometry.proofs.kept_verdicts import pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
@@ -122,8 +123,10 @@ class Proposer:
         for pair in pairs:
             one, other = objects[pair[0]], objects[pair[1]]
             # Both probably are as they were; FCL compares twice where they are not.
-            nearest = fcl.DistanceResult()  # a new object each time: FCL only lowers its distance
-            is_apart = pair in were_apart and distance(one, other, wanted, nearest) > 0.0
+            is_apart = False
+            if pair in were_apart:
+                nearest = fcl.DistanceResult()  # a new one each time: FCL only lowers its distance
+                is_apart = distance(one, other, wanted, nearest) > 0.0
             if not is_apart:
                 meeting = fcl.CollisionResult()
                 collide(one, other, contact, meeting)
@@ -137,7 +140,7 @@ class Proposer:
                 distance(one, other, wanted, nearest)
             rows += (*nearest.nearest_points, _NO_DIRECTION)
         on_first, on_second, directions = np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
-        meet = directions.any(axis=0)
+        meet = np.asarray(directions.any(axis=0))
         directions = np.where(meet, directions, on_first - on_second)
         return Proposals(np.array((on_first, on_second)), directions, meet)
 
@@ -192,42 +195,59 @@ class Proof:
         first: Indices,
         second: Indices,
     ) -> None:
-        self._error, count = tolerances(bodies, first, second), len(first)
-        lengths = column_lengths(proposals.directions)
-        directions = proposals.directions / np.where(lengths > 0.0, lengths, 1.0)
+        self._error = tolerances(bodies, first, second)
         both = np.concatenate((first, second))
-        inner = interiors.of(both)
-        centres = bodies.centres.take(both, axis=1)
+        inner, centres = interiors.of(both), bodies.centres.take(both, axis=1)
+        lengths = column_lengths(proposals.directions)
+        self.directions = proposals.directions / np.where(lengths > 0.0, lengths, 1.0)
         between_points = proposals.points[0] - proposals.points[1]
-        vectors = np.zeros((3, 3, 2 * count))
-        np.subtract(np.concatenate(proposals.points, axis=1), centres, out=vectors[0])
-        for vector, of_second in ((vectors[1], directions), (vectors[2], 0.5 * between_points)):
-            np.negative(of_second, out=vector[:, :count])
-            vector[:, count:] = of_second
-        local, outward, halves = bodies.to_local(both, vectors)
-        # From below: by the supports.
-        heights = inner.heights(outward)
-        between = np.einsum("cn,cn->n", directions, centres[:, :count] - centres[:, count:])
-        self.least = between - heights[:count] - heights[count:]
-        meet = proposals.meet | (self.least < 0.0)
+        on_shapes = np.concatenate(proposals.points, axis=1) - centres
+        vectors = on_shapes, _outward(self.directions), _outward(0.5 * between_points)
+        local, outward, halves = bodies.to_local(both, np.array(vectors))
+        self.least = self._least(inner, outward, centres)
         self.least[lengths == 0.0] = -np.inf
-        # Of shapes that meet, the points become one, equally deep in both along the direction.
-        halves *= np.concatenate((meet, meet))
-        local += halves
-        depths = inner.depths(local)
+        self.meet = proposals.meet | (self.least < 0.0)
+        halves *= np.concatenate((self.meet, self.meet))
+        self.local = self._balanced(inner, outward, local + halves)
+        self.greatest = self._greatest(inner, column_lengths(between_points) * ~self.meet)
+
+    def _least(self, inner: SomeInteriors, outward: Array, centres: Array) -> Array:
+        """Returns bounds from below, (n,): by the supports of the shapes against the directions."""
+        heights, count = inner.heights(outward), self.directions.shape[1]
+        offsets = centres[:, :count] - centres[:, count:]
+        least: Array = np.einsum("cn,cn->n", self.directions, offsets)
+        least -= heights[:count]
+        least -= heights[count:]
+        return least
+
+    def _balanced(self, inner: SomeInteriors, outward: Array, local: Array) -> Array:
+        """Returns points (3, 2 n); those of shapes that meet are about equally deep in both."""
+        depths, count = inner.depths(local), len(self.meet)
         steps = 0.5 * (depths[:count] - depths[count:])
-        steps *= meet
+        steps *= self.meet
         local += np.concatenate((steps, -steps)) * outward
-        # From above: by the balls around the points.
         local += _SHRINK * (inner.inscribed_offsets - local)
-        depths = inner.depths(local)
+        return local
+
+    def _greatest(self, inner: SomeInteriors, apart: Array) -> Array:
+        """Returns bounds from above, (n,): by the balls in the shapes around the points.
+
+        Args:
+            inner: the interiors.
+            apart: (n,), the distances of the points.
+        """
+        depths, count = inner.depths(self.local), len(apart)
         radii = depths - 2.0 * _SHRINK * inner.bounding_radii
-        self.greatest = column_lengths(between_points) * ~meet
-        self.greatest -= radii[:count]
-        self.greatest -= radii[count:]
-        self.greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
-        self.directions, self.local, self.meet = directions, local, meet
+        greatest: Array = apart - radii[:count] - radii[count:]
+        greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
+        return greatest
 
     def decisions(self, bounds: Array) -> Decisions:
         """Returns the verdicts on the signed distances that the bounds (n,), metres, prove."""
         return Decisions.of_interval(self.least, self.greatest, bounds, self._error)
+
+
+def _outward(vectors: Array) -> Array:
+    """Returns the negative vectors (3, n) for the first shapes, and these for the second."""
+    both: Array = np.concatenate((-vectors, vectors), axis=1)
+    return both
