@@ -20,7 +20,7 @@ from ssduck.errors import RecordError
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
-from ssduck.recording.static_tables import run_of
+from ssduck.recording.static_tables import members_of, run_of
 from ssduck.recording.stores.checksums import (
     content_problem,
     footer_in,
@@ -28,6 +28,7 @@ from ssduck.recording.stores.checksums import (
 )
 from ssduck.recording.stores.episode_batch import BatchedFile
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, label_of, part_name
+from ssduck.recording.stores.row_checks import RowChecks
 from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
 
@@ -108,6 +109,7 @@ class EpisodeGroup:
         if number is None:
             raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
         self.number = number
+        self._checks = RowChecks(members_of(self.models))
         self._parts = _model_parts(self.run, entry)
         self._present = present_at_end(_last_rows(self.run, entry))
         # The files of the episodes that were found to be of the group, and what their labels have.
@@ -117,8 +119,8 @@ class EpisodeGroup:
         """Checks that an episode is of the group.
 
         Returns:
-            The text that its labels have of it; and `tick`, `time` and `id` of all its entities, if
-            they were read.
+            The text that its labels have of it; and the rows of all its entities, if they were
+            read: the columns to be checked.
 
         Raises:
             RecordError: it is not, or a file of it is damaged.
@@ -138,6 +140,20 @@ class EpisodeGroup:
         assert run.key is not None  # its parts have labels
         self._members[entry.key] = entry.files, run.key
         return run.key, rows if len(_files_of(run, entry, "entities")) == 1 else None
+
+    def check_rows(self, entry: EpisodeEntry) -> None:
+        """Checks all rows of the entities of an episode of the group.
+
+        Raises:
+            RecordError: they are of unknown ticks or entities, or twice there.
+            OSError: a file cannot be read.
+        """
+        run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
+        starts, ticks = run.ticks()
+        ends = [*starts[1:], int(ticks.numbers[-1]) + 1]
+        files = _files_of(run, entry, "entities")
+        for file, start, end in zip(files, starts, ends, strict=True):
+            file.check(file.content(), self._checks, ticks, (start, end - 1))
 
     def _check_model(self, run: FolderRun, entry: EpisodeEntry, model: str) -> None:
         """Checks that a model of an episode is that of the group.
@@ -221,6 +237,6 @@ def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> l
 
 
 def _last_rows(run: FolderRun, entry: EpisodeEntry) -> pa.Table:
-    """Returns `tick`, `time` and `id` of the last part of an episode's entities."""
+    """Returns the rows of the last part of an episode's entities: the columns to be checked."""
     file = _files_of(run, entry, "entities")[-1]
-    return file.rows(file.content(), ["tick", "time", "id"])
+    return file.keys(file.content())

@@ -117,13 +117,16 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
             )
         try:
             own = _with_ticks_of_files(entry)
-            if entry.group in groups and _is_of(groups[entry.group][0], own):
-                groups[entry.group][1][number] = own
-            else:
-                name = f"{number}" if entry.group in groups else entry.group
-                groups[name] = EpisodeGroup(own), {number: own}
+            name = entry.group
+            if name in groups and not _is_of(groups[name][0], own):
+                name = f"{number}"
+            group, members = groups.get(name) or (EpisodeGroup(own), {})
+            group.check_rows(own)
         except UNREADABLE as error:
             failed[number] = replace(entry, error=str(error))
+        else:
+            members[number] = own
+            groups[name] = group, members
     return [members for _, members in groups.values()], failed
 
 

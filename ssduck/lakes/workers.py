@@ -35,7 +35,6 @@ from ssduck.recording.stores.episode_batch import (
     BatchedEpisode,
     BatchedFile,
     DamagedEpisodeError,
-    check_ticks,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import label_of, part_name
@@ -138,14 +137,18 @@ class _Reader:
         rows = pa.concat_tables(ticks_of_parts)
         ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
-        if not len(ticks) or not ascend or len(ticks) != entry.ticks:
+        is_whole = all(part.num_rows for part in ticks_of_parts) and len(ticks) == entry.ticks
+        if not is_whole or not ascend:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        if entities is not None:
-            check_ticks(entities, rows, "entities", entry.path)
+        starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
         checked = frozenset(() if entities is None else ("entities",))
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
-        return BatchedEpisode(offset, rows, files, checked)
+        episode = BatchedEpisode(offset, rows, files, starts, checked)
+        if entities is not None:
+            (file,) = files["entities"]
+            file.require(self._batch.checks.problem("entities", entities, episode.tick_buffer))
+        return episode
 
     def close(self) -> None:
         """Closes the interpreter."""

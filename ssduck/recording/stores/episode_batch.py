@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -21,8 +21,16 @@ from sqlglot import exp
 
 from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
+from ssduck.recording.static_tables import members_of
+from ssduck.recording.stores.base import (
+    BufferViews,
+    PairRequest,
+    RowBlock,
+    StoreConnection,
+    TickArchive,
+)
 from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.object_store import ObjectPath, is_address
@@ -32,16 +40,15 @@ from ssduck.recording.stores.parquet_archive import (
     pattern_of,
 )
 from ssduck.recording.stores.parquet_layout import OTHER_PART
+from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks, key_types
 from ssduck.recording.stores.stored_columns import check_parquet
-from ssduck.recording.stores.tick_checks import stray_row
 from ssduck.schema import MODELS, TABLES
 
+_OLDER = "a part of an older record is read by itself"
 # The column in which the parts have the number of the run.
 _RUN = "run"
 # The largest number of checked parts that are remembered.
 MAX_CHECKED = 20_000
-# The columns of each part that tell of which tick a row is.
-_TICK = pa.schema({"tick": pa.int64(), "time": pa.float64()})
 
 
 @dataclass(frozen=True)
@@ -92,6 +99,40 @@ class BatchedFile:
         part = pq.ParquetFile(pa.BufferReader(content), metadata=metadata)
         return part.read(columns, use_threads=False)
 
+    def keys(self, content: bytes) -> pa.Table:
+        """Returns the columns of the rows that are checked.
+
+        Raises:
+            RecordError: an older record lacks some of them.
+        """
+        names = key_types(self.table).names
+        rows = self.rows(content, names)
+        if not set(names) <= set(rows.column_names):
+            raise RecordError(_OLDER)
+        return rows.select(names)
+
+    def check(
+        self, content: bytes, checks: RowChecks, ticks: TickBuffer, between: tuple[int, int]
+    ) -> None:
+        """Checks the rows of the file, except that the bodies with parts are those that are there.
+
+        Args:
+            content: its bytes.
+            checks: checks the rows.
+            ticks: the ticks of the episode.
+            between: the first and the last tick of the part.
+
+        Raises:
+            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
+        """
+        block = RowBlock(*between, self.keys(content))
+        self.require(checks.problem_of_block(self.table, block, ticks))
+
+    def require(self, problem: str | None) -> None:
+        """Raises a RecordError if there is a problem with the rows."""
+        if problem is not None:
+            raise RecordError(f"{self.path} is damaged: of the rows of {self.table}, {problem}")
+
 
 @dataclass(frozen=True)
 class BatchedEpisode:
@@ -101,12 +142,14 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
-        checked: the tables whose bytes and ticks were checked a moment ago.
+        starts: the first tick of each part, without the offset.
+        checked: the tables whose bytes and rows were checked a moment ago.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
+    starts: Sequence[int]
     checked: frozenset[str] = frozenset()
 
     @cached_property
@@ -116,8 +159,18 @@ class BatchedEpisode:
         return numbers
 
     def key_of(self, file: BatchedFile) -> tuple[BatchedFile, tuple[BatchedFile, ...]]:
-        """Returns what decides whether the rows of a file are of ticks of the episode."""
-        return file, tuple(self.files["ticks"])
+        """Returns what decides whether the rows of a file are right in the episode."""
+        return file, (*self.files["ticks"], *self.files["entities"])
+
+    @cached_property
+    def tick_buffer(self) -> TickBuffer:
+        """Its ticks, without the offset."""
+        return TickBuffer.from_arrays(self.ticks["tick"].to_numpy(), self.times)
+
+    def ticks_of_part(self, number: int) -> tuple[int, int]:
+        """Returns the first and the last tick of a part, without the offset."""
+        ends = [*self.starts[1:], int(self.tick_buffer.numbers[-1]) + 1]
+        return self.starts[number], ends[number] - 1
 
     @cached_property
     def times(self) -> Array:
@@ -148,6 +201,9 @@ class EpisodeBatch(TickArchive):
         run: the number of the run, which all rows get.
         connection: the archive's own connection, which reads the files.
         run_statement: runs a statement on the connection that has the views.
+
+    Attributes:
+        checks: checks rows against the models.
     """
 
     def __init__(
@@ -164,13 +220,14 @@ class EpisodeBatch(TickArchive):
         self._run = run
         self._models = models
         self._linked = multi_link_bodies(models["entities"])
+        self.checks = RowChecks(members_of(models))
         self._connection, self._run_statement = connection, run_statement
         self._episodes: Sequence[BatchedEpisode] = ()
         self._starts = np.zeros(0, dtype=np.int64)
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
         self._in_sql: set[str] = set()
-        # The parts whose rows are of ticks of their own episode, with the checksums of the ticks.
+        # The parts whose rows are right, with the files of the ticks and entities of the episode.
         self._checked: set[tuple[BatchedFile, tuple[BatchedFile, ...]]] = set()
         self._shown: tuple[int, int] | None = None
 
@@ -205,30 +262,45 @@ class EpisodeBatch(TickArchive):
             if is_loading and table in episode.checked:
                 self._checked.update(map(episode.key_of, episode.files[table]))
                 continue
-            for file in episode.files[table]:
-                self._content(table, file, index)
+            for number in range(len(episode.files[table])):
+                self._content(table, number, index)
 
-    def _content(self, table: str, file: BatchedFile, index: int) -> bytes:
-        """Returns the bytes of a file of an episode, whose rows are of ticks of the episode.
+    def _content(self, table: str, number: int, index: int) -> bytes:
+        """Returns the bytes of a file of an episode, whose rows are right.
 
         Moved by its offset, a row of another tick might be one of another episode.
 
+        Args:
+            table: the table.
+            number: the number of the part.
+            index: the index of the episode.
+
         Raises:
-            DamagedEpisodeError: the file is missing or damaged, or a row is of another tick.
+            DamagedEpisodeError: the file is missing or damaged, or a row is wrong.
         """
+        episode = self._episodes[index]
+        file = episode.files[table][number]
         try:
             content = file.content()
-            episode = self._episodes[index]
             key = episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                rows = file.rows(content, _TICK.names)
-                check_ticks(rows, episode.ticks, table, file.path)
+                file.check(content, self.checks, episode.tick_buffer, episode.ticks_of_part(number))
+                if table in TABLES_OF_BODIES:
+                    self._check_bodies(file, content, self._content("entities", number, index))
                 self._checked.add(key)
+        except DamagedEpisodeError:
+            raise
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
         except (OSError, pa.ArrowException) as error:
             raise DamagedEpisodeError(f"{file.path} cannot be read: {error}", index) from error
         return content
+
+    def _check_bodies(self, file: BatchedFile, content: bytes, entities: bytes) -> None:
+        """Checks that the bodies with parts in a file are those in the file of entities."""
+        bodies = replace(file, table="entities").keys(entities)
+        rows = file.keys(content)
+        file.require(self.checks.problem_of_bodies(file.table, rows, bodies, single=True))
 
     # -- SQL --------------------------------------------------------------------------------
 
@@ -289,14 +361,14 @@ class EpisodeBatch(TickArchive):
             else [
                 _rows(
                     file,
-                    self._content(table, file, index),
+                    self._content(table, number, index),
                     types,
                     self._episodes[index].offset,
                     first,
                     last,
                 )
                 for index in range(begin, end)
-                for file in self._episodes[index].files[table]
+                for number, file in enumerate(self._episodes[index].files[table])
             ]
         )
         rows = parts[0] if len(parts) == 1 else pa.concat_tables([types.empty_table(), *parts])
@@ -341,28 +413,6 @@ def _text(text: str) -> str:
     return exp.Literal.string(text).sql("duckdb")
 
 
-def check_ticks(rows: pa.Table, ticks: pa.Table, table: str, path: str) -> None:
-    """Checks that all rows of a part have the number and the time of a tick of their episode.
-
-    Args:
-        rows: the rows, with `tick` and `time`.
-        ticks: the rows of the ticks, with the same columns.
-        table: the table of the rows, for the message.
-        path: the part or the record, to begin the message.
-
-    Raises:
-        RecordError: a row has those of none, or the part has no such columns.
-    """
-    is_whole = set(_TICK.names) <= set(rows.column_names)
-    if not is_whole or any(
-        rows[field.name].type != field.type or rows[field.name].null_count for field in _TICK
-    ):
-        raise RecordError(f"{path} has no tick and time of each row of {table}")
-    stray = stray_row(rows, ticks["tick"].to_numpy(), ticks["time"].to_numpy())
-    if stray is not None:
-        raise RecordError(f"{path} is damaged: of the rows of {table}, {stray}")
-
-
 def _rows(
     file: BatchedFile, content: bytes, types: pa.Schema, offset: int, first: int, last: int
 ) -> pa.Table:
@@ -378,7 +428,7 @@ def _rows(
     """
     rows = file.rows(content, types.names)
     if not set(types.names) <= set(rows.column_names):
-        raise RecordError("a part of an older record is read by itself")
+        raise RecordError(_OLDER)
     return _moved(rows.select(types.names), types, offset, first, last)
 
 
