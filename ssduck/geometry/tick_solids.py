@@ -25,9 +25,7 @@ class TickSolids:
         margins: (n,), the collision margins, metres; None for none.
 
     Attributes:
-        solids: the solid of each shape.
         positions, orientations, boxes: see above.
-        margins: the collision margin of each shape, metres.
     """
 
     def __init__(
@@ -39,11 +37,8 @@ class TickSolids:
         boxes: Array,
         margins: Array | None = None,
     ) -> None:
-        self._distinct = solids
+        self._distinct, self._margins = solids, margins
         self._indices = np.asarray(solid_indices, dtype=np.intp)
-        indices = self._indices.tolist()
-        self.margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
-        self.solids: list[Solid] = [solids[index] for index in indices]
         self.positions, self.orientations, self.boxes = positions, orientations, boxes
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
@@ -87,6 +82,18 @@ class TickSolids:
             yield first[row], second[column]
 
     # Computed for all shapes at once, when first needed.
+
+    @cached_property
+    def solids(self) -> list[Solid]:
+        """The solid of each shape."""
+        return [self._distinct[index] for index in self._indices.tolist()]
+
+    @cached_property
+    def margins(self) -> list[float]:
+        """The collision margin of each shape, metres."""
+        count = len(self._indices)
+        margins: list[float] = [0.0] * count if self._margins is None else self._margins.tolist()
+        return margins
 
     @cached_property
     def bounding_radii(self) -> list[float]:
