@@ -31,6 +31,7 @@ from ssduck.lakes.workers import UNREADABLE
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import TIME_TOLERANCE
+from ssduck.recording.stores.batched_parts import ReadParts
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.sql.sql_values import literal
@@ -136,7 +137,7 @@ def _with_ticks_of_files(entry: EpisodeEntry) -> EpisodeEntry:
 def _is_of(group: EpisodeGroup, entry: EpisodeEntry) -> bool:
     """Checks whether an episode has the entities of a group."""
     try:
-        group.check(entry)
+        group.check(entry, ReadParts())
     except UNREADABLE:
         return False
     return True

@@ -105,8 +105,7 @@ def test_the_ticks_of_a_file_are_checked_once(
     def counted(rows, ticks, table, path):
         checked.append(table)
 
-    for module in ("recording.stores.episode_batch", "lakes.workers"):
-        monkeypatch.setattr(f"ssduck.{module}.check_ticks", counted)
+    monkeypatch.setattr("ssduck.recording.stores.episode_batch.check_ticks", counted)
     record = recorded(tmp_path / "r")
     answers_of(record, PROGRAMS[0])
     assert checked.count("entities") == EPISODES
