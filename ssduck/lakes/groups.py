@@ -111,7 +111,8 @@ class _ModelPart:
 def _first_byte(column: pq.ColumnChunkMetaData) -> int:
     """Returns where the bytes of a column begin in its file."""
     places = (column.dictionary_page_offset, column.data_page_offset)
-    return min(place for place in places if place is not None)
+    first: int = min(place for place in places if place is not None)
+    return first
 
 
 def _without_run(rows: pa.Table) -> pa.Table:
