@@ -38,6 +38,24 @@ class SourceSpan:
     end: int
 
 
+def printable(text: str, kept: str = "") -> str:
+    """Escapes control characters, and those that turn the direction of what follows.
+
+    Args:
+        text: the text.
+        kept: characters that stay as they are.
+    """
+    if text.isprintable():
+        return text
+    return "".join(one if one.isprintable() or one in kept else _escaped(one) for one in text)
+
+
+def _escaped(character: str) -> str:
+    """Returns a character as JSON writes it: one beyond 16 bits as two."""
+    units = character.encode("utf-16-be", errors="surrogatepass")
+    return "".join(f"\\u{units[i]:02x}{units[i + 1]:02x}" for i in range(0, len(units), 2))
+
+
 def nearest(
     name: object, known: Iterable[str], limit: int = 3, *, least: float = 0.6
 ) -> tuple[str, ...]:
@@ -113,6 +131,9 @@ class SelectScriptError(Exception):
         return self.span.start - (self.text.rfind("\n", 0, self.span.start) + 1) + 1
 
     def __str__(self) -> str:
+        return printable(self._whole_text(), kept="\n\t")  # names may come from strangers
+
+    def _whole_text(self) -> str:
         text = self.message
         if self.suggestions:
             text += f"; did you mean {' or '.join(repr(name) for name in self.suggestions)}?"
@@ -243,7 +264,7 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
     frame, level = sys._getframe(), 1  # noqa: SLF001  # warnings counts frames, too
     while frame.f_back is not None and _package(frame.f_globals) in _SKIPPED_PACKAGES:
         frame, level = frame.f_back, level + 1
-    warnings.warn(message, category, stacklevel=level)
+    warnings.warn(printable(message, kept="\n\t"), category, stacklevel=level)
 
 
 def _package(names: dict[str, object]) -> str:

@@ -156,7 +156,8 @@ class UsageMeter:
         maximum = self.limits.memory
         if maximum is not None and self._size > maximum:
             raise LimitError(f"the program makes values of more than {maximum:,} bytes")
-        self.check_time()
+        if self._deadline is not None:
+            self.check_time()
 
     def combination_counter(self) -> Callable[[], None]:
         """Returns a function to call for each combination of rows that Python evaluates.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -25,6 +26,8 @@ from ssduck.limits import GRACE, Limits, limit_process_memory
 from ssduck.mcp.answers import InterpreterAnswers, Language, WorkerError
 from ssduck.simulators.scenes import find_scene
 
+# The line that stops the question before it.
+_STOP = "stop"
 _GONE = "variables that programs have set are gone"
 
 
@@ -58,6 +61,10 @@ class WorkerAnswers:
     def __init__(self, source: Source) -> None:
         self._source = source
         self._lock = threading.Lock()
+        # Is held while a question begins, ends or is stopped.
+        self._changing = threading.Lock()
+        self._is_asking = self._is_stopped = False
+        self._killer: threading.Timer | None = None
         self._process: subprocess.Popen[str] | None = None
         with self._lock:
             self._start()
@@ -66,6 +73,20 @@ class WorkerAnswers:
         """Ends the worker."""
         with self._lock:
             self._end()
+
+    def begin(self) -> None:
+        """Forgets what was stopped before."""
+        self._is_stopped = False
+
+    def stop(self) -> None:
+        """Ends the question that was begun last; the worker, too, if that takes too long."""
+        with self._changing:
+            self._is_stopped = True
+            if self._is_asking and self._process is not None and self._killer is None:
+                self._killer = threading.Timer(GRACE, self._process.kill)
+                self._killer.start()
+                with suppress(BrokenPipeError):
+                    self._write(_STOP)
 
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
@@ -108,7 +129,12 @@ class WorkerAnswers:
                 timer = threading.Timer(seconds + GRACE, self._process.kill)
                 timer.start()
             try:
-                return self._answer(question)
+                with self._changing:
+                    if self._is_stopped:
+                        raise LimitError("the request was cancelled")
+                    self._is_asking = True
+                    self._write(question)
+                return self._answer()
             except (EOFError, BrokenPipeError):
                 is_late = timer is not None and not timer.is_alive()
                 status = self._end()
@@ -118,16 +144,21 @@ class WorkerAnswers:
                     message = f"the process of the program ended ({_reason(status)})"
                 raise LimitError(f"{message}; {_GONE}") from None
             finally:
-                if timer is not None:
-                    timer.cancel()
+                with self._changing:
+                    self._is_asking, killer, self._killer = False, self._killer, None
+                for one in (timer, killer):
+                    if one is not None:
+                        one.cancel()
 
-    def _answer(self, question: tuple[Any, ...] | None) -> Any:
+    def _write(self, line: Any) -> None:
         assert self._process is not None
         assert self._process.stdin is not None
+        self._process.stdin.write(f"{json.dumps(line)}\n")
+        self._process.stdin.flush()
+
+    def _answer(self) -> Any:
+        assert self._process is not None
         assert self._process.stdout is not None
-        if question is not None:
-            self._process.stdin.write(f"{json.dumps(question)}\n")
-            self._process.stdin.flush()
         line = self._process.stdout.readline()
         if not line.endswith("\n"):
             raise EOFError
@@ -145,7 +176,7 @@ class WorkerAnswers:
             encoding="utf-8",
         )
         try:
-            self._answer(None)
+            self._answer()
         except EOFError:
             raise WorkerError(f"the process for programs ended ({_reason(self._end())})") from None
         except WorkerError:
@@ -191,8 +222,13 @@ def main() -> None:
         limit_process_memory(source.limits)
         _write(answers, {"value": None})
         interpreter_answers = InterpreterAnswers(ss)
-        for line in questions:
-            method, *arguments = json.loads(line)
+        waiting: queue.SimpleQueue[list[Any] | None] = queue.SimpleQueue()
+        reader = threading.Thread(
+            target=_read_questions, args=(questions, interpreter_answers, waiting), daemon=True
+        )
+        reader.start()
+        while (question := waiting.get()) is not None:
+            method, *arguments = question
             try:
                 value = getattr(interpreter_answers, method)(*arguments)
             except SelectScriptError as error:
@@ -202,6 +238,20 @@ def main() -> None:
             else:
                 is_bytes = isinstance(value, bytes)
                 _write(answers, {"value": base64.b64encode(value).decode() if is_bytes else value})
+
+
+def _read_questions(
+    lines: TextIO, answers: InterpreterAnswers, waiting: queue.SimpleQueue[list[Any] | None]
+) -> None:
+    """Reads questions, which wait for the main thread, and requests to stop the last of them."""
+    for line in lines:
+        question = json.loads(line)
+        if question == _STOP:
+            answers.stop()
+        else:
+            answers.begin()
+            waiting.put(question)
+    waiting.put(None)
 
 
 def _streams() -> tuple[TextIO, TextIO]:

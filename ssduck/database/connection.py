@@ -36,6 +36,7 @@ from ssduck.database.limited_fetch import (
     whole_table,
 )
 from ssduck.database.on_demand import OnDemand
+from ssduck.database.referenced_tables import may_change_rows
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     EvaluationError,
@@ -440,12 +441,13 @@ class Connection:
         return [(name, type) for name, type, *_ in described]
 
     def statements(self, sql: str) -> list[tuple[str, str]] | None:
-        """Returns the type and the text of each statement; None if DuckDB cannot parse them."""
+        """Returns the type (WITH if that may change rows) and text of each; None: no SQL."""
         try:
             statements = self._connection.extract_statements(sql)
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
             return None
-        return [(statement.type.name, statement.query) for statement in statements]
+        typed = [(statement.type.name, statement.query) for statement in statements]
+        return [("WITH" if t == "SELECT" and may_change_rows(q) else t, q) for t, q in typed]
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""

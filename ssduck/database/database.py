@@ -375,7 +375,7 @@ class Database:
         with self._lock, world.pinned():
             if record.stored is not None:
                 for table in sorted(record.tables):
-                    record.stored.check_ticks(table)
+                    record.stored.check_rows(table)
             history = self._worlds.entry(world).history
             assert history is not None
             recording = history.store.recording

@@ -195,15 +195,16 @@ class RawSql:
             first = next((bound.schemas[0] for bound in worlds.bound if bound.schemas), None)
             schemas = {name.lower(): bound.schemas[0] for name, bound in worlds.by_schema.items()}
             only = first if len(set(schemas.values())) == 1 else None
-            self._world_names = WorldNames(schemas, first, only, self._hidden_names())
+            own = self._own_names()
+            self._world_names = WorldNames(schemas, first, only, _NAMES & own, own)
             self._version = worlds.version
         return self._world_names
 
-    def _hidden_names(self) -> frozenset[str]:
+    def _own_names(self) -> frozenset[str]:
         own: set[str] = set()
         if self._may_have_own_names:
             own = {name for (name,) in self._connection.internal_rows(_OWN_NAMES)}
-        return frozenset(_NAMES & (own | self._redefined))
+        return frozenset(own | self._redefined)
 
     def _update(self, sql: str) -> None:
         """Takes note of a statement that may have changed what names and settings mean."""

@@ -35,6 +35,10 @@ _UNQUALIFIED = re.compile(r'(?<!\.)(?<!\.")\b\w+', re.ASCII)
 _OF_RECORDS = re.compile(r"_(?:history|model)$")
 _BETWEEN = r"(?:\s|/\*(?:(?!\*/).)*\*/|--[^\n]*(?:\n|\Z))*"
 _QUALIFIED_CALL = re.compile(rf'\.{_BETWEEN}"?(\w+)"?{_BETWEEN}\(', re.ASCII | re.DOTALL)
+# A query of WITH that changes rows or writes a file.
+_CHANGING = re.compile(
+    rf"[()]{_BETWEEN}(?:INSERT|UPDATE|DELETE|MERGE|COPY|EXECUTE)\b", re.IGNORECASE | re.DOTALL
+)
 _STORES_A_QUERY = re.compile(r"\b(CREATE|PREPARE)\b", re.IGNORECASE)
 _SEMI_JOINS = re.compile(r"\b(SEMI|ANTI)\b", re.IGNORECASE)
 _MASS_TABLES = [name for name in TABLES if MASSES in _with_read_columns(name)]
@@ -58,6 +62,8 @@ _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE
 MAX_TOKENS = 20_000
 MAX_BRACKETS = 100
 MAX_LETTERS = 2_000_000
+# The largest length of a number: DuckDB takes minutes for one of a million digits.
+MAX_DIGITS = 1_000
 
 
 def _tables_of(word: str) -> frozenset[str]:
@@ -104,6 +110,11 @@ class StatementWords:
 
 
 @lru_cache(maxsize=256)
+def may_change_rows(select: str) -> bool:
+    """Checks whether a SELECT may have a query of WITH that changes rows or writes a file."""
+    return "with" in select.casefold() and _CHANGING.search(select) is not None
+
+
 def words_of(sql: str) -> StatementWords:
     """Returns what the words in a statement say."""
     words = frozenset(word.lower() for word in _WORD.findall(sql))
@@ -196,6 +207,7 @@ def check_length(sql: str) -> None:
     words = duckdb.tokenize(letters.decode())
     if len(words) > MAX_TOKENS:
         raise LimitError(f"the SQL has {len(words)} words; under a limit it may have {MAX_TOKENS}")
+    _check_numbers(letters, words)
     depth = 0
     for offset, _ in words:
         depth += _NESTING.get(letters[offset], 0)
@@ -205,4 +217,16 @@ def check_length(sql: str) -> None:
             raise LimitError(message, text=sql, span=SourceSpan(start, start + 1))
 
 
+def _check_numbers(letters: bytes, words: Sequence[tuple[int, duckdb.token_type]]) -> None:
+    """Checks that no number has so many digits that to read it takes long."""
+    ends = [*(offset for offset, _ in words[1:]), len(letters)]
+    for (start, kind), end in zip(words, ends, strict=True):
+        if kind == duckdb.token_type.numeric_const and end - start > MAX_DIGITS:
+            number = _NUMBER.match(letters, start, end)
+            if number is not None and len(number.group()) > MAX_DIGITS:
+                message = f"a number in SQL has at most {MAX_DIGITS:,} digits under a limit"
+                raise LimitError(message)
+
+
+_NUMBER = re.compile(rb"[\w.]+")
 _NESTING = {**dict.fromkeys(b"([{", 1), **dict.fromkeys(b")]}", -1)}

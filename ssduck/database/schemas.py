@@ -248,7 +248,7 @@ def _make_history_view(
         _register(connection, bound, bound.history_buffers(), names)
         if history.record.stored is not None:
             for name in sorted(tables):
-                history.record.stored.check_ticks(name)
+                history.record.stored.check_rows(name)
         rows = history.store.select(table.source, waiting)
     if rows is None:
         _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])

@@ -34,12 +34,14 @@ class WorldNames:
         only: the schema of the only world; None if there are several.
         hidden: the names in small letters of tables and relations that have another meaning here,
             because the user has defined them.
+        own: all names in small letters that the user has defined.
     """
 
     schemas: Mapping[str, str]
     first: str | None
     only: str | None
     hidden: frozenset[str] = frozenset()
+    own: frozenset[str] = frozenset()
 
     def live_table(self, table: exp.Table) -> Table | None:
         """Returns the table of a world that a name in FROM refers to; None for any other."""

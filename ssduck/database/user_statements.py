@@ -59,6 +59,7 @@ _CHANGES = re.compile(
     r"\b(current_query\w*|current_transaction_id|txid_current|nextval|currval|setval|setseed)\b",
     re.IGNORECASE,
 )
+_WORD = re.compile(r"\w+")
 # What tells of tables, not of their rows.
 _DESCRIPTIONS = (exp.Describe, exp.Summarize, exp.Show, exp.Pivot)
 # The aggregates whose results do not depend on the order of the rows, as a sum of doubles does; and
@@ -401,7 +402,7 @@ class UserStatements:
             name = "" if table.alias else f" AS {quoted(table.name)}"
             edits.append(Edit(start, table.this.meta["end"] + 1, mark + name))
             sources.append(source)
-        if len(sources) > 1 and _depends_on_order(tree):
+        if len(sources) > 1 and (_depends_on_order(tree) or _calls_own(tree, sql, names)):
             return None
         is_pruned = not may_read_unnamed(tree, sql, names.hidden)
         is_pruned = is_pruned and not any(tree.find_all(exp.SetOperation))
@@ -442,6 +443,16 @@ def _depends_on_order(tree: exp.Expr) -> bool:
         if depends:
             return True
     return False
+
+
+def _calls_own(tree: exp.Expr, sql: str, names: WorldNames) -> bool:
+    """Checks whether a query may call a macro of the user's, which may make lists of rows."""
+    letters = sql.lower()
+    words = set(_WORD.findall(letters))
+    if any(name in words if name.isidentifier() else name in letters for name in names.own):
+        return True
+    calls = (part for part in tree.find_all(exp.Dot) if isinstance(part.expression, exp.Anonymous))
+    return any(part.this.name.lower() not in names.schemas for part in calls)
 
 
 def _are_distances(names: AbstractSet[str], parameters: Parameters) -> bool:

@@ -277,7 +277,7 @@ def _task(table: TomlTable, file: Path, limits: Limits) -> Task:
     table.read_keys.update(("reward", "observation", "variables"))
     try:
         terms = Terms.of(text("success"), text("failure"), reward, text("stop_when"))
-        observation = Terms.of(None, None, _texts(table, "observation"), None)
+        observation = Terms.of(None, None, _texts(table, "observation"), None, table="observation")
         variables = {
             name: plain(value, f"variables.{name}")
             for name, value in table.table("variables").values.items()

@@ -65,7 +65,7 @@ class Term:
         elif isinstance(value, bool):
             hint = "int(…) makes 1 of True and 0 of False"
         else:
-            hint = "a reward is a number"
+            hint = "a reward or an observation is one"
         expected = "True or False" if self.is_condition else "a number"
         raise ArgumentError(
             f"{self.key}: {self.text!r} is {short_repr(value)}, not {expected}: {hint}"
@@ -128,8 +128,17 @@ class Terms:
         failure: str | None,
         reward: Reward | None,
         stop_when: str | None,
+        *,
+        table: str = WHOLE,
     ) -> Terms:
         """Returns the terms that texts describe.
+
+        Args:
+            success: whether the task is done.
+            failure: whether it has failed.
+            reward: the reward, or its parts by name.
+            stop_when: whether the episode ends.
+            table: the argument that has the parts, for messages.
 
         Raises:
             ArgumentError: a term is no text, or there is none.
@@ -137,7 +146,7 @@ class Terms:
         rewards: Mapping[Any, Any] = (
             {} if reward is None else (reward if isinstance(reward, Mapping) else {WHOLE: reward})
         )
-        keys = {name: WHOLE if name == WHOLE else f"reward[{name!r}]" for name in rewards}
+        keys = {name: WHOLE if name == WHOLE else f"{table}[{name!r}]" for name in rewards}
         conditions = {"success": success, "failure": failure, "stop_when": stop_when}
         if not rewards and all(text is None for text in conditions.values()):
             raise ArgumentError("give a term: success, failure, reward or stop_when")

@@ -25,6 +25,7 @@ import pyarrow as pa
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError, RecordError, SelectScriptError
 from ssduck.geometry.shapes import PlacedGeometry
+from ssduck.interchange.mcap_records import records_of
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
 from ssduck.schema import POSE
@@ -207,6 +208,12 @@ def _add_shape(entity: Any, shape: PlacedGeometry) -> None:
 # -- reading ----------------------------------------------------------------------------------
 
 
+def _decoders() -> Any:
+    from mcap_protobuf.decoder import DecoderFactory
+
+    return DecoderFactory()
+
+
 @dataclass
 class _Poses:
     """The poses that a file tells of, message after message."""
@@ -220,6 +227,7 @@ class _Poses:
     children: dict[str, str] = field(default_factory=dict)
     # The number of poses when the last tick was told of.
     told: int = 0
+    decoders: Any = field(default_factory=_decoders)
 
     def add(self, moment: int, parent: str, name: str, position: Any, turn: Any) -> None:
         """Adds the pose of a frame in another one at a time, ns."""
@@ -262,35 +270,45 @@ def read_poses(file: Path) -> tuple[pa.Table, dict[str, Any]]:
     library("mcap_protobuf", "mcap")
 
     try:
-        with file.open("rb") as stream:
-            return _read(stream, file)
+        return _read(file)
     except SelectScriptError:
         raise
     except Exception as error:  # the libraries of the compressions raise errors of their own
         raise RecordError(f"{file} cannot be read as an MCAP file: {error}") from error
 
 
-def _read(stream: Any, file: Path) -> tuple[pa.Table, dict[str, Any]]:
-    from mcap.reader import make_reader
-    from mcap_protobuf.decoder import DecoderFactory
+def _read(file: Path) -> tuple[pa.Table, dict[str, Any]]:
+    from mcap.records import Channel, Message, Metadata, Schema
 
-    reader, found, about = make_reader(stream, validate_crcs=True), _Poses(), dict[str, Any]()
-    factory = DecoderFactory()
-    for record in reader.iter_metadata():
-        if record.name == METADATA:
-            about = {name: json.loads(value) for name, value in record.metadata.items()}
-    for schema, channel, message in reader.iter_messages():
-        if channel.topic == TICKS and channel.message_encoding == "json":
-            found.tell_tick(message.log_time, float(json.loads(message.data)["time"]))
-            continue
-        kind = None if schema is None else schema.name
-        decode = factory.decoder_for(channel.message_encoding, schema)
-        if decode is None or kind not in _READERS:
-            if channel.topic != SCENE:
-                found.ignored.add(channel.topic)
-            continue
-        _READERS[kind](found, channel.topic, message.log_time, decode(message.data))
+    found, about = _Poses(), dict[str, Any]()
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    for record in records_of(file):
+        match record:
+            case Metadata() if record.name == METADATA:
+                about = {name: json.loads(value) for name, value in record.metadata.items()}
+            case Schema():
+                schemas[record.id] = record
+            case Channel():
+                channels[record.id] = record
+            case Message():
+                channel = channels[record.channel_id]
+                _add_message(found, schemas.get(channel.schema_id), channel, record)
     return _table(found, about, file)
+
+
+def _add_message(found: _Poses, schema: Any, channel: Any, message: Any) -> None:
+    """Adds what a message tells of poses or of a tick."""
+    if channel.topic == TICKS and channel.message_encoding == "json":
+        found.tell_tick(message.log_time, float(json.loads(message.data)["time"]))
+        return
+    kind = None if schema is None else schema.name
+    decode = found.decoders.decoder_for(channel.message_encoding, schema)
+    if decode is None or kind not in _READERS:
+        if channel.topic != SCENE:
+            found.ignored.add(channel.topic)
+        return
+    _READERS[kind](found, channel.topic, message.log_time, decode(message.data))
 
 
 def _add_transform(found: _Poses, _: str, __: int, told: Any) -> None:

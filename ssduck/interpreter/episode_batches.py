@@ -127,7 +127,7 @@ class BatchInterpreter:
         members = members_of(models)
         # Blocks of rows may reach into other episodes than the present one.
         self._ticks = TickBuffer()
-        rows = self._rows = CheckedRows(self._archive, members, self._ticks, source)
+        rows = CheckedRows(self._archive, members, self._ticks, source)
         self._record = Record(
             None,
             TickBuffer(),
@@ -162,7 +162,6 @@ class BatchInterpreter:
         self._numbers = np.concatenate([episode.numbers for episode in episodes])
         self._times = np.concatenate([episode.times for episode in episodes])
         self._ticks.replace(self._numbers, self._times)
-        self._rows.recheck()
         if not hasattr(self, "world"):
             self._record.ticks.replace(episodes[0].numbers, episodes[0].times)
             self.world = ReplayedWorld(self._name, self._record, self._archive, self._camera)

@@ -80,7 +80,9 @@ class AsClause:
 
         def make(selection: Selection) -> Any:
             value = self._make(selection)
-            meter.charge(0 if isinstance(value, World) else made_bytes(value))
+            if meter.limits.memory is not None and not isinstance(value, World):
+                meter.charge(made_bytes(value))
+            meter.step()
             return value
 
         if self.adapter.needs == "query" and not query.group and query.recursion is None:

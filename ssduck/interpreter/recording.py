@@ -24,6 +24,7 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet import ParquetRecording
+from ssduck.recording.stores.parquet import whole_record
 from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import RECORDABLE
@@ -207,15 +208,16 @@ class RecordingMethods(ABC):
             if not worlds:
                 raise EvaluationError("no world is recorded here")
             database, folder, added = self._database, expand_path(path), checked_tags(tags)
-            folders = {
-                database.schema_of(chosen): database.export(
-                    chosen, folder, names, (start, end), added
-                )
-                for chosen in worlds
-            }
-            if within is not None:
-                for name, ticks in folders.items():
-                    self._write_pairs(FolderRun(folder, name, episode_number(ticks)), within)
+            folders: dict[str, Path] = {}
+            with whole_record(folder) as runs:
+                for chosen in worlds:
+                    name = database.schema_of(chosen)
+                    ticks = database.export(chosen, folder, names, (start, end), added)
+                    folders[name] = ticks
+                    runs.append(FolderRun(folder, name, episode_number(ticks)))
+                if within is not None:
+                    for run in runs:
+                        self._write_pairs(run, within)
             return folders
 
     def _write_pairs(self, run: FolderRun, within: float) -> None:

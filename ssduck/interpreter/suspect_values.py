@@ -6,8 +6,8 @@ row of a group, a number as the age of `least` and `greatest`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 from typing import Literal as OneOf
 
@@ -33,6 +33,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
+from ssduck.world.handles import Handle
 from ssduck.world.links import Links
 from ssduck.world.world import World
 
@@ -82,18 +83,20 @@ class Suspects:
 
     Attributes:
         comparisons: the comparisons of columns.
+        handles: what is compared with literals and may be an entity.
         ages: the calls of `least` and `greatest` with an age.
         first_rows: the columns of the first row of a group, with their names if they are bare.
         queries: the nested queries that SELECT has as lists of dicts.
     """
 
     comparisons: tuple[Comparison, ...] = ()
+    handles: tuple[tuple[Node, Literal], ...] = ()
     ages: tuple[Call, ...] = ()
     first_rows: tuple[tuple[str, SourceSpan], ...] = ()
     queries: tuple[Query, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.comparisons or self.ages or self.first_rows or self.queries)
+        return any(getattr(self, part.name) for part in fields(self))
 
 
 def suspects_of(statement: Node) -> Suspects:
@@ -101,6 +104,7 @@ def suspects_of(statement: Node) -> Suspects:
     queries = [part for part in statement.walk() if isinstance(part, Query)]
     return Suspects(
         tuple(site for query in queries for site in _comparisons(query)),
+        tuple(pair for part in statement.walk() for pair in _compared_handles(part)),
         tuple(call for query in queries for item in query.items for call in _ages(item)),
         tuple(site for query in queries for site in _first_rows(query)),
         tuple(table for query in queries for table in _tables(query)),
@@ -129,6 +133,17 @@ def _comparisons(query: Query) -> Iterator[Comparison]:
     for part in (*query.items, query.where, query.having):
         if part is not None:
             yield from _in_condition(part, query, present, negated=False)
+
+
+def _compared_handles(node: Node) -> Iterator[tuple[Node, Literal]]:
+    """Yields what may be an entity, with each literal that it is compared with."""
+    match node:
+        case Binary(operator="==" | "!=" | "IN" as operator, left=left, right=right):
+            sides = [(left, right)] if operator == "IN" else [(left, right), (right, left)]
+            for side, other in sides:
+                if isinstance(side, Name | Index | Call):
+                    for literal in _literals(other, operator):
+                        yield side, literal
 
 
 def _columns_of_null_test(node: Node) -> Iterator[str]:
@@ -173,7 +188,7 @@ def _site(
     node: Node, query: Query, literals: tuple[Literal, ...], span: SourceSpan
 ) -> Comparison | None:
     """Returns the place of a column in a comparison; None for another value."""
-    column = _column(node)
+    column = (node.alias, "this", False) if isinstance(node, This) else _column(node)
     if column is None:
         return None
     alias, name, is_bare = column
@@ -299,6 +314,9 @@ def mistakes_in(
                 yield from _different_columns(site, site.other, variable, type_of_relation)
             continue
         yield from _mistakes_at(site, variable, type_of_relation)
+    for node, literal in suspects.handles:
+        if _is_handle(node, variable):
+            yield _never_equals("this", ("entity",), literal)
     for call in suspects.ages:
         lesser = "min" if call.name == "least" else "max"
         yield ArgumentError(
@@ -364,11 +382,31 @@ def _mistakes_at(
         other = _KIND_OF_TYPE[type(literal.value)]
         is_truth_value = kinds == {"boolean"} and literal.value in (0, 1)
         if other not in kinds and not is_truth_value:
-            words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
-            yield ArgumentError(
-                f"{site.column} is {words}, and never equals {argument_in_words(literal.value)}",
-                span=literal.span,
-            )
+            yield _never_equals(site.column, kinds, literal)
+
+
+def _never_equals(what: str, kinds: Collection[Kind], literal: Literal) -> ArgumentError:
+    words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
+    advice = ""
+    if "entity" in kinds and isinstance(literal.value, str):
+        advice = "; compare its id: id(…)"
+    return ArgumentError(
+        f"{what} is {words}, and never equals {argument_in_words(literal.value)}{advice}",
+        span=literal.span,
+    )
+
+
+def _is_handle(node: Node, variable: Callable[[str], Any]) -> bool:
+    """Checks whether a value outside of a query is an entity, a link or a site for sure."""
+    match node:
+        case Name(name=name):
+            return isinstance(variable(name), Handle)
+        case Index(base=Name(name=name), indices=(Literal(value=str() as key),)):
+            world = variable(name)
+            return isinstance(world, World) and key in world
+        case Call(name="entity", arguments=(_,)):
+            return variable("entity") is None
+    return False
 
 
 def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None:
@@ -392,7 +430,16 @@ def _kind_of_relation(
         return None
     if isinstance(value, Name) and not isinstance(variable(value.name), World | Past | Links):
         return None
+    if site.column == "this":
+        return "entity" if _has_handles(value, variable) else None
     return _KIND_OF_RESULT.get(type_of_relation(site.column) or "")
+
+
+def _has_handles(value: Name | TimeIndex | Call, variable: Callable[[str], Any]) -> bool:
+    """Checks whether the elements of a source are entities, links or sites for sure."""
+    if isinstance(value, Call):
+        return value.name in ("links", "sites")
+    return isinstance(variable(value.name), World | Past | Links)
 
 
 _KIND_OF_RESULT: Mapping[str, Kind] = {

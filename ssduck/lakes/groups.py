@@ -22,7 +22,7 @@ from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
-from ssduck.recording.static_tables import run_of
+from ssduck.recording.static_tables import members_of, run_of
 from ssduck.recording.stores.batched_parts import BatchedFile, ReadPart, ReadParts
 from ssduck.recording.stores.checksums import (
     content_problem,
@@ -30,6 +30,7 @@ from ssduck.recording.stores.checksums import (
     with_footer_sum,
 )
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
+from ssduck.recording.stores.row_checks import RowChecks
 from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
 
@@ -143,6 +144,7 @@ class EpisodeGroup:
         if number is None:
             raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
         self.number = number
+        self._checks = RowChecks(members_of(self.models))
         assert self.run.key is not None  # its parts have labels
         files = EntryFiles(entry, self.run.key)
         self._parts = _model_parts(files)
@@ -175,6 +177,25 @@ class EpisodeGroup:
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         self._members[entry.key] = entry.files, run.key
         return files
+
+    def check_rows(self, entry: EpisodeEntry, parts: ReadParts) -> None:
+        """Checks all rows of the entities of an episode of the group.
+
+        Args:
+            entry: the episode.
+            parts: reads its parts.
+
+        Raises:
+            RecordError: they are of unknown ticks or entities, or twice there.
+            OSError: a file cannot be read.
+        """
+        run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
+        starts, ticks = run.ticks()
+        ends = [*starts[1:], int(ticks.numbers[-1]) + 1]
+        assert run.key is not None  # its parts have labels
+        files = EntryFiles(entry, run.key).parts("entities")
+        for file, start, end in zip(files, starts, ends, strict=True):
+            parts.read(file).check(self._checks, ticks, (start, end - 1))
 
     def _check_model(self, run: FolderRun, listed: EntryFiles, model: str) -> None:
         """Checks that a model of an episode is that of the group.
@@ -238,5 +259,5 @@ def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> l
 
 
 def _last_rows(files: EntryFiles, parts: ReadParts) -> pa.Table:
-    """Returns `tick` and `id` of the last part of an episode's entities."""
-    return parts.read(files.parts("entities")[-1]).rows(["tick", "id"])
+    """Returns the rows of the last part of an episode's entities: the columns to be checked."""
+    return parts.read(files.parts("entities")[-1]).keys()

@@ -117,14 +117,17 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
             )
         try:
-            own = _with_ticks_of_files(entry)
-            if entry.group in groups and _is_of(groups[entry.group][0], own):
-                groups[entry.group][1][number] = own
-            else:
-                name = f"{number}" if entry.group in groups else entry.group
-                groups[name] = EpisodeGroup(own), {number: own}
+            own, parts = _with_ticks_of_files(entry), ReadParts()
+            name = entry.group
+            if name in groups and not _is_of(groups[name][0], own, parts):
+                name = f"{number}"
+            group, members = groups.get(name) or (EpisodeGroup(own), {})
+            group.check_rows(own, parts)
         except UNREADABLE as error:
             failed[number] = replace(entry, error=str(error))
+        else:
+            members[number] = own
+            groups[name] = group, members
     return [members for _, members in groups.values()], failed
 
 
@@ -134,10 +137,10 @@ def _with_ticks_of_files(entry: EpisodeEntry) -> EpisodeEntry:
     return replace(entry, first_tick=first, last_tick=last, end=float(ticks.times[-1]))
 
 
-def _is_of(group: EpisodeGroup, entry: EpisodeEntry) -> bool:
+def _is_of(group: EpisodeGroup, entry: EpisodeEntry, parts: ReadParts) -> bool:
     """Checks whether an episode has the entities of a group."""
     try:
-        group.check(entry, ReadParts())
+        group.check(entry, parts)
     except UNREADABLE:
         return False
     return True

@@ -120,16 +120,19 @@ class _Reader:
         files = {table: listed.parts(table) for table in self._tables}
         if len({len(own) for own in files.values()}) != 1:
             raise RecordError(f"{entry.path} has other files than complete parts")
-        rows = pa.concat_tables(
-            [parts.read(file).rows(["tick", "time", "wall_time"]) for file in files["ticks"]]
-        )
+        ticks_of_parts = [
+            parts.read(file).rows(["tick", "time", "wall_time"]) for file in files["ticks"]
+        ]
+        rows = pa.concat_tables(ticks_of_parts)
         ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
         ascend = (np.diff(ticks) > 0).all() and (np.diff(times) >= 0).all()
-        if not len(ticks) or not ascend or len(ticks) != entry.ticks:
+        is_whole = all(part.num_rows for part in ticks_of_parts) and len(ticks) == entry.ticks
+        if not is_whole or not ascend:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
-        return BatchedEpisode(offset, rows, files)
+        starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
+        return BatchedEpisode(offset, rows, files, starts)
 
     def close(self) -> None:
         """Closes the interpreter."""

@@ -21,7 +21,9 @@ from ssduck.language.tree import Node
 
 # The limits of results: larger ones are mistakes, and their computation cannot be interrupted.
 MAX_BITS = 1_000_000
+# Larger integers count as the elements of a list that take as much.
 _BITS_PER_ELEMENT = 64
+_WIDE = 1 << _BITS_PER_ELEMENT
 MAX_ELEMENTS = 10_000_000
 # The largest number of comparisons of letters by LIKE.
 MAX_COMPARISONS = 200_000_000
@@ -166,23 +168,22 @@ def check_size(value: Any, span: SourceSpan | None = None) -> None:
 
 def _element_total(values: list[Any], counted: dict[int, int]) -> int:
     """Returns the number of elements of a list and of all lists in it."""
-    count, kinds = len(values), set(map(type, values))
-    if str in kinds:
-        count += sum(len(value) for value in values if type(value) is str)
-    if int in kinds:
-        whole = values if len(kinds) == 1 else [value for value in values if type(value) is int]
-        if max((max(whole), -min(whole))).bit_length() > _BITS_PER_ELEMENT:
-            count += sum(value.bit_length() for value in whole) // _BITS_PER_ELEMENT
-    if kinds.isdisjoint((list, dict)):
-        return count
+    count = len(values)
     for value in values:
-        if type(value) is not list and type(value) is not dict:
-            continue
-        total = counted.get(id(value))
-        if total is None:
-            parts = list(value.values()) if isinstance(value, dict) else value
-            total = counted[id(value)] = _element_total(parts, counted)
-        count += total
+        kind = type(value)
+        if kind is list or kind is dict:
+            if not value:
+                continue
+            total = counted.get(id(value))
+            if total is None:
+                parts = value if kind is list else list(value.values())
+                total = counted[id(value)] = _element_total(parts, counted)
+            count += total
+        elif kind is int:
+            if value > _WIDE or value < -_WIDE:
+                count += value.bit_length() // _BITS_PER_ELEMENT
+        elif kind is str:
+            count += len(value)
     return count
 
 

@@ -9,6 +9,7 @@ from ssduck.adapters.display import RowsOfColumns, numbered_duplicates
 from ssduck.errors import SelectScriptError
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.shown_rows import rows_to_show
+from ssduck.interpreter.stopping import StopRequest
 from ssduck.mcp.guide import description
 from ssduck.mcp.texts import as_text
 
@@ -23,7 +24,13 @@ class WorkerError(SelectScriptError):
 
 
 class Answers(Protocol):
-    """The answers to the questions that the server's tools ask."""
+    """The answers to the questions that the server's tools ask, one at a time."""
+
+    def begin(self) -> None:
+        """Is called before each question."""
+
+    def stop(self) -> None:
+        """Ends the question that was begun last, soon; any thread may call it."""
 
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
@@ -47,6 +54,15 @@ class InterpreterAnswers:
 
     def __init__(self, ss: Interpreter) -> None:
         self._ss = ss
+        self._stop_request = StopRequest()
+
+    def begin(self) -> None:
+        """Forgets what was stopped before."""
+        self._stop_request = StopRequest()
+
+    def stop(self) -> None:
+        """Ends the question that was begun last: its program raises a LimitError."""
+        self._stop_request.make()
 
     def schema(self) -> str:
         """Returns the guide, the worlds, tables and functions."""
@@ -66,11 +82,12 @@ class InterpreterAnswers:
         Raises:
             SelectScriptError: the program failed.
         """
-        if language == "sql":
-            value: Any = self._ss.sql(program)
-        else:
-            value = rows_to_show(self._ss.compile(program), self._ss.eval)
-        return _text(value, max_rows)
+        with self._stop_request.applies_to(self._ss):
+            if language == "sql":
+                value: Any = self._ss.sql(program)
+            else:
+                value = rows_to_show(self._ss.compile(program), self._ss.eval)
+            return _text(value, max_rows)
 
     def picture(self, query: str, width: int, height: int) -> bytes:
         """Returns a PNG picture with the entities that a query selects highlighted.
@@ -82,7 +99,8 @@ class InterpreterAnswers:
         # In a line of its own: a comment that ends the query would hide it.
         text = f"{query.strip().removesuffix(';')}\nAS image({size[0]:d}, {size[1]:d});"
         stream = io.BytesIO()
-        self._ss.eval(text).save(stream, "PNG")
+        with self._stop_request.applies_to(self._ss):
+            self._ss.eval(text).save(stream, "PNG")
         return stream.getvalue()
 
 

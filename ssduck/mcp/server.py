@@ -10,17 +10,20 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from mcp.server import MCPServer
 from mcp.server.mcpserver import Image
 from mcp.server.mcpserver.exceptions import ToolError
 
-from ssduck.errors import SelectScriptError
+from ssduck.errors import SelectScriptError, printable
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.mcp.answers import Answers, InterpreterAnswers, Language, WorkerError
-from ssduck.mcp.texts import as_text, printable
+from ssduck.mcp.texts import as_text
+from ssduck.mcp.turns import Turns
+
+T = TypeVar("T")
 
 
 def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPServer[Any]:
@@ -54,18 +57,28 @@ class _Asking:
 
     def __init__(self, answers: Answers) -> None:
         self._answers = answers
+        self._turns = Turns(answers)
 
-    def schema(self) -> str:
+    async def _answer(self, method: Callable[..., T], *arguments: Any) -> T:
+        """Returns the answer to a question, unless the agent cancels it."""
+
+        def answer() -> T:
+            with _errors_as_texts():
+                return method(*arguments)
+
+        return await self._turns.answer(answer)
+
+    async def schema(self) -> str:
         """Explains how to write queries, and lists worlds, entities, tables and functions."""
-        with _errors_as_texts():
-            return self._answers.schema()
+        return await self._answer(self._answers.schema)
 
-    def help(self, name: str) -> str:
+    async def help(self, name: str) -> str:
         """Describes a function, a relation or a result form: its arguments, units and result."""
-        with _errors_as_texts():
-            return self._answers.help(name)
+        return await self._answer(self._answers.help, name)
 
-    def query(self, program: str, language: Language = "selectscript", max_rows: int = 100) -> str:
+    async def query(
+        self, program: str, language: Language = "selectscript", max_rows: int = 100
+    ) -> str:
         """Runs a program, and returns its result as JSON; infinities and NaN are texts.
 
         Args:
@@ -73,10 +86,9 @@ class _Asking:
             language: SelectScript, or SQL: one SELECT.
             max_rows: the largest number of rows to return; the result says how many there are.
         """
-        with _errors_as_texts():
-            return self._answers.query(program, language, max_rows)
+        return await self._answer(self._answers.query, program, language, max_rows)
 
-    def picture(self, query: str, width: int = 960, height: int = 720) -> Image:
+    async def picture(self, query: str, width: int = 960, height: int = 720) -> Image:
         """Renders the world with the entities that a query selects highlighted, as PNG.
 
         Args:
@@ -85,8 +97,8 @@ class _Asking:
             width: pixels, at most 2,000.
             height: pixels, at most 2,000.
         """
-        with _errors_as_texts():
-            return Image(data=self._answers.picture(query, width, height), format="png")
+        data = await self._answer(self._answers.picture, query, width, height)
+        return Image(data=data, format="png")
 
 
 def _episodes_of(record: Path) -> Callable[[], str]:

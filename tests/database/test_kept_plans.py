@@ -211,6 +211,32 @@ def test_a_users_macro_sees_whole_rows(traced):
     assert lengths[0][0][0] > 200
 
 
+MACROS = [
+    ("collected(v) AS list(v)", "collected(b.name)"),
+    ("max(v) AS list(v)", "max(b.name)"),
+    ("count(v) AS string_agg(v)", "count(b.name)"),
+    ("COUNT_IF(v) AS string_agg(v)", "count_if(b.name)"),
+    ('"all of"(v) AS list(v)', '"ALL of"(b.name)'),
+    ("memory.main.collected(v) AS list(v)", "main.collected(b.name)"),
+]
+
+
+@pytest.mark.parametrize(("macro", "call"), MACROS)
+def test_no_plan_is_kept_of_joined_rows_that_a_macro_may_list(traced, macro, call):
+    """Another plan may join them in another order."""
+    ss, _, _ = traced
+    ss.sql(f"CREATE MACRO {macro}")
+    text = f"SELECT {call} FROM entities a JOIN entities b ON a.id > b.id"
+    values = [ss.sql(text).fetchall() for _ in range(RUNS)]
+    assert values == [values[0]] * RUNS
+    assert not is_kept(ss)
+    other = "SELECT min(b.z) FROM entities a JOIN entities b ON a.id > b.id"
+    for _ in range(RUNS):
+        ss.sql(other).fetchall()
+    rows = ss._database.connection.internal_rows("SELECT count(*) FROM duckdb_prepared_statements()")
+    assert rows == [(2,)]
+
+
 def test_the_time_of_a_statement_is_that_of_its_run(traced):
     ss, _, _ = traced
     times = [ss.sql("SELECT now() AS t FROM entities LIMIT 1").fetchall() for _ in range(RUNS)]

@@ -56,6 +56,14 @@ MISTAKES = [
     ('DELETE FROM room_record_0."entities model"', RECORD),
     ('INSERT INTO room_record_0."entities model" SELECT * FROM range(3)', RECORD),
     ('UPDATE room_record_0."entities model" SET id = 1', RECORD),
+    (
+        'WITH x AS (DELETE FROM room_record_0."entities model" RETURNING *) SELECT count(*) FROM x',
+        RECORD,
+    ),
+    (
+        'WITH x AS /**/ ( -- the model\n UPDATE room_record_0."entities model" SET id = 1) FROM x',
+        RECORD,
+    ),
     ("CREATE TABLE room_record_0.mine AS SELECT 1", RECORD),
     ("USE room_record_0", RECORD),
     ('PREPARE mine AS DELETE FROM room_record_0."entities model"', RECORD),
@@ -120,3 +128,11 @@ def test_a_file_keeps_its_record(tmp_path):
         before = answers(ss)
     with ssduck.open(path) as ss:
         assert answers(ss) == before
+
+
+def test_a_query_that_changes_rows_runs_once(ss):
+    ss.sql("CREATE TABLE mine (a INTEGER)")
+    for count in range(1, 8):
+        text = "WITH x AS (INSERT INTO mine VALUES (3) RETURNING a) SELECT a, x.a FROM x, ticks"
+        assert ss.sql(text).fetchall() == [(3, 3)]
+        assert ss.sql("SELECT count(*) FROM mine").fetchone() == (count,)

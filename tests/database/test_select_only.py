@@ -47,6 +47,9 @@ PERMITTED = [
     f"SELECT regexp_extract(name, '{'a|' * 99}ab') FROM entities",
     f"SELECT name FROM entities WHERE name LIKE '{'%a' * 100}' OR name NOT ILIKE 'C_p%' ESCAPE '!'",
     "SELECT unnest([1, 2]), extract(year FROM DATE '2026-01-01')",
+    "SELECT MAP {'a': 1}['a'], json_extract('{\"a\": [1, 2]}', '$.a[*]'), '[3]'::JSON -> 0",
+    "WITH a AS MATERIALIZED (SELECT 1 AS i), b AS (FROM a WHERE i > 0) FROM a UNION ALL FROM b",
+    f"SELECT {'9' * 40}, {'1' * 900}.5",
 ]
 
 
@@ -87,6 +90,28 @@ REFUSED = [
     ("EXPORT DATABASE 'folder'", "not EXPORT"),
     ("INSTALL httpfs", "not LOAD"),
     ("PIVOT entities ON kind USING count(*)", "one SELECT"),
+    ("WITH x AS (INSERT INTO mine VALUES (1) RETURNING *) FROM x", "without INSERT"),
+    ("WITH x AS (UPDATE mine SET a = 1 RETURNING *) FROM x", "without UPDATE"),
+    ("WITH x AS (DELETE FROM mine RETURNING *) FROM x", "without DELETE"),
+    ("WITH x AS (COPY (SELECT 1) TO 'file.csv') FROM x", "without COPY"),
+    ("WITH y AS (WITH x AS (DELETE FROM mine RETURNING *) FROM x) FROM y", "without DELETE"),
+    ("SELECT (WITH x AS (DELETE FROM mine RETURNING *) SELECT 1)", "without DELETE"),
+    ("FROM (WITH x AS (COPY (SELECT 1) TO 'file.csv') FROM x)", "without COPY"),
+    ("DESCRIBE WITH x AS (DELETE FROM mine RETURNING *) FROM x", "without DELETE"),
+    (f"SELECT {'9' * 1001}", "at most 1,000 digits"),
+    (f"SELECT 1 + {'9' * 1001} -- a comment", "at most 1,000 digits"),
+    ("SELECT '9'::BIGNUM", "no type BIGNUM"),
+    ("SELECT NULL::STRUCT(a BIGNUM[])", "no type BIGNUM"),
+    ("SELECT TRY_CAST(name AS VARINT) FROM entities", "no type VARINT"),
+    ("SELECT list_intersect([1], [1])", "list_intersect"),
+    ("SELECT [1] <@ [1]", "<@ is no function"),
+    ("SELECT list_aggregate([1], 'mode')", "list_aggregate takes the name"),
+    ("SELECT map(l, l) FROM (SELECT list(z) AS l FROM entities)", "map takes lists"),
+    ("SELECT map_concat(MAP {'a': 1}, MAP {'a': 1})", "map_concat"),
+    ("SELECT json_extract('[]', '$..*')", "at most one of"),
+    ("SELECT '[]'::JSON -> '$[*][*]'", "at most one of"),
+    ("SELECT json_extract('[]', '$' || '..*')", "a text or a column"),
+    ("SELECT name::JSON -> ('$' || '..*') FROM entities", "a text or a column"),
     ("SELECT 1; SELECT 2", "2 statements"),
     ("SELECT 1; DROP SCHEMA kitchen CASCADE", "2 statements"),
     ("SHOW TABLES", "use DESCRIBE"),
@@ -182,6 +207,30 @@ def test_other_texts_are_refused_and_change_nothing(strict, text, words):
         strict.sql(text)
     assert strict.sql("SELECT count(*), max(z) FROM entities").fetchall() == before
     assert strict.eval("SELECT id(this) FROM kitchen WHERE isRobot(this) AS list;")
+
+
+def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
+    with ssduck.load("kitchen") as ss:
+        ss.call_variable("kitchen").step()
+        ss.export(tmp_path / "run")
+    files = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
+    (part,) = (tmp_path / "run/entities").rglob("*.parquet")
+    with ssduck.open(tmp_path / "run", limits=ssduck.Limits.strict()) as ss:
+        for name in (part, tmp_path / "run/new.csv"):
+            with pytest.raises(LimitError, match="without COPY"):
+                ss.sql(f"WITH x AS (COPY (SELECT 42 AS a) TO '{name}') FROM x")
+    now = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
+    assert now == files
+
+
+def test_no_query_of_with_changes_a_table_of_a_file(tmp_path):
+    with ssduck.Interpreter(str(tmp_path / "own.duckdb")) as ss:
+        ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
+    with ssduck.Interpreter(str(tmp_path / "own.duckdb"), limits=ssduck.Limits.strict()) as ss:
+        for change in ("DELETE FROM mine", "UPDATE mine SET a = 2", "INSERT INTO mine VALUES (3)"):
+            with pytest.raises(LimitError, match=f"without {change.split()[0]}"):
+                ss.sql(f"WITH x AS ({change} RETURNING *) FROM x")
+        assert ss.sql("FROM mine").fetchall() == [(1,)]
 
 
 MEMORY = 50_000_000

@@ -90,6 +90,8 @@ def test_a_task_runs(folder):
         ('"x(sim.ball) > goal"', '"x(sim.ball)"', "task.toml: success: .* not True or False"),
         ('"x(sim.ball) > goal"', "3", "task.toml: success: expected a text"),
         ('"-distance(sim.pusher, sim.ball)"', "3", r"task.toml: reward\['near'\]"),
+        ('ball = "x(sim.ball)"', "ball = 3", r"task.toml: observation\['ball'\]"),
+        ('ball = "x(sim.ball)"', 'ball = "id(sim.ball)"', r"observation\['ball'\]: .* a number"),
         ("[observation]\npusher", "[observations]\npusher", "task.toml: observation"),
         ('control = "velocity"', 'control = "torque"', r"actions\[0\].control"),
         ("goal = 0.05", "goal = 0.05\nsim = 1", r"task.toml: variables.sim is the world"),

@@ -178,8 +178,8 @@ def test_brackets_in_texts_and_comments_do_not_count(text):
         assert len(ss.sql(text)) == 1
 
 
-def test_what_is_no_text_is_an_error_under_limits_too(strict):
-    fails(strict, lambda: strict.sql("SELECT '\ud800'"), SqlError, "surrogate")
+def test_what_is_no_text_is_an_error_under_limits_too(patient):
+    fails(patient, lambda: patient.sql("SELECT '\ud800'"), SqlError, "surrogate")
 
 
 def test_a_limit_within_a_function_that_sql_calls():

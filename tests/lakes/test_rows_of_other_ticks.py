@@ -6,15 +6,19 @@ change the answer of no episode.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import duckdb
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import ssduck
 from ssduck.lakes import workers
 from ssduck.lakes.questions import ProgramQuestion
+from ssduck.recording.stores.batched_parts import ReadPart
 from ssduck.recording.stores.checksums import write_parquet
 from tests.support.forged import with_column
 
@@ -50,14 +54,35 @@ def recorded(place: Path) -> Path:
 
 def forge(record: Path, tick: int, time: float) -> None:
     """Moves the cup's last row of an episode to another tick, far up, with right checksums."""
+
+    def moved(rows: pa.Table) -> pa.Table:
+        last = rows.num_rows - 2
+        for name, value in (("tick", tick), ("time", time), ("z", 99.0)):
+            values = rows[name].to_pylist()
+            rows = with_column(name, [*values[:last], value, *values[last + 1 :]])(rows)
+        return rows
+
+    rewrite_rows(record, moved)
+
+
+def rewrite_rows(record: Path, change: Callable[[pa.Table], pa.Table]) -> None:
+    """Changes the rows of an episode's entities, with right checksums."""
     file = record / f"entities/world=lab/episode={FORGED}/part-000000.parquet"
-    rows = pq.ParquetFile(file).read()
-    last = rows.num_rows - 2
-    for name, value in (("tick", tick), ("time", time), ("z", 99.0)):
-        values = rows[name].to_pylist()
-        rows = with_column(name, [*values[:last], value, *values[last + 1 :]])(rows)
+    rows = change(pq.ParquetFile(file).read())
     about = {k: v for k, v in rows.schema.metadata.items() if k != b"ssduck checksums"}
     write_parquet(rows.replace_schema_metadata(about), file)
+
+
+def twice(rows: pa.Table) -> pa.Table:
+    return pa.concat_tables([rows, rows.slice(rows.num_rows - 2)]).combine_chunks()
+
+
+def of_unknown(rows: pa.Table) -> pa.Table:
+    return with_column("id", lambda ids: [*ids[:-1], 999])(rows)
+
+
+def without_value(rows: pa.Table) -> pa.Table:
+    return with_column("visible", lambda values: [*values[:-1], None])(rows)
 
 
 def answers_of(record: Path, program: str) -> list[tuple[str | None, str | None]]:
@@ -97,15 +122,42 @@ def test_a_row_of_another_tick_changes_no_answer(
     assert set(alone) == {FORGED}  # the others are asked together
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (twice, "a row is twice there"),
+        (of_unknown, "the entity 999 is unknown"),
+        (without_value, "the column 'visible' lacks a value"),
+    ],
+)
+def test_wrong_rows_are_an_error_of_their_episode(
+    tmp_path: Path, change: Callable[[pa.Table], pa.Table], words: str
+) -> None:
+    record = recorded(tmp_path / "r")
+    rewrite_rows(record, change)
+    for program in PROGRAMS:
+        errors = [error for _, error in answers_of(record, program)]
+        assert [n for n, error in enumerate(errors) if error is not None] == [FORGED]
+        assert words in str(errors[FORGED])
+    statement = ssduck.lake(record).sql("greatest(z(lab.cup));")
+    found = duckdb.sql(f"SELECT episode, answer, error FROM ({statement}) ORDER BY episode")
+    answers = found.fetchall()
+    assert [answer is None for _, answer, _ in answers] == [n == FORGED for n in range(EPISODES)]
+    assert words in answers[FORGED][2]
+
+
 def test_the_ticks_of_a_file_are_checked_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     checked: list[str] = []
 
-    def counted(rows, ticks, table, path):
-        checked.append(table)
+    require = ReadPart.require
 
-    monkeypatch.setattr("ssduck.recording.stores.episode_batch.check_ticks", counted)
+    def counted(self, problem):
+        checked.append(self.file.table)
+        require(self, problem)
+
+    monkeypatch.setattr(ReadPart, "require", counted)
     record = recorded(tmp_path / "r")
     answers_of(record, PROGRAMS[0])
     assert checked.count("entities") == EPISODES

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import json
 import os
@@ -19,6 +20,7 @@ from PIL import Image
 
 import ssduck
 from ssduck.adapters.highlight import OUTLINE
+from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.mcp.answers import MAX_LETTERS
 from ssduck.mcp.guide import GUIDE
 from ssduck.mcp.server import create_server
@@ -205,6 +207,46 @@ def test_results_have_a_largest_size(kitchen):
     assert " of 100000 rows" in text
     long = text_of(server, "query", program=f"'{'a' * 2 * MAX_LETTERS}';")
     assert len(long) < MAX_LETTERS + 100
+
+
+NAMES = "abcdefghijklmnop"
+ENDLESS = [
+    {
+        "program": f"SELECT z(a) FROM {', '.join(f'{name}=hall' for name in NAMES)} "
+        f"WHERE {' + '.join(f'z({name})' for name in NAMES)} > 10 ^ 9 AS list;"
+    },
+    {"program": "SELECT count(*) FROM range(10000000000000)", "language": "sql"},
+]
+
+
+@pytest.fixture(scope="module", params=["interpreter", "worker"])
+def unlimited(request):
+    """The answers without a limit of time."""
+    if request.param == "interpreter":
+        with ssduck.load("hall", limits=ssduck.Limits(progress=False)) as ss:
+            yield ss
+        return
+    limits = ssduck.Limits(progress=False)
+    with contextlib.closing(WorkerAnswers(Source("hall", None, None, limits))) as answers:
+        yield answers
+
+
+@pytest.mark.parametrize("question", ENDLESS)
+def test_a_cancelled_question_is_stopped(unlimited, question):
+    """The program would never end, and the worker keeps its variables."""
+    server = create_server(unlimited)
+
+    async def ask():
+        async with Client(server) as client:
+            await client.call_tool("query", {"program": "kept = 5;"})
+            async with anyio.create_task_group() as group:
+                for _ in range(2):  # one that runs, and one that waits
+                    group.start_soon(client.call_tool, "query", question)
+                await anyio.sleep(0.5)
+                group.cancel_scope.cancel()
+            return await client.call_tool("query", {"program": "kept;"})
+
+    assert anyio.run(ask).content[0].text == "5"
 
 
 def test_what_a_program_prints_stays_out_of_the_protocol(kitchen, capfd):

@@ -1,4 +1,4 @@
-"""Rows that SelectScript refuses are found by `ssduck check`, which asks no question."""
+"""Rows that SelectScript refuses are refused by SQL, and `ssduck check` finds them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pyarrow as pa
 import pytest
 
 import ssduck
+from ssduck.errors import RecordError
 from ssduck.recording.replay import checked_rows
 from tests.support.forged import make_records, part, rewrite, without_checksums
 
@@ -104,6 +105,18 @@ def test_a_check_finds_them(
     assert [damage.loss for damage in found] == [f"{table} of episode 0 of 'lab'"]
     assert f"of the rows of {table}, " in found[0].problem
     assert words in found[0].problem
+
+
+@pytest.mark.parametrize("forge", [forged_file, forged_folder])
+@pytest.mark.parametrize("name", FORGERIES)
+def test_sql_refuses_them(
+    made: Path, tmp_path: Path, name: str, forge: Callable[[Path, Path, str, str], Path]
+) -> None:
+    table, select, words = FORGERIES[name]
+    with ssduck.open(forge(made, tmp_path, table, select)) as ss:
+        for _ in range(2):
+            with pytest.raises(RecordError, match=f"of the rows of {table}, .*{words}"):
+                ss.sql(f"SELECT count(*) FROM {table}_history")
 
 
 def test_links_that_no_replay_reads(made: Path, tmp_path: Path) -> None:

@@ -4,13 +4,14 @@ They compute a value from their arguments. Left out are functions that read or c
 (files, settings, sequences, memory addresses, the catalog, the clock of the thread), that run a
 text as SQL, and, because no limit stops them, that make a long text or list of a short one (as
 `list_reduce` can), or whose time grows with the product of the lengths of two texts (as that of
-`levenshtein` and of `json_merge_patch`).
+`levenshtein` and of `json_merge_patch`), or that hash each element of a list, which takes seconds
+for a million (as `list_distinct` does).
 """
 
 from __future__ import annotations
 
 _OPERATORS = """
-!= !__postfix !~~ !~~* % & && * ** + - -> ->> / // < <-> << <= <=> <@ = > >= >> @ @> ^ ^@ | || ~ ~~
+!= !__postfix !~~ !~~* % & && * ** + - -> ->> / // < <-> << <= <=> = > >= >> @ ^ ^@ | || ~ ~~
 ~~* ~~~
 """
 # Functions of one or more values, aggregates and window functions.
@@ -19,12 +20,12 @@ abs acos acosh add age aggregate ago any_value apply approx_count_distinct appro
 arbitrary arg_max arg_max_null arg_max_nulls_last arg_min arg_min_null
 arg_min_nulls_last argmax argmin array_agg array_aggr array_aggregate array_append array_apply
 array_cat array_concat array_contains array_cosine_distance array_cosine_similarity
-array_cross_product array_distance array_distinct array_dot_product array_extract array_filter
-array_grade_up array_has array_has_all array_has_any array_indexof array_inner_product
-array_intersect array_length array_negative_dot_product array_negative_inner_product array_pop_back
+array_cross_product array_distance array_dot_product array_extract array_filter
+array_grade_up array_has array_has_any array_indexof array_inner_product
+array_length array_negative_dot_product array_negative_inner_product array_pop_back
 array_pop_front array_position array_prepend array_push_back array_push_front
 array_reverse array_reverse_sort array_select array_slice array_sort array_to_json array_transform
-array_unique array_value array_where array_zip ascii asin asinh atan atan2 atanh avg base64 bin
+array_value array_where array_zip ascii asin asinh atan atan2 atanh avg base64 bin
 binom bit_and bit_count bit_length bit_or bit_xor bitstring_agg bool_and bool_or
 cardinality cbrt ceil ceiling century char_length character_length chr concat concat_ws contains
 corr cos cosh cot count count_if count_star countif covar_pop covar_samp cume_dist current_date
@@ -44,16 +45,16 @@ kurtosis_pop lag last last_day last_value lcase lcm lead least least_common_mult
 left_grapheme len length length_grapheme lgamma like_escape list list_aggr list_aggregate
 list_any_value list_append list_apply list_approx_count_distinct list_avg list_bit_and list_bit_or
 list_bit_xor list_bool_and list_bool_or list_cat list_concat list_contains list_cosine_distance
-list_cosine_similarity list_count list_distance list_distinct list_dot_product list_element
-list_entropy list_extract list_filter list_first list_grade_up list_has list_has_all list_has_any
-list_histogram list_indexof list_inner_product list_intersect list_kurtosis list_kurtosis_pop
-list_last list_mad list_max list_median list_min list_mode list_negative_dot_product
+list_cosine_similarity list_count list_distance list_dot_product list_element
+list_extract list_filter list_first list_grade_up list_has list_has_any
+list_indexof list_inner_product list_kurtosis list_kurtosis_pop
+list_last list_mad list_max list_median list_min list_negative_dot_product
 list_negative_inner_product list_pack list_position list_prepend list_product list_reverse
 list_reverse_sort list_select list_sem list_skewness list_slice list_sort list_stddev_pop
-list_stddev_samp list_sum list_transform list_unique list_value list_var_pop list_var_samp
+list_stddev_samp list_sum list_transform list_value list_var_pop list_var_samp
 list_where list_zip listagg ln log log10 log2 lower ltrim mad make_date make_time make_timestamp
-make_timestamp_ms make_timestamp_ns make_timestamptz make_type map map_concat map_contains
-map_contains_entry map_contains_value map_entries map_extract map_extract_value map_from_entries
+make_timestamp_ms make_timestamp_ns make_timestamptz make_type map map_contains
+map_contains_entry map_contains_value map_entries map_extract map_extract_value
 map_keys map_values max max_by md5 md5_number mean median microsecond millennium millisecond min
 min_by minute mismatches mod mode month monthname multiply nanosecond nextafter normalized_interval
 not_ilike_escape not_like_escape now nth_value ntile nullif octet_length ord parse_dirname
@@ -83,6 +84,14 @@ JOINING = frozenset(("group_concat", "listagg", "string_agg"))
 AGGREGATING = frozenset(
     ("aggregate", "array_aggr", "array_aggregate", "list_aggr", "list_aggregate")
 )
+# Aggregates that hash each element: of the elements of a list, in one step.
+HASHING = frozenset(("entropy", "histogram", "mode"))
+# Functions whose second argument is a path in JSON, in which each `*` and `..` may stand for all
+# places of those before.
+PATHS = frozenset(
+    ("->", "->>", "json_exists", "json_extract", "json_extract_path", "json_extract_path_text")
+).union(("json_extract_string", "json_keys", "json_array_length", "json_type", "json_value"))
+WILDCARDS = ("*", "..")
 # Functions whose second argument is a regular expression: their time grows with its length times
 # that of the text.
 REGULAR = frozenset(
@@ -113,5 +122,7 @@ LIKES = {
     "not_ilike_escape": "NOT ILIKE",
 }
 MAX_EXPRESSION = 200
+# Types of numbers of any length, which are read in the square of it.
+UNBOUNDED_TYPES = frozenset(("bignum", "varint"))
 # Functions in FROM.
 TABLE_FUNCTIONS = frozenset(("generate_series", "json_each", "json_tree", "range", "unnest"))

@@ -19,12 +19,16 @@ from ssduck.database.macros import TABLE_MACROS
 from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
+    HASHING,
     JOINING,
     LIKES,
     MAX_EXPRESSION,
     OPERATORS,
+    PATHS,
     REGULAR,
     TABLE_FUNCTIONS,
+    UNBOUNDED_TYPES,
+    WILDCARDS,
 )
 from ssduck.database.strict.statement_size import check_statement_size
 from ssduck.errors import LimitError, SourceSpan, nearest
@@ -54,6 +58,23 @@ _IN_FROM = TABLE_FUNCTIONS | _TABLE_MACROS
 _OWN_TABLES = (
     "SELECT table_name FROM duckdb_tables() WHERE NOT internal AND schema_name = 'main' "
     "AND database_name = current_database()"
+)
+_OF_LISTS = FUNCTIONS - JOINING - HASHING
+# The kinds of parts of a SELECT that changes nothing, as DuckDB's trees name them. A query of WITH
+# may be an INSERT or a COPY, and the next DuckDB may have others.
+_KINDS = frozenset(
+    """
+    SELECT_NODE SET_OPERATION_NODE RECURSIVE_CTE_NODE CTE_NODE
+    BASE_TABLE EMPTY EXPRESSION_LIST JOIN PIVOT SHOW_REF SUBQUERY TABLE_FUNCTION
+    DISTINCT_MODIFIER LIMIT_MODIFIER LIMIT_PERCENT_MODIFIER ORDER_MODIFIER
+    ASCENDING DESCENDING ORDER_DEFAULT
+    """.split()
+)
+_CLASSES = frozenset(
+    """
+    BETWEEN CASE CAST COLLATE COLUMN_REF COMPARISON CONJUNCTION CONSTANT DEFAULT FUNCTION LAMBDA
+    OPERATOR PARAMETER POSITIONAL_REFERENCE STAR SUBQUERY TYPE WINDOW
+    """.split()
 )
 # DuckDB's place of a part that the text does not have.
 _NOWHERE = 2**64 - 1
@@ -109,7 +130,7 @@ class SelectCheck:
             count = f"and the text has {len(statements)} statements"
             raise LimitError(f"SQL is one SELECT here, {count} (Limits: select_only)")
         kind = statements[0][0]
-        if kind != "SELECT":
+        if kind not in ("SELECT", "WITH"):  # the tree tells what is in WITH
             raise LimitError(f"SQL is one SELECT here, not {kind} (Limits: select_only)")
         ((text,),) = self._connection.internal_rows(_TREE, [sql])
         try:
@@ -175,6 +196,7 @@ class _Walk:
             queries: the queries of WITH that it may name.
         """
         kind = node.get("type")
+        self._check_kind(node)
         if "cte_map" in node:
             for item in node["cte_map"]["map"]:
                 yield item["value"], queries
@@ -189,11 +211,26 @@ class _Walk:
             return
         elif "function_name" in node:
             self._check_function(node)
+        elif node.get("syntax_type") == "SINGLE_ARROW":
+            self._check_path(node, "->", node["expr"])
+        elif node.get("class") == "STAR" and (node["expr"] or {}).get("class") == "LAMBDA":
+            yield node["expr"]["expr"], queries  # the arrow of COLUMNS(c -> …) begins no path
+            node = {**node, "expr": None}
         for key, part in node.items():
             if key == "right" and kind == "RECURSIVE_CTE_NODE":
                 yield part, queries | {folded(node["cte_name"])}
             elif key != "cte_map":
                 yield part, queries
+
+    def _check_kind(self, node: Node) -> None:
+        """Checks that a part is of a kind that changes nothing."""
+        is_expression = "class" in node
+        kind = node["class"] if is_expression else node.get("type")
+        if isinstance(kind, str) and kind not in (_CLASSES if is_expression else _KINDS):
+            words = kind.removesuffix("_NODE").removesuffix("_QUERY").replace("_", " ")
+            self._refuse(node, f"SQL is one SELECT here, without {words}")
+        if kind == "TYPE" and folded(node["type_name"]) in UNBOUNDED_TYPES:
+            self._refuse(node, f"there is no type {node['type_name']} here: use DOUBLE or HUGEINT")
 
     def _check_table(self, node: Node, queries: AbstractSet[str]) -> None:
         name, schema = folded(node["table_name"]), folded(node["schema_name"])
@@ -239,9 +276,21 @@ class _Walk:
             for argument in node["arguments"][1:2]:
                 literal = argument["expression"].get("literal") or {}
                 aggregate = folded(str(literal.get("text")))
-                if aggregate not in FUNCTIONS - JOINING:
+                if aggregate not in _OF_LISTS:
                     message = f"{name} takes the name of an aggregate that SQL may call"
-                    self._refuse(node, message, aggregate, FUNCTIONS - JOINING)
+                    self._refuse(node, message, aggregate, _OF_LISTS)
+        if name in PATHS and len(node["arguments"]) > 1:
+            self._check_path(node, name, node["arguments"][1]["expression"])
+        if name == "map" and not all(map(_is_written_out, node["arguments"])):
+            self._refuse(node, "map takes lists that are written out here: MAP {'a': 1}")
+
+    def _check_path(self, node: Node, name: str, path: Node) -> None:
+        """Checks that a path in JSON is known, or one without wildcards: that of a column."""
+        text = (path.get("literal") or {}).get("text")
+        if path["class"] not in ("CONSTANT", "COLUMN_REF", "PARAMETER"):
+            self._refuse(node, f"the path of {name} is a text or a column here")
+        if isinstance(text, str) and sum(map(text.count, WILDCARDS)) > 1:
+            self._refuse(node, f"the path of {name} has at most one of * and .. here")
 
     def _check_expression(self, node: Node, what: str) -> None:
         """Checks that an expression or a pattern is short, and known before the statement runs."""
@@ -267,6 +316,11 @@ class _Walk:
             span=span,
             suggestions=nearest(name, known),
         )
+
+
+def _is_written_out(argument: Node) -> bool:
+    expression = argument["expression"]
+    return expression.get("function_name") in ("list_value", "array_value", "list_pack")
 
 
 def _split(name: str) -> tuple[str, str]:

@@ -11,7 +11,7 @@ at once, after the rows of earlier ticks. Within a table, the rows of a tick are
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias
 
@@ -61,6 +61,21 @@ class PairRequest:
 
 # The columns of the result: a tick, two entities, and the pose of each.
 PAIR_COLUMNS = ("tick", "a", "b", *(f"{side}_{name}" for side in "ab" for name in POSE))
+
+
+@dataclass(frozen=True)
+class RowBlock:
+    """All rows of a table at some ticks, which others of the table do not have.
+
+    Attributes:
+        first: the first of these ticks.
+        last: the last of them.
+        rows: the rows, of the columns `row_checks.key_types`.
+    """
+
+    first: int
+    last: int
+    rows: pa.Table
 
 
 class TickStore(ABC):
@@ -156,8 +171,10 @@ class TickArchive(ABC):
         tables: the tables that have rows, `ticks` among them.
         unrecorded_run: the number of the run for an old record, whose rows lack it.
         visible_rows: the stored rows that DuckDB reads from memory, by table.
+        has_single_links: whether bodies of one link have rows in the table of links.
     """
 
+    has_single_links: bool = False
     recording: Recording
     tables: tuple[str, ...]
     unrecorded_run: int | None = None
@@ -188,16 +205,16 @@ class TickArchive(ABC):
         """Returns the same rows, with all those that SQL reads: none is left out."""
         return self.fetch(table, first, last)
 
-    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:  # noqa: ARG002
-        """Returns the number and the time of a stored row that are those of no tick.
+    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
+        """Yields all stored rows that SQL reads of a table, for a check of them.
 
-        None if there is no such row, as there is none among the rows of this process.
+        There are none where this process has written them.
 
         Args:
             table: a table of a world.
-            ticks: the numbers and times of the ticks of the record, `tick` and `time`.
+            starts: the first tick of each block, for a store that has no parts.
         """
-        return None
+        return iter(())
 
     @abstractmethod
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:

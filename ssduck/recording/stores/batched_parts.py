@@ -21,11 +21,15 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
+from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.stores.base import RowBlock
 from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import OTHER_PART
+from ssduck.recording.stores.row_checks import RowChecks, key_types
 from ssduck.recording.stores.stored_columns import checked_parquet, part_columns
 
+OLDER = "a part of an older record is read by itself"
 # The largest number of bytes of the parts of a batch, as they are and decoded, and that of the
 # columns that are kept for the next question.
 MOST_READ = 1 << 27
@@ -127,6 +131,38 @@ class ReadPart:
             read = self.parquet.read(missing, use_threads=False)
             self.columns.update(zip(read.column_names, read.columns, strict=True))
         return pa.table({name: self.columns[name] for name in names if name in self.columns})
+
+    def keys(self) -> pa.Table:
+        """Returns the columns of the rows that are checked.
+
+        Raises:
+            RecordError: an older record lacks some of them.
+        """
+        names = key_types(self.file.table).names
+        rows = self.rows(names)
+        if rows.column_names != names:
+            raise RecordError(OLDER)
+        return rows
+
+    def check(self, checks: RowChecks, ticks: TickBuffer, between: tuple[int, int]) -> None:
+        """Checks the rows, except that the bodies with parts are those that are there.
+
+        Args:
+            checks: checks the rows.
+            ticks: the ticks of the episode.
+            between: the first and the last tick of the part.
+
+        Raises:
+            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
+        """
+        block = RowBlock(*between, self.keys())
+        self.require(checks.problem_of_block(self.file.table, block, ticks))
+
+    def require(self, problem: str | None) -> None:
+        """Raises a RecordError if there is a problem with the rows."""
+        if problem is not None:
+            about = f"of the rows of {self.file.table}, {problem}"
+            raise RecordError(f"{self.file.path} is damaged: {about}")
 
 
 class ReadParts:

@@ -12,7 +12,7 @@ takes no time and releases its memory.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +24,7 @@ from ssduck.recording.static_tables import JOINT_OF_LINK, IdProvider
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
+    RowBlock,
     StoreConnection,
     TickArchive,
     TickStore,
@@ -35,10 +36,10 @@ from ssduck.recording.stores.history_sql import (
     create_table,
     history,
     near_pair_rows,
-    stray_tick,
 )
 from ssduck.recording.stores.model_tables import ModelTables
 from ssduck.recording.stores.record_file import RecordFile
+from ssduck.recording.stores.row_checks import key_types
 from ssduck.recording.stores.stored_columns import tick_types
 from ssduck.recording.stores.tick_index import checked_ticks
 from ssduck.recording.tags import Tags
@@ -47,6 +48,8 @@ from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
 SLOTS = RETENTION_PARTS + 2
+# The numbers of the first and the last tick that a row can claim.
+_FIRST, _LAST = -(1 << 63), (1 << 63) - 1
 
 
 class DuckDBStore(TickStore, TickArchive):
@@ -210,11 +213,19 @@ class DuckDBStore(TickStore, TickArchive):
             (first, last),
         )
 
-    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
-        """Returns the number and the time of a row of a file that are those of no tick."""
+    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:
+        """Yields all rows of a table of a file, for a check of them: block by block."""
         if self._file is None or table not in self.tables:
-            return None
-        return stray_tick(self._connection, self.stored_rows(table), ticks)
+            return
+        listed, stored = column_list(key_types(table).names), self.stored_rows(table)
+        ends = [*(start - 1 for start in starts[1:]), _LAST]
+        for first, last in zip([_FIRST, *starts[1:]], ends, strict=True):
+            rows = self._connection.rows(
+                f"SELECT {listed} FROM ({stored}) AS stored "  # noqa: S608
+                "WHERE tick IS NULL OR tick BETWEEN ? AND ?",
+                (first, last),
+            )
+            yield RowBlock(first, last, rows)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""

@@ -17,9 +17,12 @@ import pyarrow.compute as pc
 
 from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import Recording
+from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.batched_parts import (
+    OLDER,
     BatchedFile,
     PartsDataset,
     ReadPart,
@@ -27,7 +30,7 @@ from ssduck.recording.stores.batched_parts import (
 )
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
-from ssduck.recording.stores.tick_checks import stray_row
+from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
 
@@ -35,8 +38,6 @@ from ssduck.world.live_tables import ARROW_TYPES
 _RUN = "run"
 # The largest number of checked parts that are remembered.
 MAX_CHECKED = 20_000
-# The columns of each part that tell of which tick a row is.
-_TICK = pa.schema({"tick": pa.int64(), "time": pa.float64()})
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,13 @@ class BatchedEpisode:
         offset: is added to the numbers of its ticks.
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
+        starts: the first tick of each part, without the offset.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
+    starts: Sequence[int]
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:
@@ -60,8 +63,18 @@ class BatchedEpisode:
         return numbers
 
     def key_of(self, file: BatchedFile) -> tuple[BatchedFile, tuple[BatchedFile, ...]]:
-        """Returns what decides whether the rows of a file are of ticks of the episode."""
-        return file, tuple(self.files["ticks"])
+        """Returns what decides whether the rows of a file are right in the episode."""
+        return file, (*self.files["ticks"], *self.files["entities"])
+
+    @cached_property
+    def tick_buffer(self) -> TickBuffer:
+        """Its ticks, without the offset."""
+        return TickBuffer.from_arrays(self.ticks["tick"].to_numpy(), self.times)
+
+    def ticks_of_part(self, number: int) -> tuple[int, int]:
+        """Returns the first and the last tick of a part, without the offset."""
+        ends = [*self.starts[1:], int(self.tick_buffer.numbers[-1]) + 1]
+        return self.starts[number], ends[number] - 1
 
     @cached_property
     def times(self) -> Array:
@@ -112,12 +125,13 @@ class EpisodeBatch(TickArchive):
         self._run = run
         self._models = models
         self._linked = multi_link_bodies(models["entities"])
+        self._checks = RowChecks(members_of(models))
         self._connection, self._register = connection, register
         self._episodes: Sequence[BatchedEpisode] = ()
         self._starts = np.zeros(0, dtype=np.int64)
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
-        # The parts whose rows are of ticks of their own episode, with the checksums of the ticks.
+        # The parts whose rows are right, with the files of the ticks and entities of the episode.
         self._checked: set[tuple[BatchedFile, tuple[BatchedFile, ...]]] = set()
         self._shown = range(0)
         # The columns that were read of all rows of the batch, by table.
@@ -148,24 +162,36 @@ class EpisodeBatch(TickArchive):
     def _check(self, table: str) -> None:
         """Checks the files of a table."""
         for index, episode in enumerate(self._episodes):
-            for file in episode.files[table]:
-                self._part(table, file, index)
+            for number in range(len(episode.files[table])):
+                self._part(table, number, index)
 
-    def _part(self, table: str, file: BatchedFile, index: int) -> ReadPart:
-        """Returns a part of an episode, whose rows are of ticks of the episode.
+    def _part(self, table: str, number: int, index: int) -> ReadPart:
+        """Returns a part of an episode, whose rows are right.
 
         Moved by its offset, a row of another tick might be one of another episode.
 
+        Args:
+            table: the table.
+            number: the number of the part.
+            index: the index of the episode.
+
         Raises:
-            DamagedEpisodeError: the file is missing or damaged, or a row is of another tick.
+            DamagedEpisodeError: the file is missing or damaged, or a row is wrong.
         """
+        episode = self._episodes[index]
+        file = episode.files[table][number]
         try:
-            part = self.parts.read(file)
-            episode = self._episodes[index]
-            key = episode.key_of(file)
+            part, key = self.parts.read(file), episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                check_ticks(part.rows(_TICK.names), episode.ticks, table, file.path)
+                part.check(self._checks, episode.tick_buffer, episode.ticks_of_part(number))
+                if table in TABLES_OF_BODIES:
+                    bodies = self._part("entities", number, index).keys()
+                    part.require(
+                        self._checks.problem_of_bodies(table, part.keys(), bodies, single=True)
+                    )
                 self._checked.add(key)
+        except DamagedEpisodeError:
+            raise
         except RecordError as error:
             raise DamagedEpisodeError(error.message, index) from error
         except (OSError, pa.ArrowException) as error:
@@ -222,10 +248,10 @@ class EpisodeBatch(TickArchive):
         """Yields the rows of each part of episodes; the errors are those of `_rows_of`."""
         stored = [name for name in columns if name != _RUN]
         for index in indices:
-            for file in self._episodes[index].files[table]:
-                rows = self._part(table, file, index).rows(stored)
+            for number in range(len(self._episodes[index].files[table])):
+                rows = self._part(table, number, index).rows(stored)
                 if rows.column_names != stored:
-                    raise RecordError(f"{file.path} is of an older record: it is read by itself")
+                    raise RecordError(OLDER)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
 
     def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:
@@ -265,11 +291,9 @@ class EpisodeBatch(TickArchive):
             ]
             if table == "ticks"
             else [
-                _rows(
-                    self._part(table, file, index), types, self._episodes[index].offset, first, last
-                )
-                for index in range(begin, end)
-                for file in self._episodes[index].files[table]
+                _rows(self._part(table, number, index), types, episode.offset, first, last)
+                for index, episode in enumerate(self._episodes[begin:end], begin)
+                for number in range(len(episode.files[table]))
             ]
         )
         rows = parts[0] if len(parts) == 1 else pa.concat_tables([types.empty_table(), *parts])
@@ -310,28 +334,6 @@ def _with_nulls(rows: pa.Table) -> pa.Table:
     return rows
 
 
-def check_ticks(rows: pa.Table, ticks: pa.Table, table: str, path: str) -> None:
-    """Checks that all rows of a part have the number and the time of a tick of their episode.
-
-    Args:
-        rows: the rows, with `tick` and `time`.
-        ticks: the rows of the ticks, with the same columns.
-        table: the table of the rows, for the message.
-        path: the part or the record, to begin the message.
-
-    Raises:
-        RecordError: a row has those of none, or the part has no such columns.
-    """
-    is_whole = set(_TICK.names) <= set(rows.column_names)
-    if not is_whole or any(
-        rows[field.name].type != field.type or rows[field.name].null_count for field in _TICK
-    ):
-        raise RecordError(f"{path} has no tick and time of each row of {table}")
-    stray = stray_row(rows, ticks["tick"].to_numpy(), ticks["time"].to_numpy())
-    if stray is not None:
-        raise RecordError(f"{path} is damaged: of the rows of {table}, {stray}")
-
-
 def _rows(part: ReadPart, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
     """Returns the columns of a part that change with the tick, its ticks moved by an offset.
 
@@ -344,7 +346,7 @@ def _rows(part: ReadPart, types: pa.Schema, offset: int, first: int, last: int) 
     """
     rows = part.rows(types.names)
     if rows.column_names != types.names:
-        raise RecordError("a part of an older record is read by itself")
+        raise RecordError(OLDER)
     return _moved(rows, types, offset, first, last)
 
 

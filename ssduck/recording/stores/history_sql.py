@@ -14,7 +14,6 @@ from ssduck.schema import BOX, POSE, RECORDED, Table
 # Is added to the largest gap of boxes, m, so that a gap of exactly that size is included.
 BOX_TOLERANCE = 1e-9
 _BUFFERED = "buffered entities"
-_TICKS, _LOGGED = "recorded ticks", "logged rows"
 
 
 @lru_cache(maxsize=1024)
@@ -91,32 +90,6 @@ def history(table: Table, rows: str, entities: str, model: Callable[[str], str])
         )
     keys = column_list(table.key)
     return f"SELECT {listed} FROM ({rows}) AS rows JOIN {model(table.name)} AS model USING ({keys})"  # noqa: S608
-
-
-def stray_tick(
-    connection: StoreConnection, rows: str | None, ticks: pa.Table, logged: pa.Table | None = None
-) -> tuple[int, float | None] | None:
-    """Returns the number and the time of a row that are those of no tick; None if there is none.
-
-    Args:
-        connection: reads the rows.
-        rows: a SELECT of the stored rows of a table; None if there are none.
-        ticks: the numbers and times of the ticks of the record, `tick` and `time`.
-        logged: further rows; None if there are none.
-    """
-    tables = {_TICKS: ticks}
-    sources = [] if rows is None else [f"({rows}) AS stored"]
-    if logged is not None:
-        tables[_LOGGED] = logged
-        sources.append(quoted(_LOGGED))
-    found = []
-    for source in sources:
-        sql = (
-            f"SELECT tick, time FROM {source} "  # noqa: S608
-            f"ANTI JOIN {quoted(_TICKS)} USING (tick, time) LIMIT 1"
-        )
-        found += connection.rows(sql, (), tables).to_pylist()
-    return (found[0]["tick"], found[0]["time"]) if found else None
 
 
 def near_pair_rows(

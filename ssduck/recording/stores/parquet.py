@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -21,6 +21,7 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
 from ssduck.recording.episode import Episode, new_id
+from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_text
 from ssduck.recording.recorder import Recorder
@@ -43,6 +44,7 @@ from ssduck.recording.stores.parquet_layout import (
     DESCRIPTION,
     FORMAT,
     LOG,
+    PAIRS,
     FolderRun,
     check_about,
     part_name,
@@ -100,6 +102,7 @@ class ParquetStore(TickStore):
         described = _description(world, self.tables, recording, tags or {}, is_export=is_export)
         if camera is not None:
             described["camera"] = camera_text(camera)
+        self._made = _missing_folders(self.path)
         self.run = _begin_episode(self.path, world, described | dict(about or {}))
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
@@ -192,17 +195,17 @@ class ParquetStore(TickStore):
                 write_summary(run, self._checksums)
 
     def discard(self) -> None:
-        """Removes the files of the episode."""
-        for place in self._places:
-            remove_tree(self.run.place(place))
+        """Removes the files of the episode, and the folder if it was made for them."""
         if self._staged is not self.run:
             remove_tree(self._staged.path)
-        self.run.about_file.unlink(missing_ok=True)
+        remove_episode(self.run)
+        if self._made is not None:
+            _remove_empty(self.path, self._made)
 
     @property
     def _places(self) -> tuple[str, ...]:
-        """The names of the folders of an episode."""
-        return (*self.tables, LOG, INDEX, *(f"models/{table}" for table in MODELS))
+        """The names of the folders of the episode."""
+        return _folders_of(self.tables)
 
     def _move_staged(self) -> None:
         """Moves the files of an export to their places."""
@@ -416,6 +419,64 @@ def _description(
         "tags": dict(tags),
     }
     return about | {"exporting": True} if is_export else about
+
+
+def _folders_of(tables: Sequence[str]) -> tuple[str, ...]:
+    """Returns the names of the folders of an episode with some tables."""
+    return (*tables, LOG, INDEX, *(f"models/{table}" for table in MODELS))
+
+
+def remove_episode(run: FolderRun) -> None:
+    """Removes the files of an episode that is not wanted."""
+    for name in (*_folders_of(run.tables), PAIRS):
+        remove_tree(run.place(name))
+    (run.path / STEPS / f"{run.world}-{run.number}.json").unlink(missing_ok=True)
+    run.about_file.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_record(path: Path) -> Iterator[list[FolderRun]]:
+    """Lets episodes be added to a folder, all or none.
+
+    Args:
+        path: the folder; one that is made in the context goes, too, if the context fails.
+
+    Yields:
+        The episodes, which are appended when they are complete.
+    """
+    made, runs = _missing_folders(path), list[FolderRun]()
+    try:
+        yield runs
+    except BaseException:
+        for run in runs:
+            remove_episode(run)
+        if made is not None and path.exists():
+            _remove_empty(path, made)
+        raise
+
+
+def _missing_folders(path: Path) -> list[Path] | None:
+    """Returns the folders that are made for a new record; None if there is one already."""
+    if isinstance(path, ObjectPath) or (path / ABOUT).exists():
+        return None
+    return [folder for folder in (path, *path.parents) if not folder.exists()]
+
+
+def _remove_empty(path: Path, made: Sequence[Path]) -> None:
+    """Removes a new record without episodes, and the folders that were made for it.
+
+    Another recorder may have begun an episode in it; then it stays.
+    """
+    with suppress(OSError):
+        (path / "episodes").rmdir()
+        (path / ABOUT).unlink()
+        for folder, _, _ in os.walk(path, topdown=False):
+            if Path(folder) != path:
+                Path(folder).rmdir()
+        for folder in made:
+            folder.rmdir()
+    if (path / "episodes").exists() and not (path / ABOUT).exists():
+        create_file(path / ABOUT, json_text(DESCRIPTION))
 
 
 def _begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,21 +21,29 @@ from ssduck.recording.model_checks import check_models
 from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values, with_joint_numbers
-from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
+from ssduck.recording.stores.base import (
+    BufferViews,
+    PairRequest,
+    RowBlock,
+    StoreConnection,
+    TickArchive,
+)
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.history_sql import (
     all_columns,
     column_list,
     near_pair_rows,
     quoted,
-    stray_tick,
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
+from ssduck.recording.stores.row_checks import key_types
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
+# So many rows of a table without a key are checked at once.
+_ROWS_AT_ONCE = 1 << 17
 _PATTERN = re.compile(r"[*?[]")
 
 
@@ -54,6 +62,8 @@ class ParquetArchive(TickArchive):
     Raises:
         RecordError: a file is missing or damaged, or nothing was stored.
     """
+
+    has_single_links = True
 
     def __init__(self, run: FolderRun, recording: Recording, connection: StoreConnection) -> None:
         self.recording = recording
@@ -177,14 +187,18 @@ class ParquetArchive(TickArchive):
         end = int(np.searchsorted(self._starts, last, side="right"))
         return range(begin, min(end, len(self._files[table])))
 
-    def stray_tick(self, table: str, ticks: pa.Table) -> tuple[int, float | None] | None:
-        """Returns the number and the time of a stored row that are those of no tick."""
-        logged = self._log[table].arrow if self._log else None
-        rows, files = None, self._files.get(table)
-        if files:
-            self._check(table, range(len(files)))
-            rows = f"SELECT tick, time FROM {_scan(files)}"  # noqa: S608
-        return stray_tick(self._connection, rows, ticks, logged)
+    def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
+        """Yields all stored rows that SQL reads of a table, for a check of them: part by part."""
+        types, files = key_types(table), self._files[table]
+        ends = [*self._starts[1:], int(self.ticks.numbers[-1]) + 1]
+        for number, file in enumerate(files):
+            self._check(table, range(number, number + 1))
+            parts = [_rows_of_part(file, types)] if RECORDED[table].key else _rows_in(file, types)
+            for rows in parts:
+                yield RowBlock(self._starts[number], ends[number] - 1, rows)
+        if self._log:
+            rows = self._log[table].arrow.select(types.names).cast(types)
+            yield RowBlock(self._starts[len(files)], ends[len(files)] - 1, rows)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
@@ -242,6 +256,15 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     Raises:
         RecordError: the file is damaged or missing.
     """
+    return _between(_rows_of_part(file, types), first, last)
+
+
+def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
+    """Returns some columns of the rows of a part, with NULL for missing ones.
+
+    Raises:
+        RecordError: the file is damaged or missing.
+    """
     try:
         part = pq.ParquetFile(parquet_source(file))
         present = set(part.schema_arrow.names)
@@ -250,13 +273,23 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-    rows = _between(rows, first, last)
     if "joint" in types.names:
         rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     return rows.select(types.names).cast(types)
+
+
+def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
+    """Yields some columns of the rows of a part, not all rows at once, which takes less memory."""
+    try:
+        for batch in pq.ParquetFile(parquet_source(file)).iter_batches(
+            _ROWS_AT_ONCE, columns=types.names, use_threads=False
+        ):
+            yield pa.Table.from_batches([batch]).select(types.names).cast(types)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:

@@ -19,15 +19,16 @@ def stray_row(rows: pa.Table, numbers: Indices, times: Array) -> str | None:
     own, own_times = rows["tick"].to_numpy(), rows["time"].to_numpy()
     if not len(own):
         return None
+    # Of each row that has not the tick and the time of the row before it.
+    begins = np.flatnonzero((own[1:] != own[:-1]) | (own_times[1:] != own_times[:-1])) + 1
+    own, own_times = (values[np.append(0, begins)] for values in (own, own_times))
     places = np.searchsorted(numbers, own)
     is_right = numbers.take(places, mode="clip") == own
     is_right &= times.take(places, mode="clip") == own_times
     if is_right.all():
         return None
     first = int(np.argmin(is_right))
-    return stray_message(own[first], own_times[first])
-
-
-def stray_message(number: int, time: float | None) -> str:
-    """Returns what is wrong with a row of no tick, which has this number and this time, s."""
-    return f"one is at the tick {number} and the time {time} s, which the record does not have"
+    return (
+        f"one is at the tick {own[first]} and the time {own_times[first]} s, which the record does "
+        "not have"
+    )

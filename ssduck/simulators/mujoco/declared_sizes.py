@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,16 +43,15 @@ _ITERATIONS = (
 
 
 def check_declared_sizes(file: Path) -> None:
-    """Checks that an MJCF file and those that it includes describe a model of a usual size.
+    """Checks that an MJCF file, with those that it includes and attaches, is of a usual size.
 
     Raises:
         SceneError: they describe more.
     """
-    count = _count(file, file, {file.resolve()})
-    if count > MAX_ELEMENTS:
+    if _Models().count(file) > MAX_ELEMENTS:
         raise SceneError(
             f"{file}: the model has more than {MAX_ELEMENTS:,} elements, counting those that "
-            "replicate, composite and flexcomp make"
+            "replicate, composite, flexcomp and attach make"
         )
 
 
@@ -79,14 +79,72 @@ def check_iterations(options: Any, file: Path) -> None:
             )
 
 
-def _count(file: Path, main: Path, files: set[Path]) -> int:
-    """Returns the number of elements of a file; MuJoCo reports one that cannot be read."""
+class _Models:
+    """Counts the elements of model files, which may attach others."""
+
+    def __init__(self) -> None:
+        # The numbers of elements by file; None while a file is counted.
+        self._counts: dict[Path, int | None] = {}
+
+    def count(self, file: Path) -> int:
+        """Returns the number of elements of a model, at most one more than the bound.
+
+        Raises:
+            SceneError: it attaches itself, which MuJoCo would read until the stack overflows.
+        """
+        key = file.resolve()
+        if key not in self._counts:
+            self._counts[key] = None
+            root = _with_included(file, file, {key})
+            attached = {} if root is None else self._attached(root, file)
+            # Each is read, and copied wherever it is attached.
+            total = sum(attached.values()) + _count(root, file, attached)
+            self._counts[key] = min(total, MAX_ELEMENTS + 1)
+        count = self._counts[key]
+        if count is None:
+            raise SceneError(f"{file}: <model>: the model attaches itself")
+        return count
+
+    def _attached(self, root: ET.Element, file: Path) -> dict[str, int]:
+        """Returns the numbers of elements of the models that a model may attach, by name."""
+        counts: dict[str, int] = {}
+        for element in root.iter("model"):
+            if (name := element.get("file")) is not None:
+                place = file.parent / name
+                counts[element.get("name") or _model_name(place)] = self.count(place)
+        return counts
+
+
+def _read(file: Path) -> ET.Element | None:
+    """Returns the root of a file; None for one that cannot be read, which MuJoCo reports."""
     try:
-        root = parse_xml(file.read_bytes())
+        return parse_xml(file.read_bytes())
     except (ET.ParseError, OSError, ValueError):
-        return 0
+        return None
+
+
+def _model_name(file: Path) -> str:
+    root = _read(file)
+    return "" if root is None else root.get("model", "")
+
+
+def _with_included(file: Path, main: Path, files: set[Path]) -> ET.Element | None:
+    """Returns the root of a file, with those of included files within each <include>."""
+    root = _read(file)
+    for element in [] if root is None else list(root.iter("include")):
+        inner = main.parent / element.get("file", "")
+        if inner.resolve() not in files:
+            files.add(inner.resolve())
+            included = _with_included(inner, main, files)
+            if included is not None:
+                element.append(included)
+    return root
+
+
+def _count(root: ET.Element | None, main: Path, attached: Mapping[str, int]) -> int:
+    """Returns the number of elements of a model, with all copies."""
     total = 0
-    waiting = [(root, 1)]
+    waiting = [] if root is None else [(root, 1)]
     while waiting:
         element, copies = waiting.pop()
         total += copies
@@ -97,11 +155,8 @@ def _count(file: Path, main: Path, files: set[Path]) -> int:
         if element.tag in ("composite", "flexcomp"):
             total += copies
             copies = 1
-        elif element.tag == "include":
-            inner = main.parent / element.get("file", "")
-            if inner.resolve() not in files:
-                files.add(inner.resolve())
-                total += copies * _count(inner, main, files)
+        elif element.tag == "attach":
+            total += copies * attached.get(element.get("model", ""), 0)
         waiting += [(child, copies) for child in element]
     return total
 

@@ -68,6 +68,65 @@ def test_copies_of_an_included_file_count(tmp_path):
     refused(tmp_path, text, "more than 1,000,000 elements", inner=inner)
 
 
+ATTACHED = f'<mujoco model="own"><worldbody><replicate count="2000"><body name="b">{GEOM}</body></replicate></worldbody></mujoco>'
+
+
+@pytest.mark.parametrize("body", ['', 'body="b"'])
+@pytest.mark.parametrize("name", ["m", None])
+def test_copies_of_an_attached_model_count(tmp_path, name, body):
+    model = '<model file="inner.xml"/>' if name is None else '<model name="m" file="inner.xml"/>'
+    attach = f'<attach model="{name or "own"}" {body} prefix="a"/>'
+    world = f'<worldbody><replicate count="2000">{attach}</replicate></worldbody>'
+    for text in (f"<asset>{model}</asset>{world}", f"{world}<asset>{model}</asset>"):
+        refused(tmp_path, f"<mujoco>{text}</mujoco>", "1,000,000 elements", inner=ATTACHED)
+
+
+def test_models_that_attach_models_count(tmp_path):
+    """Ten copies of ten copies of …, in six files that are alike."""
+    for number in range(6):
+        attach = f'<attach model="m" prefix="a{number}"/>'
+        (tmp_path / f"m{number}.xml").write_text(
+            f'<mujoco><asset><model name="m" file="m{number + 1}.xml"/></asset><worldbody>'
+            f'<replicate count="10">{attach}</replicate></worldbody></mujoco>'
+        )
+    included = '<mujocoinclude><body><geom size=".1"/></body></mujocoinclude>'
+    (tmp_path / "m6.xml").write_text(
+        '<mujoco><worldbody><include file="i.xml"/></worldbody></mujoco>'
+    )
+    text = (tmp_path / "m0.xml").read_text()
+    refused(tmp_path, text, "more than 1,000,000 elements", i=included)
+
+
+def test_assets_of_attached_models_are_checked(tmp_path):
+    inner = f'<mujoco model="own"><asset>{ASSETS["hfield"]}</asset></mujoco>'
+    (tmp_path / "inner.xml").write_text(inner)
+    file = tmp_path / "a.xml"
+    file.write_text('<mujoco><asset><model name="m" file="inner.xml"/></asset></mujoco>')
+    with pytest.raises(SceneError, match="inner.xml: <hfield>: nrow times ncol"):
+        ssduck.load(file)
+
+
+@pytest.mark.parametrize("files", [["bomb.xml"], ["inner.xml", "bomb.xml"]])
+def test_a_model_that_attaches_itself_is_an_error(tmp_path, files):
+    """MuJoCo 3 crashes the process."""
+    texts = [
+        f'<mujoco><asset><model name="m" file="{file}"/></asset><worldbody>'
+        '<attach model="m" prefix="a"/></worldbody></mujoco>'
+        for file in files
+    ]
+    refused(tmp_path, texts[0], "attaches itself", **dict(zip(["inner"], texts[1:], strict=False)))
+
+
+def test_attached_models_of_a_usual_size_are_read(tmp_path):
+    (tmp_path / "inner.xml").write_text(ATTACHED.replace("2000", "2"))
+    (tmp_path / "a.xml").write_text(
+        '<mujoco><asset><model name="m" file="inner.xml"/></asset><worldbody>'
+        '<replicate count="3" offset="1 0 0"><attach model="m" prefix="a"/></replicate>'
+        "</worldbody></mujoco>"
+    )
+    check_declared_sizes(tmp_path / "a.xml")
+
+
 def test_a_file_that_includes_itself_is_an_error(tmp_path):
     refused(tmp_path, '<mujoco><include file="bomb.xml"/></mujoco>', "include")
 

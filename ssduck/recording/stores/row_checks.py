@@ -1,0 +1,193 @@
+"""Finds what is wrong with the rows of ticks that a stranger may have written.
+
+The replay and SQL take for granted that each row is of a known entity, that no entity is there
+twice at a tick, that a body has all of its links, and that each row has the number and the time of
+a tick of the record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.stores.base import RowBlock
+from ssduck.recording.stores.tick_checks import stray_row
+from ssduck.schema import FRAMES, RECORDED
+from ssduck.world.layout import EntityInfo
+
+Integers = npt.NDArray[np.int64]
+
+# The columns of each table that name a link, by that of its entity.
+_LINKS = {"contacts": {"a": "link_a", "b": "link_b"}}
+# The tables that have a row for each part of a body at each tick that has one of them.
+_COMPLETE = frozenset(("links", "joints", FRAMES))
+# Of those that SQL reads, the bodies are those of the table of entities.
+TABLES_OF_BODIES = frozenset(("links", "joints"))
+_LARGEST = 1 << 62
+TWICE = "a row is twice there"
+
+
+@cache
+def key_types(table: str) -> pa.Schema:
+    """Returns the columns of a table that are checked, which have all but the measured numbers."""
+    columns = RECORDED[table].tick_columns
+    return pa.schema(
+        [
+            *((name, pa.int64()) for name in columns.integers),
+            ("time", pa.float64()),
+            *((name, pa.bool_()) for name in columns.booleans),
+        ]
+    )
+
+
+class RowChecks:
+    """Checks rows against the models of the entities of a record.
+
+    Args:
+        members: the recorded entities, by id.
+    """
+
+    def __init__(self, members: Mapping[int, EntityInfo]) -> None:
+        self._members = members
+
+    def problem(self, table: str, rows: pa.Table, ticks: TickBuffer) -> str | None:
+        """Returns what is wrong with the rows of a table at some ticks; None for nothing.
+
+        Args:
+            table: the table.
+            rows: all of its rows at these ticks, of all columns or those of `key_types`.
+            ticks: the ticks of the record.
+        """
+        for column in rows.schema:
+            if column.type != pa.float64() and rows[column.name].null_count:
+                return f"the column {column.name!r} lacks a value"
+        problem = stray_row(rows, ticks.numbers, ticks.times)
+        if problem is not None:
+            return problem
+        for name in RECORDED[table].entity_columns:
+            ids = rows[name].to_numpy()
+            if (problem := self.stranger(ids)) is not None:
+                return problem
+            link = _LINKS.get(table, {}).get(name)
+            if link is not None:
+                counts = self._parts("links").take(self._places(ids))
+                if not _are_below(rows[link].to_numpy(), counts):
+                    return "a link is unknown"
+        return self._problem_of_keys(table, rows) if RECORDED[table].key and len(rows) else None
+
+    def problem_of_block(self, table: str, block: RowBlock, ticks: TickBuffer) -> str | None:
+        """Returns what is wrong with all rows of a part, which are of its own ticks."""
+        problem = self.problem(table, block.rows, ticks)
+        if problem is not None:
+            return problem
+        numbers = block.rows["tick"].to_numpy()
+        is_other = (numbers < block.first) | (numbers > block.last)
+        if is_other.any():
+            return f"one at the tick {numbers[is_other][0]} is among those of others"
+        return None
+
+    def stranger(self, ids: Integers) -> str | None:
+        """Returns that an id is that of no entity; None if there is none."""
+        is_unknown = self._places(ids) < 0
+        return f"the entity {ids[is_unknown][0]} is unknown" if is_unknown.any() else None
+
+    def problem_of_bodies(
+        self, table: str, rows: pa.Table, entities: pa.Table, *, single: bool
+    ) -> str | None:
+        """Returns that the bodies with parts are not those that are there, at some ticks.
+
+        Args:
+            table: a table of parts of bodies, as `links`.
+            rows: its rows, which have no problem.
+            entities: the rows of the entities at the same ticks, which have no problem.
+            single: whether bodies of one link have a row of it, which repeats their pose.
+        """
+        owner, number = RECORDED[table].key
+        has_parts = self._parts(table) > (table == "links" and not single)
+        is_first = rows[number].to_numpy() == 0
+        present = self._places(entities["id"].to_numpy())
+        is_body = has_parts.take(present)
+        ticks = rows["tick"].to_numpy()[is_first], entities["tick"].to_numpy()[is_body]
+        places = self._places(rows[owner].to_numpy()[is_first]), present[is_body]
+        if len(ticks[0]) == len(ticks[1]):
+            keys = keys_of(np.concatenate(ticks), np.concatenate(places), len(has_parts))
+            if np.array_equal(*map(_ascending, np.split(keys, 2))):
+                return None
+        return "those of a body are missing at a tick, or there without it"
+
+    def rows_of_a_tick(self, table: str) -> int:
+        """Returns how many rows a tick has at most, of a table whose rows are numbered."""
+        return int(self._parts(table).sum())
+
+    def place_of_pairs(self, a: Integers, b: Integers) -> Integers:
+        """Returns a number of each pair of entities, which are known."""
+        places: Integers = self._places(a) * len(self._members) + self._places(b)
+        return places
+
+    @cached_property
+    def _place_of_id(self) -> Integers:
+        """The place of each member by its id, from 0 on; -1 for other ids below and above."""
+        ids = sorted(self._members)
+        places = np.full(max(ids, default=0) + 2, -1, dtype=np.int64)
+        places[ids] = np.arange(len(ids))
+        return places
+
+    def _places(self, ids: Integers) -> Integers:
+        """Returns the places of entities among the members, by their ids; -1 for unknown ones."""
+        places: Integers = self._place_of_id.take(ids, mode="clip")
+        return places
+
+    def _parts(self, table: str) -> Integers:
+        """Returns the number of parts of each member: its links, joints or shapes."""
+        bodies = [self._members[id].body for id in sorted(self._members)]
+        if table == "entities":
+            return np.ones(len(bodies), dtype=np.int64)
+        attribute = table if table in ("joints", "shapes") else "links"
+        counts = [0 if body is None else len(getattr(body, attribute)) for body in bodies]
+        return np.array(counts, dtype=np.int64)
+
+    def _problem_of_keys(self, table: str, rows: pa.Table) -> str | None:
+        """Returns that a row is twice there, or that a part of a body is missing."""
+        owner, *numbered = RECORDED[table].key
+        places, counts = self._places(rows[owner].to_numpy()), self._parts(table)
+        numbers: Any = rows[numbered[0]].to_numpy() if numbered else 0
+        if not _are_below(numbers, counts.take(places)):
+            return "a link is unknown"
+        starts = np.cumsum(counts) - counts
+        keys = keys_of(rows["tick"].to_numpy(), starts.take(places) + numbers, int(counts.sum()))
+        keys = _ascending(keys)
+        if (np.diff(keys) == 0).any():
+            return TWICE
+        if table in _COMPLETE:
+            size = int(counts.sum())
+            owners = np.repeat(np.arange(len(counts)), counts).take(keys % size)
+            begins = np.flatnonzero(np.diff(keys // size, prepend=-1) | np.diff(owners, prepend=-1))
+            if int(counts.take(owners.take(begins)).sum()) != len(keys):
+                return "a body lacks some of them"
+        return None
+
+
+def keys_of(ticks: Integers, numbers: Integers, size: int) -> Integers:
+    """Returns a number of each row, from its tick and its number, less than `size`, in the tick."""
+    if not len(ticks):
+        return ticks
+    offsets = ticks - ticks.min()
+    if int(offsets.max()) * size > _LARGEST:
+        offsets = np.unique(ticks, return_inverse=True)[1]
+    keys: Integers = offsets * size + numbers
+    return keys
+
+
+def _are_below(numbers: Any, counts: Integers) -> bool:
+    return bool(((numbers >= 0) & (numbers < counts)).all())
+
+
+def _ascending(keys: Integers) -> Integers:
+    """Returns keys in ascending order; most are already."""
+    return np.sort(keys) if (np.diff(keys) < 0).any() else keys

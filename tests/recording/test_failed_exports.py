@@ -1,0 +1,122 @@
+"""A failed export or upgrade leaves nothing, and takes nothing of others away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+import ssduck
+from ssduck.database import database
+from ssduck.errors import RecordError
+from ssduck.interpreter import recording
+from ssduck.recording.episode_steps import EpisodeSteps
+from ssduck.recording.stores.parquet import ParquetStore
+from tests.support.forged import rewrite, without_checksums
+
+
+def recorded(place: Path, episodes: int = 1) -> Path:
+    for height in range(episodes):
+        poses = {"cup": [0, 0, height], "pot": [1, 0, height]}
+        ssduck.write_record(place, ["cup", "pot"], poses, [0.0, 0.1], world="lab")
+    return place
+
+
+@pytest.fixture
+def damaged(tmp_path: Path) -> Path:
+    """Two episodes; the second one has rows twice."""
+    record = recorded(tmp_path / "record", 2)
+    wrong = record / "entities/world=lab/episode=1/part-000000.parquet"
+    rewrite(wrong, lambda rows: pa.concat_tables([rows, rows]).combine_chunks())
+    without_checksums(record)
+    return record
+
+
+def files_in(place: Path) -> dict[Path, bytes]:
+    return {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
+
+
+def test_an_upgrade_that_fails_leaves_nothing(damaged: Path, tmp_path: Path) -> None:
+    """The first episode was written already."""
+    with pytest.raises(RecordError, match="a row is twice there"):
+        ssduck.upgrade(damaged, tmp_path / "a" / "b")
+    assert not (tmp_path / "a").exists()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordError, match="a row is twice there"):
+        ssduck.upgrade(damaged, tmp_path / "empty")
+    assert not list((tmp_path / "empty").iterdir())
+
+
+def test_steps_that_cannot_be_written_leave_no_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = recorded(tmp_path / "record", 2)
+    for number in range(2):
+        EpisodeSteps({}, times=[0.0]).write(record, "lab", number)
+    write, written = EpisodeSteps.write, []
+
+    def second_fails(self, folder: Path, world: str, number: int) -> None:
+        written.append(number)
+        if len(written) == 2:
+            raise RecordError("the disk is full")
+        write(self, folder, world, number)
+
+    monkeypatch.setattr(EpisodeSteps, "write", second_fails)
+    with pytest.raises(RecordError, match="the disk is full"):
+        ssduck.upgrade(record, tmp_path / "new")
+    assert written == [0, 1]
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("method", ["add_members", "add", "finish"])
+def test_an_export_that_fails_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    other = recorded(tmp_path / "other")
+    before = files_in(other)
+
+    def fails(*_: object) -> None:
+        raise RecordError("the disk is full")
+
+    with ssduck.open(recorded(tmp_path / "record")) as ss, monkeypatch.context() as patch:
+        patch.setattr(ParquetStore, method, fails)
+        for place in (tmp_path / "a" / "new", other):
+            with pytest.raises(RecordError, match="the disk is full"):
+                ss.export(place)
+    assert not (tmp_path / "a").exists()
+    assert files_in(other) == before
+
+
+def test_of_several_worlds_all_are_exported_or_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export, exported = database.export, []
+
+    def second_fails(*arguments: object) -> Path:
+        if exported:
+            raise RecordError("the disk is full")
+        exported.append(export(*arguments))
+        return exported[0]
+
+    monkeypatch.setattr(database, "export", second_fails)
+    with ssduck.load("hall") as ss:
+        ss.add_variable("other", ssduck.load("hall").call_variable("hall"))
+        ss.record("other", ssduck.Recording())
+        with pytest.raises(RecordError, match="the disk is full"):
+            ss.export(tmp_path / "new")
+    assert exported
+    assert not (tmp_path / "new").exists()
+
+
+def test_pairs_that_cannot_be_written_leave_no_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> None:
+        raise RecordError("the disk is full")
+
+    monkeypatch.setattr(recording, "write_pairs", fails)
+    with ssduck.load("hall") as ss:
+        with pytest.raises(RecordError, match="the disk is full"):
+            ss.export(tmp_path / "new", pairs=0.1)
+    assert not (tmp_path / "new").exists()
