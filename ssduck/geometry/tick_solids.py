@@ -55,9 +55,7 @@ class TickSolids:
         margins: (n,), the collision margins, metres; None for none.
 
     Attributes:
-        solids: the solid of each shape.
         places: see above.
-        margins: the collision margin of each shape, metres.
         are_known: whether the pose and the solid of each shape are known.
         corners: the box of each shape: lower corner, upper corner.
         centres: the centre of the sphere around each shape.
@@ -71,11 +69,8 @@ class TickSolids:
         places: ShapePlaces,
         margins: Array | None = None,
     ) -> None:
-        self._distinct = solids
+        self._distinct, self._margins = solids, margins
         self._indices = np.asarray(solid_indices, dtype=np.intp)
-        indices = self._indices.tolist()
-        self.margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
-        self.solids: list[Solid] = [solids[index] for index in indices]
         self.places = places
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
@@ -119,6 +114,18 @@ class TickSolids:
         is_near |= self._are_unbounded[first][:, None] | self._are_unbounded[second]
         for row, column in zip(*(side.tolist() for side in is_near.nonzero()), strict=True):
             yield first[row], second[column]
+
+    @cached_property
+    def solids(self) -> list[Solid]:
+        """The solid of each shape."""
+        return [self._distinct[index] for index in self._indices.tolist()]
+
+    @cached_property
+    def margins(self) -> list[float]:
+        """The collision margin of each shape, metres."""
+        count = len(self._indices)
+        margins: list[float] = [0.0] * count if self._margins is None else self._margins.tolist()
+        return margins
 
     @cached_property
     def bounding_radii(self) -> list[float]:
