@@ -93,7 +93,7 @@ class BatchInterpreter:
     Attributes:
         interpreter: the interpreter.
         world: the world.
-        checks: checks rows against the models.
+        parts: the parts of the episodes that are asked now.
     """
 
     world: ReplayedWorld
@@ -113,14 +113,17 @@ class BatchInterpreter:
         self._execution = self.interpreter._execution  # noqa: SLF001  # a part of this package
         database = self.interpreter._database  # noqa: SLF001
         connection = database.connection
-        # It would keep the footers of all episodes that were ever asked.
-        connection.run("SET parquet_metadata_cache = false")
         for table, rows in models.items():
             connection.register(model_table(table), rows)
         self._archive = EpisodeBatch(
-            recording, tables, models, run, connection.reader(expand_path(source)), connection.run
+            recording,
+            tables,
+            models,
+            run,
+            connection.reader(expand_path(source)),
+            connection.register,
         )
-        self.checks = self._archive.checks
+        self.parts = self._archive.parts
         members = members_of(models)
         # Blocks of rows may reach into other episodes than the present one.
         self._ticks = TickBuffer()
@@ -236,6 +239,10 @@ class BatchInterpreter:
             request = PairRequest(first, last, a, b, 0.0)
             self._least[key] = queries.least_clearances(request, starts)
         return self._least[key][self._present]
+
+    def forget(self) -> None:
+        """Forgets the rows of the episodes, which are not asked any more."""
+        self._archive.forget()
 
     def close(self) -> None:
         """Closes the interpreter."""

@@ -115,7 +115,7 @@ def _are_same(found: Any, value: Any) -> bool:
 
 
 class KeptAnswers:
-    """The answers of finished batches, in a folder.
+    """The answers of episodes in finished batches, in a folder with a file for each batch.
 
     Args:
         folder: the folder; it is made if it does not exist. None to keep nothing.
@@ -123,34 +123,44 @@ class KeptAnswers:
     """
 
     def __init__(self, folder: Path | None, question: Question) -> None:
-        self._folder, self._question = folder, question
+        self._folder = folder
+        self._question = hashlib.sha256(question.key.encode()).hexdigest()[:16]
+        # By what tells an episode from others: whatever batch it was in, it has its answer.
+        self._answers: dict[str, Answer] = {}
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
+            for file in folder.iterdir():
+                if file.name.startswith(f"answers-{self._question}-"):
+                    self._answers |= _kept_in(file)
 
-    def _file(self, entries: Sequence[EpisodeEntry]) -> Path | None:
-        if self._folder is None:
-            return None
-        sums = hashlib.sha256(self._question.key.encode())
-        for entry in entries:
-            # A DuckDB file is known by the ids of its episodes. No answer depends on tags.
-            sums.update(repr(replace(entry, tags={})).encode())
-        return self._folder / f"answers-{sums.hexdigest()[:32]}.parquet"
-
-    def read(self, entries: Sequence[EpisodeEntry]) -> list[Answer] | None:
-        """Returns the kept answers of a batch; None if there are none."""
-        file = self._file(entries)
-        if file is None or not file.is_file():
-            return None
-        try:
-            rows = verified_parquet(file, has_checksums=True).read()
-        except (OSError, pa.ArrowException):  # a RecordError is an OSError
-            return None
-        return list(zip(rows["answer"].to_pylist(), rows[ERROR].to_pylist(), strict=True))
+    def read(self, entry: EpisodeEntry) -> Answer | None:
+        """Returns the kept answer of an episode; None if there is none."""
+        return self._answers.get(_identity(entry)) if self._answers else None
 
     def write(self, entries: Sequence[EpisodeEntry], answers: Sequence[Answer]) -> None:
         """Keeps the answers of a batch."""
-        file = self._file(entries)
-        if file is not None:
-            texts, errors = zip(*answers, strict=True)
-            columns = {"answer": pa.array(texts, pa.string()), ERROR: pa.array(errors, pa.string())}
-            write_parquet(pa.table(columns), file, compression="zstd")
+        if self._folder is None:
+            return
+        identities = [_identity(entry) for entry in entries]
+        name = hashlib.sha256("".join(identities).encode()).hexdigest()[:32]
+        texts, errors = zip(*answers, strict=True)
+        columns = {"episode": identities, "answer": texts, ERROR: errors}
+        rows = pa.table({name: pa.array(values, pa.string()) for name, values in columns.items()})
+        file = self._folder / f"answers-{self._question}-{name}.parquet"
+        write_parquet(rows, file, compression="zstd")
+
+
+def _identity(entry: EpisodeEntry) -> str:
+    """Returns what tells an episode, as its files are, from others."""
+    # A DuckDB file is known by the ids of its episodes. No answer depends on tags.
+    return hashlib.sha256(repr(replace(entry, tags={})).encode()).hexdigest()
+
+
+def _kept_in(file: Path) -> dict[str, Answer]:
+    """Returns the answers in a file; none if it is damaged."""
+    try:
+        rows = verified_parquet(file, has_checksums=True).read()
+        answers = zip(rows["answer"].to_pylist(), rows[ERROR].to_pylist(), strict=True)
+        return dict(zip(rows["episode"].to_pylist(), answers, strict=True))
+    except (OSError, pa.ArrowException, KeyError):  # a RecordError is an OSError
+        return {}

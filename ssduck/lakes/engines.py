@@ -63,7 +63,8 @@ def answer_locally(question: Question, batches: Sequence[Batch], processes: int)
                 raise EvaluationError(
                     "a process was killed, by the system for lack of memory, say; what was "
                     "answered is kept if `resume` names a folder: ask again to go on, with fewer "
-                    "processes or smaller batches"
+                    "processes or smaller batches. Each process imports the file that asks: there, "
+                    'the call belongs below `if __name__ == "__main__":`'
                 ) from error
             is_first = False
 

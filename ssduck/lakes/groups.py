@@ -15,19 +15,21 @@ from functools import cached_property
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
+from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import members_of, run_of
+from ssduck.recording.stores.batched_parts import BatchedFile, ReadPart, ReadParts
 from ssduck.recording.stores.checksums import (
     content_problem,
     footer_in,
     with_footer_sum,
 )
-from ssduck.recording.stores.episode_batch import BatchedFile
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun, label_of, part_name
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.row_checks import RowChecks
 from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
@@ -50,7 +52,34 @@ class _ModelPart:
 
     def is_like(self, other: _ModelPart) -> bool:
         """Checks whether another part has the same rows, but for the number of the run."""
-        return bool(_without_run(self.rows).equals(_without_run(other.rows)))
+        if self._has_columns_of(other):
+            return True
+        return bool(_without_run(self._part.rows()).equals(_without_run(other._part.rows())))
+
+    def _has_columns_of(self, other: _ModelPart) -> bool:
+        """Checks whether all columns of another part are the same bytes here, but the last, `run`.
+
+        Both have the same columns then, of the same types, and the bytes are theirs.
+        """
+        own, others = self._part.parquet, other._part.parquet
+        count = own.metadata.num_columns
+        is_same = own.metadata.num_row_groups == others.metadata.num_row_groups == 1
+        if not is_same or not own.schema_arrow.equals(others.schema_arrow):
+            return False
+        if own.schema_arrow.names[-1:] != ["run"] or not own.schema.equals(others.schema):
+            return False
+        columns, theirs = (part.metadata.row_group(0).column for part in (own, others))
+        end = _first_byte(columns(count - 1))
+        return self.content[:end] == other.content[:end] and all(
+            (column := columns(place)).equals(theirs(place))
+            and _first_byte(column) + column.total_compressed_size <= end
+            for place in range(count - 1)
+        )
+
+    @property
+    def run(self) -> pa.Table:
+        """The numbers of the runs of the rows; no column if it has none."""
+        return self._part.rows(["run"])
 
     def with_label(self, label: bytes) -> bytes | None:
         """Returns the bytes of this part if it had another label; None if the lengths differ.
@@ -76,9 +105,15 @@ class _ModelPart:
         return data, footer, base64.b64decode(match[1]), match.start(1)
 
     @cached_property
-    def rows(self) -> pa.Table:
-        """The rows."""
-        return self.file.rows(self.content).replace_schema_metadata()
+    def _part(self) -> ReadPart:
+        return ReadPart(self.file, self.content)
+
+
+def _first_byte(column: pq.ColumnChunkMetaData) -> int:
+    """Returns where the bytes of a column begin in its file."""
+    places = (column.dictionary_page_offset, column.data_page_offset)
+    first: int = min(place for place in places if place is not None)
+    return first
 
 
 def _without_run(rows: pa.Table) -> pa.Table:
@@ -110,39 +145,45 @@ class EpisodeGroup:
             raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
         self.number = number
         self._checks = RowChecks(members_of(self.models))
-        self._parts = _model_parts(self.run, entry)
-        self._present = present_at_end(_last_rows(self.run, entry))
+        assert self.run.key is not None  # its parts have labels
+        files = EntryFiles(entry, self.run.key)
+        self._parts = _model_parts(files)
+        self._present = present_at_end(_last_rows(files, ReadParts()))
         # The files of the episodes that were found to be of the group, and what their labels have.
         self._members: dict[tuple[str, str, int], tuple[tuple[FileEntry, ...], str]] = {}
 
-    def check(self, entry: EpisodeEntry) -> tuple[str, pa.Table | None]:
-        """Checks that an episode is of the group.
+    def check(self, entry: EpisodeEntry, parts: ReadParts) -> EntryFiles:
+        """Checks that an episode is of the group; returns its files.
 
-        Returns:
-            The text that its labels have of it; and the rows of all its entities, if they were
-            read: the columns to be checked.
+        Args:
+            entry: the episode.
+            parts: reads its parts.
 
         Raises:
             RecordError: it is not, or a file of it is damaged.
             OSError: a file cannot be read.
         """
-        files, key = self._members.get(entry.key, ((), ""))
-        if files and files == entry.files:
-            return key, None
+        known, key = self._members.get(entry.key, ((), ""))
+        if known and known == entry.files:
+            return EntryFiles(entry, key)
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         if _described(run, entry) != self._described:
             raise RecordError(f"{run.about_file} describes another recording than its group has")
-        for model in MODELS:
-            self._check_model(run, entry, model)
-        rows = _last_rows(run, entry)
-        if not np.array_equal(present_at_end(rows), self._present):
-            raise RecordError(f"{run.place('entities')} has other entities than its group has")
         assert run.key is not None  # its parts have labels
+        files = EntryFiles(entry, run.key)
+        for model in MODELS:
+            self._check_model(run, files, model)
+        if not np.array_equal(present_at_end(_last_rows(files, parts)), self._present):
+            raise RecordError(f"{run.place('entities')} has other entities than its group has")
         self._members[entry.key] = entry.files, run.key
-        return run.key, rows if len(_files_of(run, entry, "entities")) == 1 else None
+        return files
 
-    def check_rows(self, entry: EpisodeEntry) -> None:
+    def check_rows(self, entry: EpisodeEntry, parts: ReadParts) -> None:
         """Checks all rows of the entities of an episode of the group.
+
+        Args:
+            entry: the episode.
+            parts: reads its parts.
 
         Raises:
             RecordError: they are of unknown ticks or entities, or twice there.
@@ -151,17 +192,18 @@ class EpisodeGroup:
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
         starts, ticks = run.ticks()
         ends = [*starts[1:], int(ticks.numbers[-1]) + 1]
-        files = _files_of(run, entry, "entities")
+        assert run.key is not None  # its parts have labels
+        files = EntryFiles(entry, run.key).parts("entities")
         for file, start, end in zip(files, starts, ends, strict=True):
-            file.check(file.content(), self._checks, ticks, (start, end - 1))
+            parts.read(file).check(self._checks, ticks, (start, end - 1))
 
-    def _check_model(self, run: FolderRun, entry: EpisodeEntry, model: str) -> None:
+    def _check_model(self, run: FolderRun, listed: EntryFiles, model: str) -> None:
         """Checks that a model of an episode is that of the group.
 
         Most are: they differ in their labels only, as is seen from the bytes.
         """
         table, others = f"models/{model}", self._parts[model]
-        files = _files_of(run, entry, table)
+        files = listed.parts(table)
         contents = [file.content() for file in files]
         if len(files) == len(others) and all(
             content == other.with_label(file.label)
@@ -172,7 +214,7 @@ class EpisodeGroup:
         if len(parts) != len(others) or not all(map(_ModelPart.is_like, parts, others)):
             raise RecordError(f"{run.place(table)} is another than its group has")
         if model == "entities":
-            run_of({"entities": pa.concat_tables([part.rows for part in parts])})
+            run_of({"entities": pa.concat_tables([part.run for part in parts])})
 
 
 def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
@@ -187,27 +229,7 @@ def _described(run: FolderRun, entry: EpisodeEntry) -> tuple[object, ...]:
     return run.world, run.tables, run.recording, run.description.get("camera")
 
 
-def _files_of(run: FolderRun, entry: EpisodeEntry, table: str) -> list[BatchedFile]:
-    """Returns the files of a table or a model, in the order of their parts.
-
-    Raises:
-        RecordError: there are none, or others than complete parts.
-    """
-    folder = run.place(table)
-    prefix = f"{table}/world={run.world}/episode={run.number}/"
-    sums = {file.name: file.checksum for file in entry.files if file.name.startswith(prefix)}
-    names = [f"{prefix}{part_name(number)}" for number in range(len(sums))]
-    if not names or sorted(sums) != names:
-        raise RecordError(f"{folder} has other files than complete parts")
-    assert run.key is not None
-    labels = (label_of(run.key, table, number) for number in range(len(names)))
-    return [
-        BatchedFile(str(run.path / name), sums[name], label, table)
-        for name, label in zip(names, labels, strict=True)
-    ]
-
-
-def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_ModelPart]]:
+def _model_parts(files: EntryFiles) -> Mapping[str, list[_ModelPart]]:
     """Returns the parts of each model, checked.
 
     Raises:
@@ -216,8 +238,8 @@ def _model_parts(run: FolderRun, entry: EpisodeEntry) -> Mapping[str, list[_Mode
     """
     parts: dict[str, list[_ModelPart]] = {}
     for model in MODELS:
-        files = _files_of(run, entry, f"models/{model}")
-        parts[model] = _checked_parts(files, [file.content() for file in files])
+        listed = files.parts(f"models/{model}")
+        parts[model] = _checked_parts(listed, [file.content() for file in listed])
     return parts
 
 
@@ -236,7 +258,6 @@ def _checked_parts(files: Sequence[BatchedFile], contents: Sequence[bytes]) -> l
     return parts
 
 
-def _last_rows(run: FolderRun, entry: EpisodeEntry) -> pa.Table:
+def _last_rows(files: EntryFiles, parts: ReadParts) -> pa.Table:
     """Returns the rows of the last part of an episode's entities: the columns to be checked."""
-    file = _files_of(run, entry, "entities")[-1]
-    return file.keys(file.content())
+    return parts.read(files.parts("entities")[-1]).keys()

@@ -213,7 +213,8 @@ class Lake:
                 fewer for few episodes. They are kept for some minutes, for further questions.
             batch: the number of episodes that are asked together, by default at most 100.
             resume: a folder that keeps the answers of finished batches, so that the same question
-                goes on from there when it is asked again; None to keep nothing.
+                goes on from there when it is asked again, of these episodes and of others; None
+                to keep nothing.
             progress: whether to show the progress, if standard error is a terminal.
             options: the arguments of `ray.init`.
             session: the `SparkSession`; None for one on this machine.
@@ -322,9 +323,9 @@ class Lake:
         if engine == "local" and engines["processes"] is None:
             engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)
-        batches = _batches(entries, batch, engines["processes"] or os.cpu_count() or 1)
         kept = KeptAnswers(None if resume is None else expand_path(resume), question)
-        return _in_order(question, batches, answer, kept, progress)
+        size = batch or _batch_size(len(entries), engines["processes"] or os.cpu_count() or 1)
+        return _in_order(question, entries, answer, kept, size, progress)
 
     def sql(
         self,
@@ -485,30 +486,39 @@ def _single_value(value: Any) -> Any:
 
 def _in_order(
     question: Question,
-    batches: Sequence[Sequence[EpisodeEntry]],
+    entries: Sequence[EpisodeEntry],
     answer: Answerer,
     kept: KeptAnswers,
+    size: int,
     progress: bool,
 ) -> Iterator[AnsweredEpisode]:
-    """Yields the answers of batches in order; those that are kept are not asked again."""
-    known = [kept.read(entries) for entries in batches]
-    open_batches = [index for index, answers in enumerate(known) if answers is None]
-    ready = {index: answers for index, answers in enumerate(known) if answers is not None}
-    following = 0
-    with shown_progress(sum(map(len, batches)), shown=progress) as advance:
-        advance(sum(map(len, ready.values())))
-        results = answer(question, [batches[index] for index in open_batches])
-        while following < len(batches):
-            if following in ready:
-                pairs = zip(batches[following], ready.pop(following), strict=True)
-                yield from (AnsweredEpisode(entry, *one) for entry, one in pairs)
-                following += 1
-                continue
-            place, answers = next(results)
-            index = open_batches[place]
-            kept.write(batches[index], answers)
-            ready[index] = answers
-            advance(len(answers))
+    """Yields the answers of episodes in order; those that are kept are not asked again.
+
+    Args:
+        question: the question.
+        entries: the episodes.
+        answer: asks batches of them.
+        kept: the answers that are kept.
+        size: the number of episodes of a batch.
+        progress: whether to show the progress.
+    """
+    ready = {
+        index: known
+        for index, entry in enumerate(entries)
+        if (known := kept.read(entry)) is not None
+    }
+    missing = [index for index in range(len(entries)) if index not in ready]
+    batches = [missing[start : start + size] for start in range(0, len(missing), size)]
+    with shown_progress(len(entries), shown=progress) as advance:
+        advance(len(ready))
+        results = answer(question, [[entries[index] for index in batch] for batch in batches])
+        for index, entry in enumerate(entries):
+            while index not in ready:
+                place, answers = next(results)
+                kept.write([entries[one] for one in batches[place]], answers)
+                ready.update(zip(batches[place], answers, strict=True))
+                advance(len(answers))
+            yield AnsweredEpisode(entry, *ready.pop(index))
 
 
 def _tables(answered: Iterator[AnsweredEpisode], size: int) -> Iterator[pa.Table]:
@@ -517,12 +527,9 @@ def _tables(answered: Iterator[AnsweredEpisode], size: int) -> Iterator[pa.Table
         yield answer_table(pending)
 
 
-def _batches(
-    entries: Sequence[EpisodeEntry], batch: int | None, processes: int
-) -> list[Sequence[EpisodeEntry]]:
-    """Returns consecutive episodes as batches, so many that each process has some."""
-    size = batch or max(1, min(BATCH, -(-len(entries) // (2 * processes))))
-    return [entries[start : start + size] for start in range(0, len(entries), size)]
+def _batch_size(count: int, processes: int) -> int:
+    """Returns the number of episodes of a batch, so that each process has several batches."""
+    return max(1, min(BATCH, -(-count // (2 * processes))))
 
 
 def _tag_column(values: Sequence[Tag | None]) -> pa.Array:

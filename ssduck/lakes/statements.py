@@ -31,6 +31,7 @@ from ssduck.lakes.workers import UNREADABLE
 from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import TIME_TOLERANCE
+from ssduck.recording.stores.batched_parts import ReadParts
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.sql.sql_values import literal
@@ -116,12 +117,12 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
             )
         try:
-            own = _with_ticks_of_files(entry)
+            own, parts = _with_ticks_of_files(entry), ReadParts()
             name = entry.group
-            if name in groups and not _is_of(groups[name][0], own):
+            if name in groups and not _is_of(groups[name][0], own, parts):
                 name = f"{number}"
             group, members = groups.get(name) or (EpisodeGroup(own), {})
-            group.check_rows(own)
+            group.check_rows(own, parts)
         except UNREADABLE as error:
             failed[number] = replace(entry, error=str(error))
         else:
@@ -136,10 +137,10 @@ def _with_ticks_of_files(entry: EpisodeEntry) -> EpisodeEntry:
     return replace(entry, first_tick=first, last_tick=last, end=float(ticks.times[-1]))
 
 
-def _is_of(group: EpisodeGroup, entry: EpisodeEntry) -> bool:
+def _is_of(group: EpisodeGroup, entry: EpisodeEntry, parts: ReadParts) -> bool:
     """Checks whether an episode has the entities of a group."""
     try:
-        group.check(entry)
+        group.check(entry, parts)
     except UNREADABLE:
         return False
     return True

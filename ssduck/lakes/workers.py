@@ -31,13 +31,8 @@ from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.checksums import checksum_of
-from ssduck.recording.stores.episode_batch import (
-    BatchedEpisode,
-    BatchedFile,
-    DamagedEpisodeError,
-)
+from ssduck.recording.stores.episode_batch import BatchedEpisode, DamagedEpisodeError
 from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_layout import label_of, part_name
 from ssduck.recording.stores.summaries import size_and_time
 from ssduck.schema import RECORDABLE
 
@@ -81,10 +76,15 @@ class _Reader:
 
     def answers(self, question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
         """Returns the answers of episodes; None for those to be asked by themselves."""
-        batched, answers = self._load(entries), [None] * len(entries)
+        try:
+            return self._answers(question, entries)
+        finally:
+            self._batch.forget()
+
+    def _answers(self, question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer | None]:
         reads_present, key = question.reads_present, question.key
-        results: list[Answer | None] = list(answers)
-        for place, index in enumerate(batched):
+        results: list[Answer | None] = [None] * len(entries)
+        for place, index in enumerate(self._load(entries)):
             try:
                 with self._batch.episode(place, is_present_read=reads_present) as interpreter:
                     interpreter.strict = question.is_strict
@@ -116,23 +116,12 @@ class _Reader:
         """Returns an episode whose ticks come after those of all others so far."""
         if entry.tables != self._tables:
             raise RecordError(f"{entry.path} has other tables than its manifest says")
-        (key, entities), root = self._group.check(entry), _resolved(entry.path)
-        folders = {
-            f"{table}/world={entry.world}/episode={entry.episode}": table for table in self._tables
-        }
-        files: dict[str, list[BatchedFile]] = {table: [] for table in self._tables}
-        for file in entry.files:
-            folder, _, _ = file.name.rpartition("/")
-            if folder in folders:
-                table = folders[folder]
-                parts = files[table]
-                label = label_of(key, table, len(parts))
-                parts.append(BatchedFile(f"{root}/{file.name}", file.checksum, label, table))
-        names = [[file.path.rpartition("/")[2] for file in files[table]] for table in self._tables]
-        if any(own != [part_name(n) for n in range(len(own))] or own != names[0] for own in names):
+        parts, listed = self._batch.parts, self._group.check(entry, self._batch.parts)
+        files = {table: listed.parts(table) for table in self._tables}
+        if len({len(own) for own in files.values()}) != 1:
             raise RecordError(f"{entry.path} has other files than complete parts")
         ticks_of_parts = [
-            file.rows(file.content(), ["tick", "time", "wall_time"]) for file in files["ticks"]
+            parts.read(file).rows(["tick", "time", "wall_time"]) for file in files["ticks"]
         ]
         rows = pa.concat_tables(ticks_of_parts)
         ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
@@ -140,26 +129,14 @@ class _Reader:
         is_whole = all(part.num_rows for part in ticks_of_parts) and len(ticks) == entry.ticks
         if not is_whole or not ascend:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
-        checked = frozenset(() if entities is None else ("entities",))
         offset = self._next_tick - int(ticks[0])
         self._next_tick += int(ticks[-1] - ticks[0]) + 1
-        episode = BatchedEpisode(offset, rows, files, starts, checked)
-        if entities is not None:
-            (file,) = files["entities"]
-            file.require(self._batch.checks.problem("entities", entities, episode.tick_buffer))
-        return episode
+        starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
+        return BatchedEpisode(offset, rows, files, starts)
 
     def close(self) -> None:
         """Closes the interpreter."""
         self._batch.close()
-
-
-@lru_cache(maxsize=1024)
-def _resolved(path: str) -> str:
-    """Returns the path of a record without links."""
-    place = expand_path(path).resolve()
-    return str(place) if isinstance(place, ObjectPath) else place.as_posix()
 
 
 # By the group, whether its files are objects of a store, and the limits. They answer one question

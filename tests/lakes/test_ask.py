@@ -17,7 +17,7 @@ from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import ProgramQuestion
-from ssduck.lakes.workers import forget_readers
+from ssduck.lakes.workers import answer_episodes, forget_readers
 from tests.lakes.conftest import EPISODES
 from tests.support.command_line import write_scene
 from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
@@ -117,6 +117,26 @@ def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch)
     assert lake.ask(program, processes=1, resume=tmp_path).equals(whole)
     with pytest.raises(TypeError):
         lake.ask(f"{program} ", processes=1, resume=tmp_path)
+
+
+def test_kept_answers_are_of_episodes_whatever_batches_they_were_in(
+    recorded, tmp_path, monkeypatch
+):
+    lake, program, kept = ssduck.lake(recorded), PROGRAMS["last tick"], tmp_path / "kept"
+    asked = []
+    monkeypatch.setattr(
+        "ssduck.lakes.engines.answer_episodes",
+        lambda question, entries: asked.extend(entries) or answer_episodes(question, entries),
+    )
+    whole = lake.ask(program, processes=1)
+    asked.clear()
+    lake.ask(program, "episode IN (1, 3)", processes=1, batch=1, resume=kept)
+    assert lake.ask(program, processes=1, batch=2, resume=kept).equals(whole)
+    assert [entry.episode for entry in asked] == [1, 3, 0, 2, *range(4, EPISODES)]
+    (damaged, *_) = kept.iterdir()
+    damaged.write_bytes(damaged.read_bytes()[:-9])
+    lake.ask("1;", processes=1, resume=kept)  # another question
+    assert lake.ask(program, processes=1, resume=kept).equals(whole)
 
 
 def test_kept_answers_are_of_the_same_episodes(tmp_path):

@@ -14,13 +14,14 @@ import pytest
 import ssduck
 from ssduck.errors import ArgumentError, RecordError
 from ssduck.lakes.engines import answer_locally
+from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.groups import _checked_parts as checked_parts
-from ssduck.lakes.groups import _files_of as files_of
 from ssduck.lakes.lake import MANIFEST
 from ssduck.lakes.manifest import SCHEMA, read_manifest
 from ssduck.lakes.questions import ProgramQuestion
 from ssduck.lakes.workers import answer_episodes, forget_readers
+from ssduck.recording.stores.batched_parts import ReadPart, ReadParts
 from ssduck.recording.stores.checksums import json_text, write_parquet
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.lakes.conftest import EPISODES
@@ -252,7 +253,7 @@ def test_episodes_with_the_same_models_are_of_one_group(recorded):
     group = EpisodeGroup(first)
     for _ in range(2):
         for entry in others:
-            group.check(entry)
+            group.check(entry, ReadParts())
 
 
 def test_models_are_compared_by_their_bytes_where_labels_alone_differ(recorded, monkeypatch):
@@ -264,7 +265,7 @@ def test_models_are_compared_by_their_bytes_where_labels_alone_differ(recorded, 
         lambda files, *rest: decoded.append(files[0].path) or checked_parts(files, *rest),
     )
     for entry in others:
-        group.check(entry)
+        group.check(entry, ReadParts())
     # Each episode has a number of its own run, in its entities.
     assert len(decoded) == len(others)
     assert all("models/entities" in path for path in decoded)
@@ -282,7 +283,7 @@ def test_a_model_with_right_checksums_and_other_rows_is_of_another_group(folder,
     files = [replace(f, checksum=checksum) if f.name == name else f for f in second.files]
     group = EpisodeGroup(first)
     with pytest.raises(RecordError, match="is another than its group has"):
-        group.check(replace(second, files=tuple(files)))
+        group.check(replace(second, files=tuple(files)), ReadParts())
 
 
 def test_a_manifest_of_too_many_values_is_read_anew(folder, monkeypatch):
@@ -375,10 +376,10 @@ def test_a_part_of_too_many_rows_is_not_read_with_others(folder, monkeypatch, ta
     most = metadata.num_rows * metadata.num_columns
     entry = next(one for one in lake.entries if one.episode == 1)
     run = FolderRun(folder, entry.world, entry.episode)
-    (batched,) = files_of(run, entry, table)
-    content = batched.content()
-    assert content == file.read_bytes()
-    assert batched.rows(content).num_rows == metadata.num_rows
+    (batched,) = EntryFiles(entry, run.key).parts(table)
+    part = ReadPart(batched, batched.content())
+    assert part.content == file.read_bytes()
+    assert part.rows().num_rows == metadata.num_rows
     monkeypatch.setattr("ssduck.recording.stores.stored_columns.MAX_VALUES", most - 1)
     with pytest.raises(RecordError, match=f"claims {metadata.num_rows:,} rows, more than"):
-        batched.rows(content)
+        ReadPart(batched, part.content).rows()

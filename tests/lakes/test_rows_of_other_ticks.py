@@ -18,8 +18,8 @@ import pytest
 import ssduck
 from ssduck.lakes import workers
 from ssduck.lakes.questions import ProgramQuestion
+from ssduck.recording.stores.batched_parts import ReadPart
 from ssduck.recording.stores.checksums import write_parquet
-from ssduck.recording.stores.episode_batch import BatchedFile
 from tests.support.forged import with_column
 
 EPISODES, TICKS, FORGED = 4, 6, 1
@@ -151,13 +151,13 @@ def test_the_ticks_of_a_file_are_checked_once(
 ) -> None:
     checked: list[str] = []
 
-    require = BatchedFile.require
+    require = ReadPart.require
 
     def counted(self, problem):
-        checked.append(self.table)
+        checked.append(self.file.table)
         require(self, problem)
 
-    monkeypatch.setattr(BatchedFile, "require", counted)
+    monkeypatch.setattr(ReadPart, "require", counted)
     record = recorded(tmp_path / "r")
     answers_of(record, PROGRAMS[0])
     assert checked.count("entities") == EPISODES

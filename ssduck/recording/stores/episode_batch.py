@@ -1,137 +1,43 @@
 """Reads many episodes with the same entities as one: an archive of a batch of episodes.
 
 The ticks of an episode are moved by an offset, so that those of no two episodes are equal. SQL
-reads the files of all episodes at once, or those of one: the views name variables of DuckDB, which
-`EpisodeBatch.show` sets. A file is read only if its bytes have the checksum that its episode has in
-a manifest.
+reads the rows of all episodes at once, or those of one, as `EpisodeBatch.show` says.
 """
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.parquet as pq
-from sqlglot import exp
+import pyarrow.compute as pc
 
 from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import members_of
-from ssduck.recording.stores.base import (
-    BufferViews,
-    PairRequest,
-    RowBlock,
-    StoreConnection,
-    TickArchive,
+from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
+from ssduck.recording.stores.batched_parts import (
+    OLDER,
+    BatchedFile,
+    PartsDataset,
+    ReadPart,
+    ReadParts,
 )
-from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
-from ssduck.recording.stores.object_store import ObjectPath, is_address
-from ssduck.recording.stores.parquet_archive import (
-    arrow_types,
-    multi_link_bodies,
-    pattern_of,
-)
-from ssduck.recording.stores.parquet_layout import OTHER_PART
-from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks, key_types
-from ssduck.recording.stores.stored_columns import check_parquet
+from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
+from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
 from ssduck.schema import MODELS, TABLES
+from ssduck.world.live_tables import ARROW_TYPES
 
-_OLDER = "a part of an older record is read by itself"
 # The column in which the parts have the number of the run.
 _RUN = "run"
 # The largest number of checked parts that are remembered.
 MAX_CHECKED = 20_000
-
-
-@dataclass(frozen=True)
-class BatchedFile:
-    """A file of a part.
-
-    Attributes:
-        path: where it is.
-        checksum: the CRC-32 of its bytes.
-        label: what its footer has to tell it from other parts.
-        table: its table, or `models/<table>`.
-    """
-
-    path: str
-    checksum: int
-    label: bytes
-    table: str
-
-    def content(self) -> bytes:
-        """Returns the bytes of the file.
-
-        Raises:
-            OSError: it cannot be read.
-            RecordError: they are not those that the manifest knows, or those of another part.
-        """
-        if is_address(self.path):
-            content = ObjectPath(self.path).read_bytes()
-        else:
-            with open(self.path, "rb", buffering=0) as file:  # noqa: PTH123  # faster than a Path
-                content = file.readall()
-        if zlib.crc32(content) != self.checksum:
-            raise RecordError(f"{self.path} was changed or damaged since the manifest was made")
-        if self.label not in footer_in(content):
-            raise RecordError(f"{self.path} {OTHER_PART}")
-        return content
-
-    def rows(self, content: bytes, columns: list[str] | None = None) -> pa.Table:
-        """Returns the rows of the file, of some columns or of all.
-
-        Args:
-            content: its bytes.
-            columns: the names of the columns; None for all.
-
-        Raises:
-            RecordError: it lacks columns of the table, or claims more rows than a part has.
-        """
-        metadata = check_parquet(self.path, footer_in(content), self.table)
-        part = pq.ParquetFile(pa.BufferReader(content), metadata=metadata)
-        return part.read(columns, use_threads=False)
-
-    def keys(self, content: bytes) -> pa.Table:
-        """Returns the columns of the rows that are checked.
-
-        Raises:
-            RecordError: an older record lacks some of them.
-        """
-        names = key_types(self.table).names
-        rows = self.rows(content, names)
-        if not set(names) <= set(rows.column_names):
-            raise RecordError(_OLDER)
-        return rows.select(names)
-
-    def check(
-        self, content: bytes, checks: RowChecks, ticks: TickBuffer, between: tuple[int, int]
-    ) -> None:
-        """Checks the rows of the file, except that the bodies with parts are those that are there.
-
-        Args:
-            content: its bytes.
-            checks: checks the rows.
-            ticks: the ticks of the episode.
-            between: the first and the last tick of the part.
-
-        Raises:
-            RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
-        """
-        block = RowBlock(*between, self.keys(content))
-        self.require(checks.problem_of_block(self.table, block, ticks))
-
-    def require(self, problem: str | None) -> None:
-        """Raises a RecordError if there is a problem with the rows."""
-        if problem is not None:
-            raise RecordError(f"{self.path} is damaged: of the rows of {self.table}, {problem}")
 
 
 @dataclass(frozen=True)
@@ -143,14 +49,12 @@ class BatchedEpisode:
         ticks: the rows of its ticks: `tick`, without the offset, `time` and `wall_time`.
         files: the files of its parts, by table.
         starts: the first tick of each part, without the offset.
-        checked: the tables whose bytes and rows were checked a moment ago.
     """
 
     offset: int
     ticks: pa.Table
     files: Mapping[str, Sequence[BatchedFile]]
     starts: Sequence[int]
-    checked: frozenset[str] = frozenset()
 
     @cached_property
     def numbers(self) -> npt.NDArray[np.int64]:
@@ -199,11 +103,11 @@ class EpisodeBatch(TickArchive):
         tables: the tables, `ticks` among them.
         models: the rows of each model.
         run: the number of the run, which all rows get.
-        connection: the archive's own connection, which reads the files.
-        run_statement: runs a statement on the connection that has the views.
+        connection: the archive's own connection.
+        register: makes rows readable under a name, on the connection that has the views.
 
     Attributes:
-        checks: checks rows against the models.
+        parts: the parts of the batch being asked.
     """
 
     def __init__(
@@ -213,23 +117,25 @@ class EpisodeBatch(TickArchive):
         models: Mapping[str, pa.Table],
         run: int,
         connection: StoreConnection,
-        run_statement: Callable[[str], None],
+        register: Callable[[str, PartsDataset], None],
     ) -> None:
+        self.parts = ReadParts()
         self.recording = recording
         self.tables = tuple(tables)
         self._run = run
         self._models = models
         self._linked = multi_link_bodies(models["entities"])
-        self.checks = RowChecks(members_of(models))
-        self._connection, self._run_statement = connection, run_statement
+        self._checks = RowChecks(members_of(models))
+        self._connection, self._register = connection, register
         self._episodes: Sequence[BatchedEpisode] = ()
         self._starts = np.zeros(0, dtype=np.int64)
         # The tables that SQL or Python has read: their files are checked when a batch is loaded.
         self._read: set[str] = {"entities"}
-        self._in_sql: set[str] = set()
         # The parts whose rows are right, with the files of the ticks and entities of the episode.
         self._checked: set[tuple[BatchedFile, tuple[BatchedFile, ...]]] = set()
-        self._shown: tuple[int, int] | None = None
+        self._shown = range(0)
+        # The columns that were read of all rows of the batch, by table.
+        self._whole: dict[str, dict[str, pa.ChunkedArray]] = {}
 
     def load(self, episodes: Sequence[BatchedEpisode]) -> None:
         """Replaces the episodes.
@@ -241,32 +147,26 @@ class EpisodeBatch(TickArchive):
             DamagedEpisodeError: a file of an episode is damaged or missing.
         """
         self._episodes = episodes
+        self._whole.clear()
         self._starts = np.array([episode.numbers[0] for episode in episodes], dtype=np.int64)
         if len(self._checked) > MAX_CHECKED:
             self._checked.clear()
         for table in sorted(self._read):
-            self._check(table, is_loading=True)
-        self._shown = None
+            self._check(table)
         self.show(0, len(episodes))
 
     def show(self, first: int, end: int) -> None:
         """Lets SQL see the episodes from `first` to `end - 1` only."""
-        if (first, end) != self._shown:
-            self._shown = first, end
-            for table in self._in_sql:
-                self._set_variables(table)
+        self._shown = range(first, end)
 
-    def _check(self, table: str, *, is_loading: bool = False) -> None:
-        """Checks the files of a table; of episodes being loaded, those that were not yet."""
+    def _check(self, table: str) -> None:
+        """Checks the files of a table."""
         for index, episode in enumerate(self._episodes):
-            if is_loading and table in episode.checked:
-                self._checked.update(map(episode.key_of, episode.files[table]))
-                continue
             for number in range(len(episode.files[table])):
-                self._content(table, number, index)
+                self._part(table, number, index)
 
-    def _content(self, table: str, number: int, index: int) -> bytes:
-        """Returns the bytes of a file of an episode, whose rows are right.
+    def _part(self, table: str, number: int, index: int) -> ReadPart:
+        """Returns a part of an episode, whose rows are right.
 
         Moved by its offset, a row of another tick might be one of another episode.
 
@@ -281,12 +181,14 @@ class EpisodeBatch(TickArchive):
         episode = self._episodes[index]
         file = episode.files[table][number]
         try:
-            content = file.content()
-            key = episode.key_of(file)
+            part, key = self.parts.read(file), episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                file.check(content, self.checks, episode.tick_buffer, episode.ticks_of_part(number))
+                part.check(self._checks, episode.tick_buffer, episode.ticks_of_part(number))
                 if table in TABLES_OF_BODIES:
-                    self._check_bodies(file, content, self._content("entities", number, index))
+                    bodies = self._part("entities", number, index).keys()
+                    part.require(
+                        self._checks.problem_of_bodies(table, part.keys(), bodies, single=True)
+                    )
                 self._checked.add(key)
         except DamagedEpisodeError:
             raise
@@ -294,13 +196,12 @@ class EpisodeBatch(TickArchive):
             raise DamagedEpisodeError(error.message, index) from error
         except (OSError, pa.ArrowException) as error:
             raise DamagedEpisodeError(f"{file.path} cannot be read: {error}", index) from error
-        return content
+        return part
 
-    def _check_bodies(self, file: BatchedFile, content: bytes, entities: bytes) -> None:
-        """Checks that the bodies with parts in a file are those in the file of entities."""
-        bodies = replace(file, table="entities").keys(entities)
-        rows = file.keys(content)
-        file.require(self.checks.problem_of_bodies(file.table, rows, bodies, single=True))
+    def forget(self) -> None:
+        """Forgets the rows of the batch, which is not asked any more."""
+        self.parts.clear()
+        self._whole.clear()
 
     # -- SQL --------------------------------------------------------------------------------
 
@@ -311,25 +212,56 @@ class EpisodeBatch(TickArchive):
         if table not in self._read:
             self._read.add(table)
             self._check(table)
-        self._in_sql.add(table)
-        self._set_variables(table)
-        files, offsets = (f"getvariable({_text(name)})" for name in _variables(table))
-        moved = f"(tick + list_extract({offsets}, file_index::BIGINT + 1))::BIGINT"
-        special = {"tick": f"{moved} AS tick", _RUN: f"{self._run:d}::BIGINT AS {_RUN}"}
-        columns = ", ".join(
-            special.get(column.name, quoted(column.name)) for column in TABLES[table].columns
-        )
-        return f"SELECT {columns} FROM read_parquet({files}, hive_partitioning = false)"  # noqa: S608
+        self._register(_rows_name(table), self._dataset(table, lambda: self._shown))
+        columns = ", ".join(quoted(column.name) for column in TABLES[table].columns)
+        return f"SELECT {columns} FROM {quoted(_rows_name(table))}"  # noqa: S608
 
-    def _set_variables(self, table: str) -> None:
-        """Sets the files of a table that SQL reads, and the offsets of their ticks."""
-        shown = self._episodes[slice(*(self._shown or (0, len(self._episodes))))]
-        paths = [(pattern_of(f.path), e.offset) for e in shown for f in e.files[table]]
-        files = exp.Array(expressions=[exp.Literal.string(path) for path, _ in paths]).sql("duckdb")
-        offsets = ", ".join(str(int(offset)) for _, offset in paths)
-        names = [quoted(name) for name in _variables(table)]
-        self._run_statement(f"SET VARIABLE {names[0]} = {files}::VARCHAR[]")
-        self._run_statement(f"SET VARIABLE {names[1]} = [{offsets}]::BIGINT[]")
+    def _dataset(self, table: str, indices: Callable[[], range]) -> PartsDataset:
+        """Returns the rows of a table in episodes, whose indices are asked when they are read."""
+        schema = pa.schema(
+            {column.name: ARROW_TYPES[column.type] for column in TABLES[table].columns}
+        )
+        return PartsDataset(schema, lambda columns: self._rows_of(table, indices(), columns))
+
+    def _rows_of(self, table: str, indices: range, columns: Sequence[str]) -> Iterator[pa.Table]:
+        """Yields the rows of episodes: all at once if their parts are kept, or part by part.
+
+        Raises:
+            DamagedEpisodeError: a file of an episode is missing or damaged.
+            RecordError: a part is of an older record.
+        """
+        files = [episode.files[table] for episode in self._episodes]
+        if not all(file in self.parts for own in files for file in own):
+            yield from map(_with_nulls, self._pieces(table, indices, columns))
+            return
+        whole = self._whole.setdefault(table, {})
+        missing = [name for name in columns if name not in whole]
+        if missing:  # the same for all statements of a batch
+            pieces = self._pieces(table, range(len(files)), missing)
+            rows = _with_nulls(pa.concat_tables(pieces).combine_chunks())
+            whole.update(zip(missing, rows.columns, strict=True))
+        counts = [sum(self.parts.read(file).row_count for file in own) for own in files]
+        first, end = sum(counts[: indices.start]), sum(counts[: indices.stop])
+        yield pa.table({name: whole[name] for name in columns}).slice(first, end - first)
+
+    def _pieces(self, table: str, indices: range, columns: Sequence[str]) -> Iterator[pa.Table]:
+        """Yields the rows of each part of episodes; the errors are those of `_rows_of`."""
+        stored = [name for name in columns if name != _RUN]
+        for index in indices:
+            for number in range(len(self._episodes[index].files[table])):
+                rows = self._part(table, number, index).rows(stored)
+                if rows.column_names != stored:
+                    raise RecordError(OLDER)
+                yield self._in_batch(rows, self._episodes[index].offset, columns)
+
+    def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:
+        """Returns rows of an episode with the numbers that ticks and the run have in the batch."""
+        own = {}
+        if "tick" in columns:
+            own["tick"] = pa.array(rows["tick"].to_numpy() + offset)
+        if _RUN in columns:
+            own[_RUN] = pa.array(np.full(len(rows), self._run, dtype=np.int64))
+        return pa.table({name: own[name] if name in own else rows[name] for name in columns})
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
@@ -359,16 +291,9 @@ class EpisodeBatch(TickArchive):
             ]
             if table == "ticks"
             else [
-                _rows(
-                    file,
-                    self._content(table, number, index),
-                    types,
-                    self._episodes[index].offset,
-                    first,
-                    last,
-                )
-                for index in range(begin, end)
-                for number, file in enumerate(self._episodes[index].files[table])
+                _rows(self._part(table, number, index), types, episode.offset, first, last)
+                for index, episode in enumerate(self._episodes[begin:end], begin)
+                for number in range(len(episode.files[table]))
             ]
         )
         rows = parts[0] if len(parts) == 1 else pa.concat_tables([types.empty_table(), *parts])
@@ -380,19 +305,8 @@ class EpisodeBatch(TickArchive):
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         begin = max(int(np.searchsorted(self._starts, request.first, side="right")) - 1, 0)
         end = int(np.searchsorted(self._starts, request.last, side="right"))
-        paths = [
-            (pattern_of(file.path), episode.offset)
-            for episode in self._episodes[begin:end]
-            for file in episode.files["entities"]
-        ]
-        files = ", ".join(_text(path) for path, _ in paths)
-        offsets = ", ".join(str(int(offset)) for _, offset in paths)
-        moved = f"(tick + list_extract([{offsets}]::BIGINT[], file_index::BIGINT + 1))::BIGINT"
-        stored = (
-            f"SELECT * REPLACE ({moved} AS tick) "  # noqa: S608
-            f"FROM read_parquet([{files}], hive_partitioning = false)"
-        )
-        return near_pair_rows(self._connection, stored, request, None)
+        rows = self._dataset("entities", lambda: range(begin, end))
+        return near_pair_rows(self._connection, None, request, rows)
 
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Closes the connection; keeps the files."""
@@ -404,32 +318,36 @@ def model_table(table: str) -> str:
     return f"batch: {table} model"
 
 
-def _variables(table: str) -> tuple[str, str]:
-    """Returns the names of DuckDB's variables of the files and the offsets of a table."""
-    return f"files of {table}", f"offsets of {table}"
+def _rows_name(table: str) -> str:
+    """Returns the name under which the rows of a table are registered with the connection."""
+    return f"batch: {table}"
 
 
-def _text(text: str) -> str:
-    return exp.Literal.string(text).sql("duckdb")
+def _with_nulls(rows: pa.Table) -> pa.Table:
+    """Returns rows with NULL for unknown numbers, which may be NaN: SQL takes that for a number."""
+    for place, column in enumerate(rows.columns):
+        if pa.types.is_floating(column.type):
+            unknown = pc.is_nan(column)
+            if pc.any(unknown).as_py():
+                known = pc.if_else(unknown, pa.scalar(None, column.type), column)
+                rows = rows.set_column(place, rows.column_names[place], known)
+    return rows
 
 
-def _rows(
-    file: BatchedFile, content: bytes, types: pa.Schema, offset: int, first: int, last: int
-) -> pa.Table:
+def _rows(part: ReadPart, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:
     """Returns the columns of a part that change with the tick, its ticks moved by an offset.
 
     Args:
-        file: the file of the part.
-        content: its bytes.
+        part: the part.
         types: the columns.
         offset: the offset.
         first: the first tick whose rows are returned, with the offset.
         last: the last of them.
     """
-    rows = file.rows(content, types.names)
-    if not set(types.names) <= set(rows.column_names):
-        raise RecordError(_OLDER)
-    return _moved(rows.select(types.names), types, offset, first, last)
+    rows = part.rows(types.names)
+    if rows.column_names != types.names:
+        raise RecordError(OLDER)
+    return _moved(rows, types, offset, first, last)
 
 
 def _moved(rows: pa.Table, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:

@@ -83,17 +83,30 @@ def check_parquet(source: str, footer: bytes, table: str) -> pq.FileMetaData:
         RecordError: the footer is damaged, a column is missing or of another type, or the part has
             too many rows to be read.
     """
+    return _checked(source, footer, table).metadata
+
+
+def checked_parquet(source: str, content: bytes, table: str) -> pq.ParquetFile:
+    """Returns a part in memory, whose footer is checked as `check_parquet` does."""
+    return _checked(source, content, table)
+
+
+def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
+    """Returns a part, or what its footer tells of it.
+
+    Raises:
+        RecordError: see `check_parquet`.
+    """
     try:
-        metadata = pq.read_metadata(pa.BufferReader(footer))
-        schema = metadata.schema.to_arrow_schema()
+        part = pq.ParquetFile(pa.BufferReader(content))
+        schema = part.schema_arrow
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{source} cannot be read: it is damaged: {error}") from error
     check_columns(source, arrow_columns(schema), part_columns(table))
-    if _value_count(metadata, table) > MAX_VALUES:
-        raise RecordError(
-            f"{source} is damaged: it claims {metadata.num_rows:,} rows, more than a part has"
-        )
-    return metadata
+    rows = part.metadata.num_rows
+    if _value_count(part.metadata, table) > MAX_VALUES:
+        raise RecordError(f"{source} is damaged: it claims {rows:,} rows, more than a part has")
+    return part
 
 
 def _value_count(metadata: pq.FileMetaData, table: str) -> int:

@@ -1,0 +1,165 @@
+"""What a lake reads and decodes: each file once a question, and nothing that it still has."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.lakes import workers
+from ssduck.lakes.entry_files import EntryFiles
+from ssduck.lakes.questions import ProgramQuestion
+from ssduck.recording.stores import batched_parts
+from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
+from ssduck.recording.stores.checksums import write_parquet
+from tests.support.forged import with_column
+from tests.support.lake_questions import answer_of
+
+EPISODES, TICKS, CHANGED = 4, 6, 1
+# Programs that SQL answers for all episodes at once, for each by itself, and from rows in Python.
+PROGRAMS = (
+    "holds(z(lab.cup) > 2.25);",
+    "greatest(z(lab.cup) + x(lab.pot));",
+    "SELECT id, z FROM lab WHERE z(this) > 1;",
+    "count(SELECT id FROM lab{} WHERE z(this) > 2.25 AS list);",
+    "changes(near(lab.cup, lab.pot, 4.8));",
+    "least(clearance(lab.cup, lab.pot));",
+)
+
+
+@pytest.fixture
+def record(tmp_path: Path) -> Path:
+    """Records a cup that rises beside a pot, in each episode from another height."""
+    place = tmp_path / "r"
+    for episode in range(EPISODES):
+        poses = np.zeros((TICKS, 2, 3))
+        poses[:, 1, 0] = 5.0
+        poses[:, :, 2] = episode + np.arange(TICKS)[:, None] / 10
+        shapes = {name: {"box": [0.1] * 3} for name in ("cup", "pot")}
+        ssduck.write_record(place, shapes, poses, np.arange(TICKS) / 10, world="lab")
+    workers.forget_readers()
+    return place
+
+
+def asked(record: Path, program: str) -> list[tuple[str | None, str | None]]:
+    return workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
+
+
+def by_themselves(record: Path, program: str) -> list[tuple[str | None, str | None]]:
+    answers = []
+    for episode in range(EPISODES):
+        with ssduck.open(record, "lab", episode) as ss:
+            answers.append(answer_of(ss, program))
+    return answers
+
+
+@pytest.fixture
+def together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lets no episode be asked by itself."""
+    monkeypatch.setattr(workers, "answer_by_itself", None)
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Counts how often each file is read, by its table and its episode."""
+    counts: Counter[str] = Counter()
+    content = BatchedFile.content
+
+    def counted(file: BatchedFile) -> bytes:
+        counts[f"{file.table} {Path(file.path).parent.name[-1]}"] += 1
+        return content(file)
+
+    monkeypatch.setattr(BatchedFile, "content", counted)
+    return counts
+
+
+@pytest.mark.usefixtures("together")
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_each_file_of_an_episode_is_read_once_a_question(record, read, program) -> None:
+    asked(record, program)
+    # The first episode stands for the others, so that its models are read before, too.
+    assert {name: n for name, n in read.items() if n > 1 and not name.endswith(" 0")} == {}
+    assert {f"{table} 2" for table in ("models/entities", "entities", "ticks")} <= set(read)
+    read.clear()
+    asked(record, PROGRAMS[0])
+    tables = {f"{table} {n}" for table in ("entities", "ticks") for n in range(EPISODES)}
+    assert {name: read[name] for name in tables} == dict.fromkeys(tables, 1)
+    assert not any(name.startswith("models/") for name in read)
+
+
+@pytest.mark.usefixtures("together")
+def test_the_next_question_decodes_what_is_new_only(record, monkeypatch) -> None:
+    opened: list[str] = []
+    check = batched_parts.checked_parquet
+
+    def counted(source, content, table):
+        opened.append(table)
+        return check(source, content, table)
+
+    monkeypatch.setattr(batched_parts, "checked_parquet", counted)
+    first = asked(record, PROGRAMS[0])
+    assert opened.count("entities") >= EPISODES
+    opened.clear()
+    assert asked(record, PROGRAMS[0]) == first
+    assert opened == []
+    asked(record, PROGRAMS[1])  # reads further columns of entities, and none of ticks
+    assert set(opened) == {"entities"}
+    assert len(opened) <= EPISODES
+
+
+def changed(record: Path, name: str, value: float) -> None:
+    """Changes a value of the last row of the cup in an episode, with right checksums."""
+    file = record / f"entities/world=lab/episode={CHANGED}/part-000000.parquet"
+    rows = pq.ParquetFile(file).read()
+    last = rows.num_rows - 2
+    values = rows[name].to_pylist()
+    rows = with_column(name, [*values[:last], value, *values[last + 1 :]])(rows)
+    about = {k: v for k, v in rows.schema.metadata.items() if k != b"ssduck checksums"}
+    write_parquet(rows.replace_schema_metadata(about), file)
+
+
+@pytest.mark.usefixtures("together")
+@pytest.mark.parametrize("value", [99.0, float("nan")])
+def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
+    programs = PROGRAMS[:4]
+    before = [asked(record, program) for program in programs]
+    changed(record, "z", value)
+    for program, answers in zip(programs, before, strict=True):
+        found = asked(record, program)
+        assert found == by_themselves(record, program)
+        assert [a for n, a in enumerate(found) if n != CHANGED] == [
+            a for n, a in enumerate(answers) if n != CHANGED
+        ]
+    assert asked(record, PROGRAMS[1]) != before[1]
+
+
+@pytest.mark.usefixtures("together")
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_parts_that_are_too_large_to_be_kept_give_the_same_answers(
+    record, monkeypatch, read, program
+) -> None:
+    monkeypatch.setattr(batched_parts, "MOST_READ", 0)
+    assert asked(record, program) == by_themselves(record, program)
+    assert max(read.values()) > 1  # they are read again and again
+
+
+def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
+    files = [
+        file
+        for number in range(EPISODES)
+        for file in EntryFiles(ssduck.lake(record).entries[number], "").parts("entities")
+    ]
+    monkeypatch.setattr(BatchedFile, "content", lambda file: Path(file.path).read_bytes())
+    parts = ReadParts()
+    size = parts.read(files[0]).rows(["x", "y", "z"]).nbytes
+    monkeypatch.setattr(batched_parts, "MOST_KEPT", 2 * size)
+    for file in files:
+        parts.read(file).rows(["x", "y", "z"])
+        parts.clear()
+        assert file not in parts
+    kept = [set(parts.read(file).columns) for file in files]
+    assert kept == [set(), set(), {"x", "y", "z"}, {"x", "y", "z"}]
