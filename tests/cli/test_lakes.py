@@ -76,9 +76,10 @@ def test_mistakes(runs):
         assert message in result.stderr
 
 
+@pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("command", [("lake",), ("ask", "1;"), ("tag", "seen=1")])
 def test_a_condition_that_holds_for_no_episode_is_told(runs, command):
     name, *rest = command
     result = ssduck_(name, runs, *rest, "--where", "task = 'dorp'")
-    assert result.exit_code == 0
     assert "none has the task 'dorp'; did you mean 'drop'?" in result.stderr
+    assert result.exit_code == 0
