@@ -63,6 +63,7 @@ def write_records(place: Path) -> None:
             for tick in range(TICKS):
                 if tick in (10, 20, 30):
                     writing.flush()
+                    writing._folder.complete()  # noqa: SLF001  # a part, though it is small
                 if tick == 20:
                     _checkpoint(ss)
                 if tick == 35:

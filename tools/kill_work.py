@@ -30,6 +30,7 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import recorders
 from ssduck.errors import RecordError
+from ssduck.recording.stores import parquet
 from tools.kill import TABLES, new_world
 
 TICKS = 120
@@ -60,6 +61,7 @@ def _record(path: Path, flushed: Report | None = None, seed: int = 1) -> None:
         seed: the seed of the bodies that come and go.
     """
     vars(recorders).update(BUFFERED_TICKS=PART_TICKS, PART_TICKS=PART_TICKS)
+    vars(parquet).update(PART_TICKS=PART_TICKS)
     world, move = new_world(random.Random(seed))  # noqa: S311  # no secret
     recording = Recording(tables=TABLES, flush_every=None)
     with (

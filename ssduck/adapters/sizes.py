@@ -11,6 +11,8 @@ from ssduck.world.world import World
 WORLD_BYTES = 10_000_000
 # A node or an edge of a graph, with its attributes, and a pixel of a picture, bytes.
 _NODE_BYTES, _PIXEL_BYTES = 500, 4
+# The types of values that are counted elsewhere.
+_COUNTED = (type(None), str, int, float, list, tuple, dict, Handle)
 
 
 def made_bytes(value: Any) -> int:
@@ -18,7 +20,7 @@ def made_bytes(value: Any) -> int:
 
     Of other values, whose texts and lists are counted elsewhere, it is 0.
     """
-    if value is None or isinstance(value, str | int | float | list | tuple | dict | Handle):
+    if isinstance(value, _COUNTED):
         return 0
     if isinstance(value, World):
         return WORLD_BYTES

@@ -23,7 +23,6 @@ from ssduck.geometry.broad_phase import Pairs
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.gjk import decide_gaps, tolerances
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, pair_keys
-from ssduck.geometry.proofs.proposals import decide_by_proposals
 from ssduck.geometry.proofs.separating_axes import box_depths
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions, Verdicts
 from ssduck.geometry.proofs.witnesses import KeptWitnesses
@@ -88,7 +87,7 @@ def matching_pairs(
     by_cores = partial(_by_cores, kept=None if kept is None else kept.witnesses)
     by_axes = _by_axes if predicate.kind == "colliding" else _by_axes_if_sure
     rules: tuple[Rule, ...] = (
-        _by_planes,
+        *((_by_planes,) if tick.table.has_planes else ()),
         by_axes,
         _by_proposals,
         by_axes,  # a few boxes
@@ -224,9 +223,11 @@ def _matching_entities(
         if not len(open_pairs):
             break
         is_kept = False
-        found = rule(tick, first[open_pairs], second[open_pairs], bounds[open_pairs])
-        decisions.decide(open_pairs, found.verdicts, found.room)
-        open_pairs = open_pairs[found.verdicts == UNDECIDED]
+        some = first.take(open_pairs), second.take(open_pairs), bounds.take(open_pairs)
+        found = rule(tick, *some)
+        if found.verdicts.any():
+            decisions.decide(open_pairs, found.verdicts, found.room)
+            open_pairs = open_pairs[found.verdicts == UNDECIDED]
     _compare_one_by_one(decisions, open_pairs, owners, candidates, is_below)
     if kept is not None and not is_kept:
         _keep(kept, tick, candidates, decisions)
@@ -275,7 +276,7 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
 
 
 def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
-    """Decides a few convex shapes by proposals of FCL."""
+    """Decides a few convex shapes by what decided them before, and by proposals of FCL."""
     decisions = Decisions.none(len(first))
     if len(first) > _MAX_PROPOSALS:
         return decisions
@@ -284,11 +285,8 @@ def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Arr
     indices = np.flatnonzero(are_known.take(first) & are_known.take(second))
     if not len(indices):
         return decisions
-    first, second = first.take(indices), second.take(indices)
-    proposed = proposer.propose(tick.positions, tick.matrices, first, second)
-    found = decide_by_proposals(
-        tick.placed_cores, proposer.interiors, proposed, first, second, bounds.take(indices)
-    )
+    poses, pairs = (tick.positions, tick.matrices), (first.take(indices), second.take(indices))
+    found = proposer.decide(tick.placed_cores, poses, *pairs, bounds.take(indices))
     decisions.decide(indices, found.verdicts, found.room)
     return decisions
 

@@ -138,8 +138,9 @@ class BoundingBoxes:
         rotated += rotations[:, 1, None] * vectors[1]
         rotated += rotations[:, 2, None] * vectors[2]
         origins = positions.take(self._frames, axis=0).T.copy()
-        low = rotated[:, :GROUP_SIZE].min(axis=1) + origins
-        high = rotated[:, :GROUP_SIZE].max(axis=1) + origins
+        points = rotated[:, :GROUP_SIZE]
+        low = np.minimum.reduce(points, axis=1) + origins
+        high = np.maximum.reduce(points, axis=1) + origins
         radii = self._radii
         if rotated.shape[1] > GROUP_SIZE:
             # The extent of an ellipsoid along x is the length of the vector of its half axes' x.

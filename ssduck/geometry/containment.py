@@ -258,7 +258,7 @@ class Footprint:
         crossings = [_crosses_inside(shape, x, y) for shape in self._shapes]
         if True in crossings or crossings == [False]:
             return True in crossings
-        return is_over_footprint(self._shapes, self._corners, x, y)
+        return _is_over_plane(self._shapes, x, y) or is_in_polygon(self._corners, x, y)
 
 
 def _crosses_inside(shape: PlacedSolid, x: float, y: float) -> bool | None:
@@ -297,14 +297,19 @@ def footprint(a: Sequence[PlacedSolid]) -> Array:
     return corners
 
 
-def is_over_footprint(a: Sequence[PlacedSolid], corners: Array, x: float, y: float) -> bool:
-    """Checks whether a point of the ground is in the footprint, including its boundary."""
+def _is_over_plane(a: Sequence[PlacedSolid], x: float, y: float) -> bool:
+    """Checks whether a point of the ground is in the projection of a half-space."""
     for placed in a:
         if placed.solid.type == "plane":
             nx, ny, nz = placed.normals[0].tolist()
             height = nx * (x - placed.position[0]) + ny * (y - placed.position[1])
             if abs(nz) > ROUNDING or height <= ROUNDING:
                 return True
+    return False
+
+
+def is_in_polygon(corners: Array, x: float, y: float) -> bool:
+    """Checks whether a point of the ground is in a convex polygon, including its boundary."""
     if not len(corners):
         return False
     if len(corners) < 3:

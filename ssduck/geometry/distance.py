@@ -244,7 +244,8 @@ def _against_plane(a: PlacedSolid, b: PlacedSolid) -> SignedDistance:
         deepest = a.support_points(-normal[None])[0]
         lowest = float((deepest - b.position) @ normal)
         return offset_by_radii(lowest, deepest, deepest - lowest * normal, normal, a, b)
-    deepest = a.points[heights <= lowest + CONTACT_TOLERANCE].mean(axis=0)
+    lowest_points = a.points[heights <= lowest + CONTACT_TOLERANCE]
+    deepest = np.add.reduce(lowest_points, axis=0) / len(lowest_points)
     if a.solid.disc_radius:
         axis = a.matrix[:, 2]
         down = float(normal @ axis) * axis - normal

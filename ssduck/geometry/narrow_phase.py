@@ -34,7 +34,7 @@ from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import TickSolids
+from ssduck.geometry.tick_solids import ShapePlaces, TickSolids
 
 T = TypeVar("T")
 
@@ -58,9 +58,7 @@ class NarrowPhase:
     Args:
         solids: the distinct solids.
         solid_indices: (shapes,), the index of each shape's solid.
-        positions: (shapes, 3), in the world.
-        orientations: (shapes, 4), quaternions w, x, y, z of any length.
-        boxes: (shapes, 6), lower corner, upper corner, in the world.
+        places: where the shapes are.
         starts: (entities + 1,): the shapes of entity e are `starts[e]` to `starts[e + 1] - 1`.
         calls: counts the calls of FCL.
         margins: (shapes,), the collision margins, metres; None for none.
@@ -75,15 +73,13 @@ class NarrowPhase:
         self,
         solids: Sequence[Solid],
         solid_indices: Indices,
-        positions: Array,
-        orientations: Array,
-        boxes: Array,
+        places: ShapePlaces,
         starts: Sequence[int],
         calls: CallCounter,
         margins: Array | None = None,
     ) -> None:
         self.calls = calls
-        self._tick = TickSolids(solids, solid_indices, positions, orientations, boxes, margins)
+        self._tick = TickSolids(solids, solid_indices, places, margins)
         self.shapes = ShapeComparisons(self._tick, calls)
         self.starts = list(starts)
         # Each entity's shapes that have points, and whether all its poses and shapes are known.
@@ -106,9 +102,9 @@ class NarrowPhase:
     def regrouped(self, shapes: Indices, starts: Sequence[int]) -> NarrowPhase:
         """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
         tick = self._tick
-        placed = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
-        margins = np.array(tick.margins)[shapes]
-        return NarrowPhase(tick.solids, shapes, *placed, starts, self.calls, margins)
+        parts = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
+        places, margins = ShapePlaces(*parts), np.array(tick.margins)[shapes]
+        return NarrowPhase(tick.solids, shapes, places, starts, self.calls, margins)
 
     def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
         """Returns the narrow phase of the tick with further shapes, which are of no entity yet.
@@ -119,10 +115,9 @@ class NarrowPhase:
         """
         tick = self._tick
         before = tick.positions, tick.orientations, tick.boxes
-        positions, orientations, boxes = map(np.concatenate, zip(before, poses, strict=True))
-        placed = positions, orientations, boxes
+        places = ShapePlaces(*map(np.concatenate, zip(before, poses, strict=True)))
         solids, indices = table.solids, table.solid_indices
-        return NarrowPhase(solids, indices, *placed, self.starts, self.calls, table.margins)
+        return NarrowPhase(solids, indices, places, self.starts, self.calls, table.margins)
 
     # -- relations ------------------------------------------------------------------------
 
@@ -240,10 +235,11 @@ class NarrowPhase:
     def contact_normals(self, a: int, b: int) -> list[Point]:
         """Returns the normals, from a to b, of touching shapes (within 1 mm and both margins)."""
         with self._lock:
-            near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
-            results = [
-                (self.shapes.signed_distance(s, t), self.shapes.margin(s, t)) for s, t in near
-            ]
+            return self._normals(self._near_shapes(a, b, self._reach(a, b)))
+
+    def _normals(self, near: list[tuple[int, int]]) -> list[Point]:
+        """Returns the contact normals of pairs of shapes, of those that touch."""
+        results = [(self.shapes.signed_distance(s, t), self.shapes.margin(s, t)) for s, t in near]
         touching = [r for r, margin in results if r.distance <= TOUCHING_DISTANCE + margin]
         return [(-x, -y, -z) for x, y, z in (r.normal for r in touching if r.normal)]
 
@@ -258,10 +254,14 @@ class NarrowPhase:
         with self._lock:
             if not (self._are_known[a] and self._are_known[b]):
                 return None
-            near = self._near_shapes(a, b, TOUCHING_DISTANCE + self._margins_of(a, b))
+            near = self._near_shapes(a, b, self._reach(a, b))
             if not near or not self.is_over(a, b):
                 return False
-            return any(normal[2] >= MIN_UP for normal in self.contact_normals(a, b))
+            return any(normal[2] >= MIN_UP for normal in self._normals(near))
+
+    def _reach(self, a: int, b: int) -> float:
+        """Returns the largest distance of shapes of two entities that touch, m."""
+        return TOUCHING_DISTANCE + self._margins_of(a, b)
 
     def is_over(self, a: int, b: int) -> bool:
         """Checks whether the centre of b's box is over the convex hull of a's footprint."""
@@ -424,7 +424,10 @@ class NarrowPhase:
 
     def box(self, e: int) -> Array:
         """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
-        rows = self._tick.boxes[self.starts[e] : self.starts[e + 1]]
+        shapes = range(self.starts[e], self.starts[e + 1])
+        if len(shapes) == 1:
+            return np.array(self._tick.corners[shapes[0]])
+        rows = self._tick.boxes[shapes.start : shapes.stop]
         return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
 
     def box_centre(self, e: int) -> Array:
@@ -472,4 +475,4 @@ def _shapes_with_points(tick: TickSolids, starts: Sequence[int], e: int) -> list
 
 def _is_known(tick: TickSolids, starts: Sequence[int], e: int) -> bool:
     """Checks whether all poses and shapes of an entity are known."""
-    return all(tick.are_known[starts[e] : starts[e + 1]])
+    return all(tick.are_known[shape] for shape in range(starts[e], starts[e + 1]))

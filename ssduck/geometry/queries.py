@@ -84,7 +84,6 @@ class ShapeQueries:
     ) -> None:
         self._are_regions = are_regions
         self._narrow = narrow
-        self._neighbours = NeighbourRelations(narrow, self._near_pairs, self._on_pairs)
         self._numbers = numbers
         self._table = table
         self._boxes = boxes
@@ -103,6 +102,14 @@ class ShapeQueries:
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
         self._on: list[int] | None = None
+
+    @cached_property
+    def _neighbours(self) -> NeighbourRelations:
+        """The relations among several; made when first needed, since it refers back to this.
+
+        Without it, the memory of a tick is free as soon as the next tick takes its place.
+        """
+        return NeighbourRelations(self._narrow, self._near_pairs, self._on_pairs)
 
     def of(self, ids: Iterable[int], *, needs_whole_tick: bool = False) -> ShapeQueries:
         """Returns the queries in which ids of links stand for the shapes of these links.

@@ -247,6 +247,8 @@ def pair_number(i: int, j: int) -> int:
 
 def of_known_entities(table: ShapeTable, is_known: Flags) -> Flags:
     """Checks whether all shapes of each shape's entity are known, (n,)."""
+    if is_known.all():
+        return is_known
     lost = np.bincount(table.entities[~is_known], minlength=table.count)
     all_known: Flags = lost[table.entities] == 0
     return all_known
@@ -260,13 +262,17 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
     if not max_distance >= 0.0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     table = tick.table
-    known = np.flatnonzero(tick.is_known & table.has_points)
+    is_known = tick.is_known & table.has_points
+    known = None if is_known.all() else np.flatnonzero(is_known)
+    boxes = boxes if known is None else boxes[:, known]
     if max_distance == np.inf:
-        first, second = np.triu_indices(len(known), 1)
+        first, second = np.triu_indices(boxes.shape[1], 1)
     else:
-        first, second = overlapping_pairs(boxes[:, known], max_distance)
+        first, second = overlapping_pairs(boxes, max_distance)
     # In the same order at each tick, for the witnesses.
-    first, second = known[np.minimum(first, second)], known[np.maximum(first, second)]
+    first, second = np.minimum(first, second), np.maximum(first, second)
+    if known is not None:
+        first, second = known[first], known[second]
     if table.has_single_shapes:
         return first, second
     different = table.entities[first] != table.entities[second]

@@ -2,15 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.placed_solid import PlacedSolid, Point
-from ssduck.geometry.poses import rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
+from ssduck.geometry.poses import placed_point, rotate, rotation_matrices, unit_quaternions
 from ssduck.geometry.solids import Solid
+
+T = TypeVar("T")
+
+# After this number of shapes, what belongs to each is computed for all at once.
+MAX_SINGLE = 16
+
+
+class ShapePlaces:
+    """Where n shapes are in the world.
+
+    Args:
+        positions: (n, 3).
+        orientations: (n, 4), quaternions w, x, y, z of any length.
+        boxes: (n, 6), lower corner, upper corner.
+
+    Attributes:
+        positions, orientations, boxes: see above.
+    """
+
+    def __init__(self, positions: Array, orientations: Array, boxes: Array) -> None:
+        self.positions, self.orientations, self.boxes = positions, orientations, boxes
+
+    def pose(self, shape: int) -> tuple[list[float], list[float]]:
+        """Returns the position and the orientation of a shape."""
+        return self.positions[shape].tolist(), self.orientations[shape].tolist()
+
+    def box(self, shape: int) -> list[float]:
+        """Returns the box of a shape: lower corner, upper corner."""
+        box: list[float] = self.boxes[shape].tolist()
+        return box
 
 
 class TickSolids:
@@ -19,49 +51,46 @@ class TickSolids:
     Args:
         solids: the distinct solids.
         solid_indices: (n,), the index of each shape's solid.
-        positions: (n, 3), in the world.
-        orientations: (n, 4), quaternions w, x, y, z of any length.
-        boxes: (n, 6), lower corner, upper corner, in the world.
+        places: where the shapes are.
         margins: (n,), the collision margins, metres; None for none.
 
     Attributes:
-        solids: the solid of each shape.
-        positions, orientations, boxes: see above.
-        margins: the collision margin of each shape, metres.
+        places: see above.
+        are_known: whether the pose and the solid of each shape are known.
+        corners: the box of each shape: lower corner, upper corner.
+        centres: the centre of the sphere around each shape.
+        inscribed_centres: the centre of the sphere in each shape.
     """
 
     def __init__(
         self,
         solids: Sequence[Solid],
         solid_indices: Indices,
-        positions: Array,
-        orientations: Array,
-        boxes: Array,
+        places: ShapePlaces,
         margins: Array | None = None,
     ) -> None:
-        self._distinct = solids
+        self._distinct, self._margins = solids, margins
         self._indices = np.asarray(solid_indices, dtype=np.intp)
-        indices = self._indices.tolist()
-        self.margins: list[float] = [0.0] * len(indices) if margins is None else margins.tolist()
-        self.solids: list[Solid] = [solids[index] for index in indices]
-        self.positions, self.orientations, self.boxes = positions, orientations, boxes
+        self.places = places
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
+        self._poses = _OfShapes(self._pose, self._all_poses)
+        self.are_known = _OfShapes(self._is_known, self._all_known)
+        self.corners = _OfShapes(places.box, self._all_corners)
+        self.centres = self._points_of(lambda solid: solid.centre)
+        self.inscribed_centres = self._points_of(lambda solid: solid.inscribed_centre)
 
     def placed(self, shape: int) -> PlacedSolid:
         """Returns a shape in the world."""
         if shape not in self._placed:
-            x, y, z = self.positions[shape].tolist()
-            quaternion = self._unit_orientations[shape].tolist()
-            orientation = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-            self._placed[shape] = PlacedSolid(self.solids[shape], (x, y, z), orientation)
+            self._placed[shape] = PlacedSolid(self.solids[shape], *self._poses[shape])
         return self._placed[shape]
 
     def rank(self, shape: int) -> tuple[str | float, ...]:
         """Returns the place of a shape in the order of shapes, by its geometry and its pose."""
         if shape not in self._ranks:
-            pose = *self.positions[shape].tolist(), *self._unit_orientations[shape].tolist()
-            self._ranks[shape] = (self.solids[shape].key, *pose)
+            position, orientation = self._poses[shape]
+            self._ranks[shape] = (self.solids[shape].key, *position, *orientation)
         return self._ranks[shape]
 
     def pairs_within(
@@ -86,7 +115,17 @@ class TickSolids:
         for row, column in zip(*(side.tolist() for side in is_near.nonzero()), strict=True):
             yield first[row], second[column]
 
-    # Computed for all shapes at once, when first needed.
+    @cached_property
+    def solids(self) -> list[Solid]:
+        """The solid of each shape."""
+        return [self._distinct[index] for index in self._indices.tolist()]
+
+    @cached_property
+    def margins(self) -> list[float]:
+        """The collision margin of each shape, metres."""
+        count = len(self._indices)
+        margins: list[float] = [0.0] * count if self._margins is None else self._margins.tolist()
+        return margins
 
     @cached_property
     def bounding_radii(self) -> list[float]:
@@ -99,9 +138,35 @@ class TickSolids:
         """Whether each shape is a half-space."""
         return np.isinf(np.array(self.bounding_radii, dtype=np.float64))
 
+    @property
+    def positions(self) -> Array:
+        """The positions, (n, 3)."""
+        return self.places.positions
+
+    @property
+    def orientations(self) -> Array:
+        """The orientations, (n, 4), of any length."""
+        return self.places.orientations
+
+    @property
+    def boxes(self) -> Array:
+        """The boxes, (n, 6): lower corner, upper corner."""
+        return self.places.boxes
+
+    # -- poses: of few shapes one by one, or of all at once -----------------------------------
+
     @cached_property
     def _unit_orientations(self) -> Array:
         return unit_quaternions(self.orientations)
+
+    def _all_poses(self) -> list[tuple[Point, Quaternion]]:
+        poses = zip(self.positions.tolist(), self._unit_orientations.tolist(), strict=True)
+        return [((x, y, z), (w, i, j, k)) for (x, y, z), (w, i, j, k) in poses]
+
+    def _pose(self, shape: int) -> tuple[Point, Quaternion]:
+        (x, y, z), (w, i, j, k) = self.places.pose(shape)
+        length = math.sqrt(w * w + i * i + j * j + k * k) or math.nan
+        return (x, y, z), (w / length, i / length, j / length, k / length)
 
     @cached_property
     def are_finite(self) -> Flags:
@@ -109,38 +174,58 @@ class TickSolids:
         poses = np.concatenate((self.positions, self._unit_orientations), axis=1)
         return np.asarray(np.isfinite(poses).all(axis=1))
 
-    @cached_property
-    def are_known(self) -> list[bool]:
-        """Whether the pose and the solid of each shape are known."""
+    def _all_known(self) -> list[bool]:
         known = np.array([solid.is_known for solid in self._distinct], dtype=bool)
         are_known: list[bool] = (self.are_finite & known[self._indices]).tolist()
         return are_known
 
-    @cached_property
-    def corners(self) -> list[list[float]]:
-        """The box of each shape: lower corner, upper corner."""
+    def _is_known(self, shape: int) -> bool:
+        position, orientation = self._poses[shape]
+        return self.solids[shape].is_known and all(map(math.isfinite, position + orientation))
+
+    def _all_corners(self) -> list[list[float]]:
         corners: list[list[float]] = self.boxes.tolist()
         return corners
 
-    @cached_property
-    def centres(self) -> list[list[float]]:
-        """The centre of the sphere around each shape."""
-        return self._to_world([solid.centre for solid in self._distinct])
+    def _points_of(self, point_of: Callable[[Solid], Point]) -> _OfShapes[list[float]]:
+        """Returns a point of each shape, which is a point of its solid, in the world."""
 
-    @cached_property
-    def inscribed_centres(self) -> list[list[float]]:
-        """The centre of the sphere in each shape."""
-        return self._to_world([solid.inscribed_centre for solid in self._distinct])
+        def of_one(shape: int) -> list[float]:
+            return placed_point(*self._poses[shape], point_of(self.solids[shape]))
 
-    def _to_world(self, points: list[Point]) -> list[list[float]]:
-        """Returns a point of each shape in the world; `points` are those of the solids."""
-        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
-        with np.errstate(invalid="ignore"):
-            moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
-        return moved
+        def of_all() -> list[list[float]]:
+            points = list(map(point_of, self._distinct))
+            local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
+            with np.errstate(invalid="ignore"):
+                moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
+            return moved
+
+        return _OfShapes(of_one, of_all)
 
     @cached_property
     def matrices(self) -> Array:
         """The rotation matrices, (n, 3, 3)."""
         with np.errstate(invalid="ignore"):
             return rotation_matrices(self._unit_orientations)
+
+
+class _OfShapes(dict[int, T]):
+    """What belongs to each shape: of few shapes one by one, of more for all at once.
+
+    Both give the same, to the last bit.
+
+    Args:
+        of_one: a function that returns what belongs to a shape.
+        of_all: a function that returns what belongs to each shape.
+    """
+
+    def __init__(self, of_one: Callable[[int], T], of_all: Callable[[], Sequence[T]]) -> None:
+        self._of_one, self._of_all = of_one, of_all
+
+    def __missing__(self, shape: int) -> T:
+        """Returns what belongs to a shape that nobody asked for yet."""
+        if len(self) < MAX_SINGLE:
+            self[shape] = found = self._of_one(shape)
+            return found
+        self.update(enumerate(self._of_all()))
+        return self[shape]

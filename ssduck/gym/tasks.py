@@ -204,8 +204,8 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
 
     def _record_past(self) -> None:
         """Records the ticks in memory if a term reads them."""
-        if self._judge.is_temporal or self._observer.is_temporal:
-            self._interpreter.record(WORLD, Recording())
+        if tables := self._judge.past_tables | self._observer.past_tables:
+            self._interpreter.record(WORLD, Recording(tables=tuple(tables)))
 
     def _observation(self) -> npt.NDArray[np.float64]:
         return np.array(list(self._observer.judgement().parts.values()))

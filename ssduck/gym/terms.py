@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -22,6 +22,8 @@ from ssduck.language.tree import (
     Query,
     TimeIndex,
 )
+from ssduck.schema import RECORDABLE, RECORDED_BY_DEFAULT
+from ssduck.sql.table_use import tables_of
 from ssduck.world.world import World
 
 # A reward: one term, or several by name, which are added.
@@ -192,12 +194,15 @@ class Terms:
         Raises:
             ArgumentError: a value is of the wrong type.
         """
-        checked = iter([term.check(value) for term, value in zip(self, values, strict=True)])
+        left = iter(values)
         success, failure, stop = (
-            None if term is None else next(checked)
+            None if term is None else term.check(next(left))
             for term in (self.success, self.failure, self.stop_when)
         )
-        parts = dict(zip(self.parts, checked, strict=True))
+        parts = {
+            name: term.check(value)
+            for (name, term), value in zip(self.parts.items(), left, strict=True)
+        }
         return Judgement(success, failure, stop, sum(parts.values()) if parts else None, parts)
 
 
@@ -212,6 +217,7 @@ class Judge:
 
     Attributes:
         terms: the terms.
+        past_tables: the tables to be recorded for terms that read the past; none if none does.
     """
 
     def __init__(
@@ -224,10 +230,13 @@ class Judge:
         for name in variables:  # so that errors suggest them
             interpreter.add_variable(name, None)
         self._texts = [self._expanded(term) for term in terms]
-        columns = ", ".join(f"({text})" for text in self._texts)
         # Each was compiled by itself, so that none is more than an expression.
-        self._program = interpreter.compile("SELECT " + columns + " FROM [0] AS list;")  # noqa: S608
-        self.is_temporal = any(_is_temporal(self._tree(term.text)) for term in terms)
+        self._program = interpreter.compile(_selected(self._texts))
+        trees = [self._tree(term.text) for term in terms]
+        self.past_tables: frozenset[str] = frozenset()
+        if any(map(_is_temporal, trees)):
+            read = frozenset().union(*map(tables_of, trees)).intersection(RECORDABLE)
+            self.past_tables = read.union(RECORDED_BY_DEFAULT)
 
     def set_variables(self, values: Mapping[str, Any]) -> None:
         """Sets the variables.
@@ -271,14 +280,20 @@ class Judge:
             program = self._compiled(term.key, text)
             if not with_variables and self._uses_variables(program):
                 continue
-            try:
-                value = self._interpreter.eval(program)
-            except SelectScriptError as error:
-                error.message = f"{term.key}: {error.message}"
-                raise
+            value = self._value(term, program)
+            # Python skips what an AND or OR does not need; a plan knows all names.
+            self._value(term, _selected([text]))
             term.check(value)
             if not may_be_constant:
                 self._check_changes(term, program)
+
+    def _value(self, term: Term, program: str | CompiledProgram) -> Any:
+        """Returns the value of a program for a term, whose key begins the message of an error."""
+        try:
+            return self._interpreter.eval(program)
+        except SelectScriptError as error:
+            error.message = f"{term.key}: {error.message}"
+            raise
 
     def _compiled(self, key: str, text: str) -> CompiledProgram:
         try:
@@ -379,6 +394,12 @@ class Judge:
                 f"{term.key}: {term.text!r} can never change: no joint moves "
                 f"{' or '.join(sorted(entities))}"
             )
+
+
+def _selected(texts: Iterable[str]) -> str:
+    """Returns the program whose value is the list of the values of expressions."""
+    columns = ", ".join(f"({text})" for text in texts)
+    return f"SELECT {columns} FROM [0] AS list;"  # noqa: S608
 
 
 def _stripped(text: str) -> str:

@@ -229,8 +229,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def _record_past(self) -> None:
         """Records the ticks of the world in memory if a term reads them."""
-        if self._judge.is_temporal:
-            self._interpreter.record(self._world, Recording())
+        if tables := self._judge.past_tables:
+            self._interpreter.record(self._world, Recording(tables=tuple(tables)))
 
     def _set_variables(self) -> dict[str, Any]:
         """Sets the variables to their values now, and returns these."""

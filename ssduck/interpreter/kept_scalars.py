@@ -53,6 +53,8 @@ class KeptScalars:
         self._variables: set[str] = set()
         # Each value is read once, however often a program names it.
         self._readers: dict[tuple[Any, ...], _Reader] = {}
+        # The columns of entities that are read, by world and row.
+        self._columns: dict[tuple[World, int], dict[str, tuple[Any, ...]]] = {}
         self._sources = {
             shape.alias: _literals(source.value)
             for shape, source in zip(plan.source_types, plan.query.sources, strict=True)
@@ -101,6 +103,8 @@ class KeptScalars:
             values = {key: read(frame) for key, read in self._readers.items()}
         except _ChangedError:
             return None
+        for (world, row), keys in self._columns.items():
+            values.update(zip(keys.values(), world.snapshot.values_in(row, [*keys]), strict=True))
         parameters = self._parameters | {name: values[key] for name, key in self._bindings}
         rows = self._select.rows(parameters)
         scope.meter.check_time()
@@ -125,7 +129,11 @@ class KeptScalars:
                 self._note_world(name, frame)
             column = binding.column or "id"
             key: tuple[Any, ...] = value.world.serial, value.id, column
-            self._readers[key] = _column_reader(value, column)
+            row = value.world.snapshot.rows.get(value.id)
+            if not isinstance(value, Entity) or row is None:
+                self._readers[key] = lambda _: value.column(column)
+            else:
+                self._columns.setdefault((value.world, row), {})[column] = key
             return key
         if binding.column is not None:
             raise ValueError("it names an entity in another way")
@@ -148,16 +156,6 @@ class KeptScalars:
         if not isinstance(world, World):
             raise ValueError("an entity is an element of something else")  # noqa: TRY004
         self._worlds[name] = value, world, world.snapshot.load_order
-
-
-def _column_reader(handle: Handle, column: str) -> _Reader:
-    """Returns the reader of a column of a row at the last tick, while the entities are the same."""
-    world = handle.world
-    row = world.snapshot.rows.get(handle.id)
-    if not isinstance(handle, Entity) or row is None:
-        return lambda _: handle.column(column)
-    place = row
-    return lambda _: world.snapshot.value(place, column)
 
 
 def _variable_reader(name: str, sql_type: SqlType) -> _Reader:

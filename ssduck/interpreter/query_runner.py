@@ -47,6 +47,7 @@ from ssduck.language.memo import MEMOS
 from ssduck.language.operators import ELEMENT_BYTES
 from ssduck.language.tree import Call, Literal, Name, Node, Placeholder, Query, This
 from ssduck.simulators.joints import JointError
+from ssduck.sql.history_windows import history_windows
 from ssduck.sql.name_resolution import ResolvedQuery
 from ssduck.sql.plan import OutputColumn, PathSearch, Plan, SourceType
 from ssduck.sql.relations.registry import RELATIONS
@@ -90,6 +91,8 @@ class PlannedQuery:
         self._failures = 0
         self._database = database
         self._statement: Statement | None = None
+        # The tables of the past that it reads at known ticks only.
+        self._windows = history_windows(plan.select, plan.bindings)
         try:
             self.scalars: ScalarSelect | None = ScalarSelect(plan, database.shape_functions)
         except ValueError:
@@ -217,8 +220,19 @@ class PlannedQuery:
 
     def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
         """Executes the SQL and returns its rows."""
+        parameters = _parameter_values(self.plan, outer, sources)
+        windows = self._windows
+        ticks = {(w.schema, w.view): (parameters[w.first], parameters[w.last]) for w in windows}
+        if not ticks or len(ticks) < len(windows):  # none, or one that is read twice
+            return self._rows(sources, parameters)
+        with self._database.reading_ticks(ticks):
+            return self._rows(sources, parameters)
+
+    def _rows(
+        self, sources: Mapping[str, Any], parameters: dict[str, Any]
+    ) -> list[tuple[Any, ...]]:
+        """Executes the SQL with some parameters and returns its rows."""
         plan, database = self.plan, self._database
-        parameters = _parameter_values(plan, outer, sources)
         if plan.lookup is not None and set(map(type, parameters.values())) <= {int, float}:
             with suppress(ArgumentError):  # the SQL raises it, with its place
                 rows = pair_rows(plan.lookup, database.bound_world(plan.lookup.schema), parameters)

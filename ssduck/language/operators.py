@@ -250,9 +250,8 @@ def indexed(value: Any, index: Any, span: SourceSpan) -> Any:
         raise _missing_element_error(value, index, span, error) from error
     except TypeError as error:
         message = f"{type_in_words(value)} has no element {short_repr(index)}"
-        hint = getattr(type(value), "KEY_HINT", None)
-        if hint is not None and isinstance(index, str):
-            message += f"; {hint}"
+        if isinstance(index, str) and hasattr(type(value), "key_hint"):
+            message += f"; {value.key_hint}"
         raise ArgumentError(message, span=span) from error
     except Exception as error:
         raise as_evaluation_error(error, span) from error

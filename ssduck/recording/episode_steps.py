@@ -212,10 +212,10 @@ def action_numbers(action: Any) -> list[float] | None:
         numbers = np.asarray(action)
     except ValueError:  # parts of several shapes
         return None
-    if numbers.dtype.kind not in "biuf" or not np.isfinite(numbers).all():
+    if numbers.dtype.kind not in "biuf":
         return None
     flat: list[float] = numbers.astype(np.float64).reshape(-1).tolist()
-    return flat
+    return flat if all(map(math.isfinite, flat)) else None
 
 
 def recordable(value: Any) -> Any:

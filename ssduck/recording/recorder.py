@@ -250,8 +250,7 @@ class Recorder:
             self._store_new_members()
             self._empty_buffers()
             self._has_dropped_old = False
-            self._writer.store(self._store.add)
-            self._store.complete()
+            self._writer.store(self._store.append)
             self._drop_old_ticks()
             if error is not None:
                 raise error
@@ -265,6 +264,7 @@ class Recorder:
         """
         self.flush()
         with self._lock:
+            self._store.complete()
             self._store.finish()
 
     def _drop_old_ticks(self) -> None:

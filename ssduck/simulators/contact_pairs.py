@@ -1,4 +1,4 @@
-"""The contacts of a tick between two entities: whether they press, by how much, and from where."""
+"""The contacts of a tick between two entities or links: whether they press, and by how much."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.schema import LINK_FACTOR, entity_of, link_of
 
 # The cosine of the least angle between the normals of two contacts that oppose each other: 120°.
 OPPOSING = -0.5
 
 
-# Contacts in the order of their table: a < b, forces and normals, (n,), (n,), (n,) and (3, n).
-Columns: TypeAlias = tuple[Indices, Indices, Array, Array]
+# The entities of contacts, (2, n), and the numbers of their links there, (2, n).
+Sides: TypeAlias = tuple[Indices, Indices]
+# Contacts in the order of their table: sides, forces and normals: (n,) and (3, n).
+Columns: TypeAlias = tuple[Sides, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,28 +26,25 @@ class ContactPairs:
     The values are those of the relations' formulas in SQL, to the last bit.
 
     Attributes:
-        pairs: (n, 2), the ids of the entities of each contact, in any order.
+        sides: the entities and the links of each contact, in any order.
         forces: (n,), the forces along the normals, N, in the same order.
         columns: a function that returns the contacts in the order of their table, whose sums
             depend on it. The normals are of length 1.
     """
 
-    pairs: Indices
+    sides: Sides
     forces: Array
     columns: Callable[[], Columns]
 
     def _ordered(self, a: int, b: int) -> tuple[Array, Array]:
         """Returns the forces and the normals of the contacts of two entities, in order."""
-        low, high = (a, b) if a < b else (b, a)
-        first, second, forces, normals = self.columns()
-        rows = ((first == low) & (second == high)).nonzero()[0]
+        sides, forces, normals = self.columns()
+        rows = _are_of(sides, a, b).nonzero()[0]
         return forces.take(rows), normals.take(rows, axis=1)
 
     def is_pressing(self, a: int, b: int) -> bool:
-        """Checks whether a contact of two entities presses."""
-        first, second = self.pairs.T
-        are_of_both = (first == a) & (second == b) | (first == b) & (second == a)
-        return bool((are_of_both & (self.forces > 0)).any())
+        """Checks whether a contact of two entities or links presses."""
+        return bool((_are_of(self.sides, a, b) & (self.forces > 0)).any())
 
     def force(self, a: int, b: int) -> float:
         """Returns the sum of the forces along the normals of two entities' contacts, N."""
@@ -57,9 +57,29 @@ class ContactPairs:
 
     def is_opposed(self, a: int, b: int) -> bool:
         """Checks whether two contacts that press have normals that are at least 120° apart."""
-        if a == b:
+        if a == b < LINK_FACTOR:
             return False
         forces, normals = self._ordered(a, b)
         x, y, z = normals[:, forces > 0]
         products = x[:, None] * x + y[:, None] * y + z[:, None] * z
         return bool((products <= OPPOSING).any())
+
+
+def _are_of(sides: Sides, a: int, b: int) -> Flags:
+    """Checks which contacts are of two entities, two links, or an entity and a link, (n,).
+
+    A contact of two links of an entity is none of the entity and one of these.
+    """
+    (a1, a2), (b1, b2) = _are_at(sides, a), _are_at(sides, b)
+    are_of: Flags = a1 & b2 | a2 & b1
+    if (a < LINK_FACTOR) != (b < LINK_FACTOR):
+        first, second = sides[0]
+        are_of &= first != second
+    return are_of
+
+
+def _are_at(sides: Sides, id: int) -> Flags:
+    """Checks which sides of contacts are those of an entity or a link, (2, n)."""
+    entities, links = sides
+    are_there: Flags = entities == entity_of(id)
+    return are_there if id < LINK_FACTOR else are_there & (links == link_of(id))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -159,6 +160,7 @@ class LinkPoses:
             (its centre of mass) x y z, the orientation of the link frame w x y z, the velocity of
             the point x y z, the angular velocity x y z.
         are_finite: whether the states are surely finite.
+        orientations: (n, 4), those of the states, if they are there before these.
 
     Attributes:
         positions, matrices, are_finite: see above.
@@ -171,9 +173,10 @@ class LinkPoses:
         states: Array | Callable[[], Array],
         *,
         are_finite: bool = False,
+        orientations: Array | None = None,
     ) -> None:
         self.positions, self.matrices, self.are_finite = positions, matrices, are_finite
-        self._states = states
+        self._states, self._orientations = states, orientations
 
     @property
     def states(self) -> Array:
@@ -181,6 +184,11 @@ class LinkPoses:
         if callable(self._states):
             self._states = self._states()
         return self._states
+
+    @property
+    def orientations(self) -> Array:
+        """The orientations of the link frames, (n, 4)."""
+        return self.states[:, 3:7] if self._orientations is None else self._orientations
 
     def states_at(self, points: Array, links: Indices) -> Array:
         """Returns the states of some links, stated at other points of them.
@@ -221,8 +229,9 @@ class ContactPoints:
     frictions: Array
 
     @classmethod
+    @cache
     def none(cls) -> ContactPoints:
-        """Returns no contact points."""
+        """Returns no contact points, the same each time."""
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
 

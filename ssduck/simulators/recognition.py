@@ -149,8 +149,12 @@ def _pairs(simulation: Any, depth: int) -> Iterator[tuple[Any, Any]]:
 
 def _own(part: Any, name: str) -> Any:
     """Returns MuJoCo's own object of a class, which a binding may wrap; None if it is none."""
-    for candidate in (part, *(getattr(part, pointer, None) for pointer in _POINTERS)):
-        kind = type(candidate)
-        if kind.__name__ == name and kind.__module__.partition(".")[0] == "mujoco":
-            return candidate
-    return None
+    if _is_own(part, name):
+        return part
+    candidates = (getattr(part, pointer, None) for pointer in _POINTERS)
+    return next((candidate for candidate in candidates if _is_own(candidate, name)), None)
+
+
+def _is_own(candidate: Any, name: str) -> bool:
+    kind = type(candidate)
+    return kind.__name__ == name and kind.__module__.partition(".")[0] == MUJOCO

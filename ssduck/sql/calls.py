@@ -96,7 +96,7 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     if relation.tables:
         formula = in_world(relation, formula, values)
     result = expanded(formula, values, relation.link_name if has_links else None)
-    if relation.of_contacts is not None and not has_links:
+    if relation.of_contacts is not None:
         note_pair(result, relation, values)
     domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
     if isinstance(result, exp.Array):

@@ -68,12 +68,12 @@ def in_world(relation: Relation, formula: exp.Expr, values: Mapping[str, SqlValu
 
 @dataclass(frozen=True)
 class PairCall:
-    """A relation of two entities of a world's present tick, which a formula stands for.
+    """A relation of two entities or links of a world's present tick, which a formula stands for.
 
     Attributes:
         relation: the name of the relation.
         schema: the schema of the world.
-        ids: the ids of the entities, as SQL.
+        ids: the ids of both, as SQL.
     """
 
     relation: str

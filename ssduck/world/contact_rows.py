@@ -51,12 +51,17 @@ def contact_pairs(
         rows = table()
         if not rows.is_complete:
             raise EvaluationError("a contact has an unknown number")
-        return rows["a"], rows["b"], rows["force"], rows.doubles("nx", "nz")
+        entities, links = (
+            np.stack((rows["a"], rows["b"])),
+            np.stack((rows["link_a"], rows["link_b"])),
+        )
+        return (entities, links), rows["force"], rows.doubles("nx", "nz")
 
     if unwritten is not None:
-        return ContactPairs(layout.ids_of_handles[unwritten.bodies], unwritten.forces, columns)
-    a, b, forces, _ = columns()
-    return ContactPairs(np.stack((a, b), axis=1), forces, columns)
+        sides = layout.ids_of_handles[unwritten.bodies.T], unwritten.links.T
+        return ContactPairs(sides, unwritten.forces, columns)
+    sides, forces, _ = columns()
+    return ContactPairs(sides, forces, columns)
 
 
 def contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Sides, Array]:

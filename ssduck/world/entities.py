@@ -17,7 +17,7 @@ from ssduck.errors import (
     UnknownNameError,
     nearest,
 )
-from ssduck.formatting import short_repr
+from ssduck.formatting import joined_names, short_repr
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import Body, Kind
 from ssduck.simulators.joints import openness
@@ -58,6 +58,9 @@ class JointState:
         return openness(self, self.position)
 
 
+_TOLD = "functions tell of an entity: z(this), or k.z where k is a source"
+
+
 class Entity(Handle, OpenRaveEntity):
     """A handle of a robot, kinbody or sensor; its properties are those at its world's last tick.
 
@@ -75,8 +78,6 @@ class Entity(Handle, OpenRaveEntity):
     __slots__ = ("kind",)
 
     kind: Kind
-    # The hint of the error for a program that indexes an entity.
-    KEY_HINT = "functions tell of an entity: z(this), or k.z where k is a source"
 
     def __init__(
         self, world: World, id: int, name: str, kind: Kind, moment: RecordedTick | None = None
@@ -150,6 +151,14 @@ class Entity(Handle, OpenRaveEntity):
             if error.suggestions:
                 raise
             raise TypeError(error.message) from error
+
+    @property
+    def key_hint(self) -> str:
+        """The hint of the error for a program that indexes the entity by another name."""
+        parts = links_and_sites_of(self)
+        kinds = " and ".join(dict.fromkeys(f"{part.kind}s" for part in parts))
+        names = joined_names([part.name for part in parts])
+        return f"its {kinds}: {names}; {_TOLD}" if parts else _TOLD
 
     @property
     def joints(self) -> list[JointState]:

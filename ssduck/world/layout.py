@@ -106,6 +106,15 @@ class TableLayout:
         )
 
     @cached_property
+    def shape_groups(self) -> list[tuple[int, int]]:
+        """The number of each shape's group, static or moving bodies, and its number there."""
+        groups = [(0, 0)] * sum(len(body.shapes) for _, body in self.bodies)
+        for group, bodies in enumerate((self.static_bodies, self.moving_bodies)):
+            for number, row in enumerate(bodies.shape_rows.tolist()):
+                groups[row] = group, number
+        return groups
+
+    @cached_property
     def sites(self) -> list[tuple[int, int, Geometry]]:
         """The entity, the number and the region of each site, by group and body."""
         ids = {body: id for id, body in self.bodies}
@@ -164,7 +173,7 @@ class BodyGroup:
             if link.region is not None
         }
         shape_counts = [len(body.shapes) for body in self.bodies]
-        self._shape_rows = _runs([first[info.id][1] for info in entities], shape_counts)
+        self.shape_rows = _runs([first[info.id][1] for info in entities], shape_counts)
         self._shapes = [
             replace(shape, frame=start + shape.frame)
             for start, body in zip(starts.tolist(), self.bodies, strict=False)
@@ -197,6 +206,7 @@ class BodyGroup:
         self._row_frames = np.concatenate((self._bases, mounts))
         # The last link poses, with the boxes of the links and sensors, and of the entities.
         self._last_boxes: tuple[LinkPoses, Array] | None = None
+        self._last_shape_boxes: tuple[LinkPoses, Array] | None = None
         self._last_entity_boxes: tuple[LinkPoses, Array] | None = None
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box.
@@ -206,19 +216,24 @@ class BodyGroup:
         self.write_states(link_poses, block)
         self.write_boxes(link_poses, block)
 
-    def write_later(self, link_poses: LinkPoses, table: LiveTable) -> None:
+    def write_later(self, link_poses: LinkPoses, table: LiveTable) -> bool:
         """Writes these rows of the table of entities when they are read: few programs read all.
 
         Numbers that may not be finite are written at once, and those of sensors' poses.
+
+        Returns:
+            Whether the numbers are surely known, and no number of the table was written.
         """
         block = table.doubles("x", "zmax")
-        if link_poses.are_finite and table.is_complete and not self._mounts:
+        is_later = link_poses.are_finite and table.is_complete and not self._mounts
+        if is_later:
             table.defer("x", "z", partial(self._write_positions, link_poses, block))
             table.defer("qw", "wz", partial(self.write_states, link_poses, block))
         elif not (self.write_states(link_poses, block) and table.is_complete):
             self.write_boxes(link_poses, block)
-            return
+            return False
         table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
+        return is_later
 
     def _write_positions(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the positions of these rows, if there are no sensors."""
@@ -257,7 +272,7 @@ class BodyGroup:
         indices = np.array([mount.frame for mount in self._mounts], dtype=np.intp)
         positions, orientations = compose(
             link_poses.positions[indices],
-            link_poses.states[indices, 3:7],
+            link_poses.orientations[indices],
             np.array([mount.position for mount in self._mounts]).reshape(-1, 3),
             np.array([mount.orientation for mount in self._mounts]).reshape(-1, 4),
         )
@@ -275,10 +290,43 @@ class BodyGroup:
         links, inner_positions, inner_orientations = self._shape_places
         positions = link_poses.positions.take(links, axis=0)
         positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
-        orientations = link_poses.states[:, 3:7].take(links, axis=0)
+        orientations = link_poses.orientations.take(links, axis=0)
         orientations = multiply(orientations, inner_orientations)
-        boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
-        block[:, self._shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
+        boxes = self.shape_boxes(link_poses)
+        block[:, self.shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
+
+    def shape_boxes(self, link_poses: LinkPoses) -> Array:
+        """Returns the boxes of the shapes, (6, shapes)."""
+        if self._are_shapes_links:
+            return self._boxes(link_poses)[:, : len(self._shapes)]
+        if self._last_shape_boxes is None or self._last_shape_boxes[0] is not link_poses:
+            boxes = self._shape_boxer.boxes(link_poses.positions, link_poses.matrices)
+            self._last_shape_boxes = link_poses, boxes
+        return self._last_shape_boxes[1]
+
+    def shape_pose(self, link_poses: LinkPoses, number: int) -> tuple[list[float], list[float]]:
+        """Returns the position and the orientation of a shape, those of `write_shapes`."""
+        shape = self._shapes[number]
+        frame = link_poses.positions[shape.frame].tolist()
+        matrix, (x, y, z) = link_poses.matrices[shape.frame].tolist(), shape.position.tolist()
+        position = [
+            origin + (a * x + b * y + c * z)
+            for origin, (a, b, c) in zip(frame, matrix, strict=True)
+        ]
+        w, x, y, z = link_poses.orientations[shape.frame].tolist()
+        s, i, j, k = shape.orientation.tolist()
+        return position, [
+            w * s - x * i - y * j - z * k,
+            w * i + x * s + y * k - z * j,
+            w * j + y * s + z * i - x * k,
+            w * k + z * s + x * j - y * i,
+        ]
+
+    @cached_property
+    def _are_shapes_links(self) -> bool:
+        """Whether each link has one shape, in the order of the links: then it has its box."""
+        frames = [shape.frame for shape in self._shapes]
+        return frames == list(range(len(self._link_rows)))
 
     @cached_property
     def _shape_places(self) -> tuple[Indices, Array, Array]:
@@ -293,7 +341,7 @@ class BodyGroup:
         """Returns positions (n, 3), orientations (n, 4) and boxes (n, 6) of the sites' regions."""
         rows = np.array(list(self._regions), dtype=np.intp)
         boxes = self._boxes(link_poses)[:, rows].T
-        return link_poses.positions[rows], link_poses.states[rows, 3:7], boxes
+        return link_poses.positions[rows], link_poses.orientations[rows], boxes
 
     def _entity_boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of the bodies, then those of the sensors, (6, entities)."""

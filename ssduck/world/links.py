@@ -42,7 +42,7 @@ class Link(Handle):
     TABLE: ClassVar[EntityTable] = "links"
     kind = "link"
     # The hint of the error for a program that indexes a link.
-    KEY_HINT = "functions tell of a link: z(this)"
+    key_hint = "functions tell of a link: z(this)"
 
     def __init__(
         self, world: World, id: int, name: str, owner: str, moment: RecordedTick | None = None
@@ -123,7 +123,7 @@ class Site(Link):
 
     TABLE = "sites"
     kind = "site"
-    KEY_HINT = "functions tell of a site: z(this)"
+    key_hint = "functions tell of a site: z(this)"
 
     @property
     def parent(self) -> Link:

@@ -61,7 +61,7 @@ WORLD_INTERNALS = frozenset(
 )
 HANDLE_INTERNALS = frozenset(
     (
-        *("INTERNAL_NAMES", "KEY_HINT", "TABLE", "body_of", "column", "info", "moment"),
+        *("INTERNAL_NAMES", "TABLE", "body_of", "column", "info", "key_hint", "moment"),
         *("pinned", "removed", "state"),
     )
 )

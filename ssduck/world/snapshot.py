@@ -14,20 +14,19 @@ import copy
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, chain
+from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array
 from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
-from ssduck.geometry.solids import Solid, solid_of
-from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
 from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
@@ -44,6 +43,7 @@ from ssduck.world.sensor_readings import (
     sensor_poses,
     write_sensings,
 )
+from ssduck.world.shape_places import ComparableShapes, TickPlaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +115,15 @@ class Snapshot:
         self._shapes: ShapeQueries | None = None
         self._shapes_and_sites: ShapeQueries | None = None
         self._boxes: BoxQueries | None = None
-        self._solids: tuple[TableLayout, Any] | None = None
+        self._solids: tuple[TableLayout, ComparableShapes] | None = None
         # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
         self._warned: set[int] = set()
         # The ticks at which masses and margins were last read.
         self._masses_tick = self._margins_tick = 0
+        # The margins that were read last; the same list while the simulator has the same.
+        self._margins: list[list[float]] | None = None
         self.masses: dict[int, list[float]] = {}
 
     @property
@@ -139,7 +141,8 @@ class Snapshot:
 
     def settle(self) -> None:
         """Writes all rows of this tick that were left for later: DuckDB reads without asking."""
-        self.tables["entities"].settle()
+        for name in ("entities", "links", "shapes"):
+            self.tables[name].settle()
 
     def contacts(self) -> ContactPairs:
         """Returns the contacts of this tick, whose table must have been requested."""
@@ -243,7 +246,7 @@ class Snapshot:
 
     def _lay_out(self, layout: TableLayout) -> None:
         """Resets the tables for the entities of a layout."""
-        self._layout, self._written = layout, {}
+        self._layout, self._written, self._margins = layout, {}, None
         entities = layout.entities
         self._tables["entities"].fill(
             len(entities),
@@ -284,21 +287,24 @@ class Snapshot:
     def shapes(self) -> ShapeQueries:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
-            solids, solid_indices, starts, numbers, shape_table = self._comparable
-            table = self._tables["shapes"]
-            narrow = NarrowPhase(
-                solids,
-                solid_indices,
-                table.doubles("x", "z").T.copy(),
-                table.doubles("qw", "qz").T.copy(),
-                table.doubles("xmin", "zmax").T.copy(),
-                starts,
-                self.calls,
-                shape_table.margins,
-            )
-            entities = self._tables["entities"]
+            shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
+            table, entities = shapes.table, self._tables["entities"]
             boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
-            self._shapes = ShapeQueries(narrow, numbers, shape_table, boxes, ids, table["link"])
+            self._shapes = ShapeQueries(
+                NarrowPhase(
+                    table.solids,
+                    table.solid_indices,
+                    places,
+                    shapes.starts,
+                    self.calls,
+                    table.margins,
+                ),
+                shapes.numbers,
+                table,
+                boxes,
+                ids,
+                self._tables["shapes"]["link"],
+            )
         return self._shapes
 
     def shapes_and_sites(self) -> ShapeQueries:
@@ -323,35 +329,20 @@ class Snapshot:
         return self._boxes
 
     @property
-    def _comparable(self) -> tuple[list[Solid], Indices, list[int], dict[int, int], ShapeTable]:
-        """The solids; each shape's index among them; each entity's first shape; entity numbers."""
+    def _comparable(self) -> ComparableShapes:
+        """What comparisons of the shapes need to know, the same while nothing changes."""
         if self._solids is None or self._solids[0] is not self._layout:
-            bodies = self._layout.bodies
-            shapes = [shape for _, body in bodies for shape in body.shapes]
-            distinct = {shape.geometry.key: shape.geometry for shape in shapes}
-            indices = {key: index for index, key in enumerate(distinct)}
-            solid_indices = np.array(
-                [indices[shape.geometry.key] for shape in shapes], dtype=np.intp
-            )
             margins = self._tables["shapes"]["margin"].copy()
-            solids = list(map(solid_of, distinct.values()))
-            counts = [len(body.shapes) for _, body in bodies]
-            starts = list(accumulate(counts, initial=0))
-            numbers = {id: number for number, (id, _) in enumerate(bodies)}
-            # Sensors have no shapes: they share an empty range after those of all bodies.
-            sensor_ids = [info.id for info in self.entities if info.body is None]
-            numbers |= dict.fromkeys(sensor_ids, len(bodies))
-            owners = np.repeat(np.arange(len(bodies)), counts)
-            shape_table = ShapeTable(solids, solid_indices, owners, margins)
-            self._solids = (
-                self._layout,
-                (solids, solid_indices, [*starts, starts[-1]], numbers, shape_table),
-            )
+            self._solids = self._layout, ComparableShapes.of(self._layout, margins)
         return self._solids[1]
 
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
         return (self._tables if table == "entities" else self.tables)[table].value(column, row)
+
+    def values_in(self, row: int, columns: Sequence[str]) -> list[Any]:
+        """Returns the values of an entity's columns in a row; None for unknown ones."""
+        return self._tables["entities"].values_in(row, columns)
 
     # -- a tick ---------------------------------------------------------------------------
 
@@ -423,7 +414,11 @@ class Snapshot:
             return
         self._margins_tick = self.number
         bodies = [body for _, body in self._layout.bodies]
-        current = np.array([*chain(*simulator.read_margins(bodies))], np.float64)
+        margins = simulator.read_margins(bodies)
+        if margins is self._margins:
+            return
+        self._margins = margins
+        current = np.array([*chain(*margins)], np.float64)
         shapes = self._tables["shapes"]
         if not np.array_equal(current, shapes["margin"]):
             shapes["margin"][:] = current
@@ -461,7 +456,7 @@ class Snapshot:
         is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
-        self._write_poses(*self._link_poses, with_static=is_static_new)
+        is_later = self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
             self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
         self._contacts, self._are_contacts_written = state.contacts, "contacts" not in tables
@@ -469,7 +464,7 @@ class Snapshot:
         self._read_sensors = state.sensors
         if "sensings" in tables:
             write_sensings(self._tables["sensings"], state.readings, self.rows)
-        self._finish()
+        self._finish(are_known=is_later and not is_static_new)
 
     def _read_state(
         self,
@@ -502,7 +497,7 @@ class Snapshot:
         context = TickContext(number, simulator.time, layout, is_discontinuous)
         sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
         due = self.sensing.due(context, sensors, is_external=simulator.is_external)
-        poses = sensor_poses(layout, static, moving, due)
+        poses = sensor_poses(layout, static, moving, due) if due else []
         contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
             contacts = simulator.read_contacts()
@@ -532,40 +527,53 @@ class Snapshot:
         sensors = [info for info in layout.entities if info.sensor is not None]
         return sensors if all_sensors else [info for info in sensors if info.id in requested]
 
-    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> None:
-        """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move."""
+    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> bool:
+        """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move.
+
+        Returns whether those of moving bodies are surely known, and are written later.
+        """
         table, bodies = self._tables["entities"], self._layout.moving_bodies
         block = table.overwritten("x", "zmax")
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
-        bodies.write_later(moving, table)
+        is_later = bodies.write_later(moving, table)
         for name in self._read.intersection(("links", "shapes")):
             self._write_parts(name)
+        return is_later
 
     def _write_parts(self, name: str) -> None:
-        """Writes the rows of links or shapes; those of bodies that cannot move are written once."""
-        block = self._tables[name].doubles("x", "zmax")
+        """Writes the rows of links or shapes: of bodies that cannot move once, of others later."""
+        table = self._tables[name]
+        block = table.overwritten("x", "zmax")
         for group, poses in self.body_groups:
-            if self._written.get(name) is not poses:
-                (group.write_links if name == "links" else group.write_shapes)(poses, block)
+            write = group.write_links if name == "links" else group.write_shapes
+            if poses.are_finite and table.is_complete and group is self._layout.moving_bodies:
+                table.defer("x", "zmax", partial(write, poses, block))
+            elif self._written.get(name) is not poses:
+                write(poses, block)
         self._written[name] = self._link_poses[0]
 
-    def _finish(self) -> None:
-        """Writes tick and time into the tables that were read, and publishes them."""
+    def _finish(self, *, are_known: bool) -> None:
+        """Writes tick and time into the tables that were read, and publishes them.
+
+        Args:
+            are_known: whether the table of entities surely has no unknown number.
+        """
         if not self._is_past:
             self._tables["ticks"]["wall_time"].fill(time.time())
-        for name in ("entities", "ticks", *self._read.difference(("contacts",))):
-            self._publish(name)
+        self._publish("entities", are_known=are_known)
+        for name in ("ticks", *self._read.difference(("contacts",))):
+            self._publish(name, are_known=name == "ticks")
         # The warning for a past tick was given when it was taken.
         if not self._tables["entities"].is_complete and not self._is_past:
             self._warn_of_unknown(self._tables["entities"].doubles("x", "zmax"))
 
-    def _publish(self, name: str) -> None:
-        """Writes tick and time into a table, and publishes it."""
+    def _publish(self, name: str, *, are_known: bool = False) -> None:
+        """Writes tick and time into a table, and publishes it, unless all numbers are known."""
         table = self._tables[name]
         table["tick"].fill(self.number)
         table["time"].fill(self.time)
-        if name != "ticks":  # its numbers are always known
+        if not are_known:
             table.publish_unknown()
 
     def _warn_of_unknown(self, numbers: Array) -> None:

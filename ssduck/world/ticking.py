@@ -165,9 +165,10 @@ class SteppedSimulation(Observable):
             )
         with self.lock:
             self._check_not_pinned()
-            before, number = self._simulator.clock, self.snapshot.number
+            number = self.snapshot.number
             is_told_time = self._simulator.is_external and not self._simulator.keeps_time
             if is_told_time:
+                before = self._simulator.clock
                 self._simulator.set_clock(self._clock_of_tick(steps, time))
             elif steps is not None or time is not None:
                 reason = (

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
 
 from ssduck.geometry.contact_support import MIN_UP
-from ssduck.geometry.proofs import contact_directions
+from ssduck.geometry.proofs import contact_directions, kept_parts
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
-from ssduck.geometry.proofs.kept_parts import _MAX_PARTS, KeptParts
+from ssduck.geometry.proofs.kept_parts import _COST, _CREDIT, _MAX_PARTS, _PAUSE, KeptParts
 from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from tests.support import pairs
 from tests.support.pairs import gap
@@ -137,3 +138,58 @@ def test_pairs_with_many_parts_begin_anew():
             7, numbers, numbers + 1, ones, np.random.default_rng(1).normal(size=(3, 3, count))
         )
         assert (kept.find(np.array([7])) is not None) == remains
+
+
+def test_parts_that_mostly_have_to_be_divided_again_are_given_up_for_a_while():
+    kept, key = KeptParts(), np.array([7])
+    numbers, ones = np.zeros(3, np.intp), np.ones(3)
+    corners = np.random.default_rng(1).normal(size=(3, 3, 3))
+
+    def keep():
+        kept.keep(7, numbers, numbers + 1, ones, corners)
+
+    def judge(share):
+        kept.judge(np.arange(20) < 20 * share)
+
+    keep()
+    for _ in range(500):  # most suffice
+        judge(0.9)
+    assert kept.find(key) is not None
+    tries = 0
+    while kept.find(key) is not None:
+        judge(0.7)
+        tries += 1
+    assert tries == math.ceil(_CREDIT / (0.3 * _COST - 0.7))
+    keep()
+    absent = 1
+    while kept.find(key) is None:
+        keep()
+        absent += 1
+    assert absent == _PAUSE
+
+
+def test_shapes_that_move_far_are_divided_anew(monkeypatch):
+    """Where parts do not pay, as many directions are computed as without them."""
+    counts, compute = [], contact_directions._Differences.points
+    monkeypatch.setattr(
+        contact_directions._Differences,
+        "points",
+        lambda pairs, owners, ways: counts.append(len(owners)) or compute(pairs, owners, ways),
+    )
+    monkeypatch.setattr(kept_parts, "_CREDIT", 1.0)
+    random, kept = np.random.default_rng(6), KeptParts()
+    two = [pair for kinds in COMBINATIONS for pair in made(kinds, 2)]
+    with_parts, without = [], []
+    for _ in range(12):
+        turns = [b.quaternion + random.normal(size=4) * 0.1 for _, b in two]
+        places = [b.position + random.normal(size=3) * 0.1 for _, b in two]
+        jumped = [
+            (a, b.at(place, turn / np.linalg.norm(turn)))
+            for (a, b), place, turn in zip(two, places, turns, strict=True)
+        ]
+        for known, sums in ((kept, with_parts), (None, without)):
+            counts.clear()
+            decided(jumped, MIN_UP, kept=known)
+            sums.append(sum(counts))
+    assert with_parts[1] != without[1]
+    assert with_parts[-3:] == without[-3:]

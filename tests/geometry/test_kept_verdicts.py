@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import numpy as np
 import pybullet
 import pytest
@@ -10,6 +13,7 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.interiors import SomeInteriors
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
 from tests.geometry.test_colliding import fill
@@ -203,16 +207,16 @@ def test_bodies_at_rest_are_not_compared_again(client, monkeypatch):
     """A body that moves takes with it only the pairs whose verdict it may change."""
     counts = []
 
-    def count(name):
-        compute = getattr(PlacedCores, name)
+    def count(owner, name):
+        compute = getattr(owner, name)
         monkeypatch.setattr(
-            PlacedCores,
+            owner,
             name,
-            lambda self, shapes, ways: counts.append(len(shapes)) or compute(self, shapes, ways),
+            lambda self, *ways: counts.append(ways[-1].shape[1]) or compute(self, *ways),
         )
 
-    count("support_points")
-    count("support_heights")  # of the few that FCL proposes a proof for
+    count(PlacedCores, "support_points")
+    count(SomeInteriors, "heights")  # of the few that FCL proposes a proof for
     fill(client, MIXED, seed=8, side=0.8)
     with ssduck.Interpreter() as ss:
         world = ss.add_variable("w", ssduck.World.attach(client))
@@ -234,3 +238,21 @@ def test_bodies_at_rest_are_not_compared_again(client, monkeypatch):
         world.tick()
         assert ss.eval(query) != first
         assert 0 < sum(counts) < 200
+
+
+@pytest.mark.parametrize("condition", CONDITIONS)
+def test_the_shapes_of_a_tick_are_free_when_the_next_takes_their_place(client, condition):
+    """No cycle of references keeps them until garbage is collected."""
+    fill(client, MIXED, seed=8, side=0.8)
+    query = f"SELECT id(a.this), id(b.this) FROM a=w, b=w WHERE {condition} AS list;"
+    with ssduck.Interpreter() as ss:
+        world = ss.add_variable("w", ssduck.World.attach(client))
+        ss.eval(query)
+        shapes = weakref.ref(world.snapshot.shapes())
+        gc.disable()
+        try:
+            world.tick()
+            ss.eval(query)
+            assert shapes() is None
+        finally:
+            gc.enable()

@@ -1,11 +1,16 @@
-"""What FCL proposes for a few pairs is proved: a verdict is what the signed distance says."""
+"""What FCL proposes for a few pairs is proved: a verdict is what the signed distance says.
+
+What is kept of a pair is tried first when shapes have moved.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from ssduck.geometry.proofs.proposals import Proposer, decide_by_proposals
+from ssduck.geometry.proofs import kept_proposals
+from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
+from ssduck.geometry.proofs.proposals import Proof, Proposer
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
@@ -15,24 +20,38 @@ KINDS = ("sphere", "box", "cylinder", "capsule", "ellipsoid", "hull")
 BOUNDS = (-1e-6, 0.0, 1e-3, 0.1)
 
 
-def decisions(two, bound, spoil=None):
+class Scene:
+    """Pairs of shapes, each of which may move."""
+
+    def __init__(self, two):
+        shapes = [shape for pair in two for shape in pair]
+        solids, indices = [solid_of(one.geometry) for one in shapes], np.arange(len(shapes))
+        self.proposer = Proposer(solids, indices)
+        known = self.proposer.interiors.are_known
+        self.first = indices[::2][known[::2] & known[1::2]]
+        self.pairs = self.first, self.first + 1
+        self.place(shapes)
+
+    def place(self, shapes):
+        """Places the shapes anew."""
+        self.shapes, self.cores = shapes, pairs.bodies(shapes)
+        placed = [one.placed() for one in shapes]
+        self.poses = (
+            np.array([one.position for one in placed]),
+            np.array([one.matrix for one in placed]),
+        )
+
+    def gaps(self):
+        """Returns the signed distances of the pairs."""
+        return np.array([gap(*self.shapes[one : one + 2]).distance for one in self.first.tolist()])
+
+
+def decisions(two, bound, spoil=lambda proposals: proposals):
     """Returns the decisions on pairs of shapes, and their signed distances."""
-    shapes = [shape for pair in two for shape in pair]
-    solids, indices = [solid_of(one.geometry) for one in shapes], np.arange(len(shapes))
-    cores, proposer = pairs.bodies(shapes), Proposer(solids, indices)
-    first = indices[::2]
-    known = proposer.interiors.are_known
-    first = first[known[first] & known[first + 1]]
-    placed = [one.placed() for one in shapes]
-    positions = np.array([one.position for one in placed])
-    matrices = np.array([one.matrix for one in placed])
-    proposed = proposer.propose(positions, matrices, first, first + 1)
-    if spoil is not None:
-        proposed = spoil(*proposed)
-    bounds = np.full(len(first), bound)
-    found = decide_by_proposals(cores, proposer.interiors, proposed, first, first + 1, bounds)
-    gaps = np.array([gap(shapes[one], shapes[one + 1]).distance for one in first.tolist()])
-    return found, gaps
+    scene = Scene(two)
+    proposed = spoil(scene.proposer.propose(scene.poses, *scene.pairs))
+    proof = Proof(scene.cores, scene.proposer.interiors, proposed, *scene.pairs)
+    return proof.decisions(np.full(len(scene.first), bound)), scene.gaps()
 
 
 def check(found, gaps, bound):
@@ -60,8 +79,74 @@ def test_verdicts_and_rooms_are_what_gaps_say(bound):
 def test_wrong_proposals_give_no_wrong_verdict(bound, size):
     random = np.random.default_rng(3)
 
-    def spoil(points, directions):
-        noise = random.normal(size=points.shape) * size
-        return points + noise, directions + random.normal(size=directions.shape) * size
+    def spoil(one):
+        points = one.points + random.normal(size=one.points.shape) * size
+        directions = one.directions + random.normal(size=one.directions.shape) * size
+        return Proposals(points, directions, one.meet ^ (random.random(len(one.meet)) < 0.5))
 
     check(*decisions(random_pairs(6, 3), bound, spoil), bound)
+
+
+def moved(shapes, random, far):
+    """Returns shapes that have moved and turned by about a distance."""
+    result = []
+    for one in shapes:
+        turn = one.quaternion + random.normal(size=4) * far
+        place = one.position + random.normal(size=3) * far
+        result.append(one.at(place, turn / np.linalg.norm(turn)))
+    return result
+
+
+@pytest.mark.parametrize("far", [1e-4, 2e-3, 0.05])
+def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far, monkeypatch):
+    scene, random = Scene(random_pairs(7, 4)), np.random.default_rng(8)
+    asked, propose = [], scene.proposer.propose
+    monkeypatch.setattr(
+        scene.proposer,
+        "propose",
+        lambda poses, first, second: asked.append(len(first)) or propose(poses, first, second),
+    )
+    for tick in range(8):
+        bound = BOUNDS[tick % 2]  # whatever the condition
+        found = scene.proposer.decide(
+            scene.cores, scene.poses, *scene.pairs, np.full(len(scene.first), bound)
+        )
+        gaps = scene.gaps()
+        check(found, gaps, bound)
+        far_pairs = np.abs(gaps - bound) > 1e-3
+        assert (found.verdicts[far_pairs] != UNDECIDED).mean() > 0.7
+        scene.place(moved(scene.shapes, random, far))
+    assert asked[0] == len(scene.first)
+    if far < 0.05:
+        assert sum(asked[1:]) < 0.5 * (len(asked) - 1) * len(scene.first)
+
+
+def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept():
+    """A ball above a box goes down into it, and up again."""
+    random = np.random.default_rng(1)
+    box, ball = (pairs.Shape(kind, pairs.geometry(kind, random, True), np.zeros(3),
+                             np.array([1.0, 0.0, 0.0, 0.0])) for kind in ("box", "sphere"))  # fmt: skip
+    reach = box.geometry.size[2] / 2 + ball.geometry.size[0]
+    scene = Scene([(box, ball)])
+    asked, propose = [], scene.proposer.propose
+    scene.proposer.propose = lambda *pair: asked.append(1) or propose(*pair)
+    for height in (2e-3, -2e-3, -4e-3, 2e-3, 4e-3):
+        scene.place([box, ball.at((1e-3, 0.0, reach + height))])
+        found = scene.proposer.decide(scene.cores, scene.poses, *scene.pairs, np.zeros(1))
+        assert found.verdicts.tolist() == [ABOVE if height > 0.0 else BELOW]
+        assert found.room[0] == pytest.approx(abs(height), abs=1e-6)
+    assert len(asked) == 1
+
+
+def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):
+    monkeypatch.setattr(kept_proposals, "_MAX_PAIRS", 8)
+    kept = KeptProposals()
+    for start in (0, 6, 12):
+        keys = np.arange(start, start + 6)
+        directions = np.full((3, 6), float(start))
+        kept.keep(keys, directions, np.zeros((3, 12)), np.zeros(6, bool))
+        places, columns = kept.find(np.arange(20))
+        assert places.tolist() == keys.tolist()
+        assert (columns[0] == start).all()
+    kept.keep(np.arange(30), np.ones((3, 30)), np.zeros((3, 60)), np.zeros(30, bool))
+    assert kept.find(np.arange(30))[0].tolist() == list(range(8))

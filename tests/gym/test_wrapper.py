@@ -122,6 +122,20 @@ def test_history_begins_at_a_reset(wrap):
         assert seen == [False] * first + [True] * (15 - first)
 
 
+def test_the_past_has_the_tables_that_terms_read(wrap):
+    near = "joint(sim.pusher, 'push') < 0.01"
+    env = wrap(
+        Push(), success=f"heldFor({near}) >= 0.03", reward=f"heldFor(NOT {near})", failure=near
+    )
+    held = [True]  # at the reset
+    for _, _, info in episode(env, 0, 60):
+        held.append(info["failure"])
+        ticks = held[::-1].index(False) if False in held else len(held)  # 0.01 s apart
+        assert info["success"] == (ticks > 3)
+        assert (info["reward"] > 0) == (not any(held[-2:]))
+    assert {True, False} == set(held)
+
+
 def test_a_reset_without_steps_begins_an_episode(wrap, tmp_path):
     env = wrap(Push(), success="x(sim.ball) > 0.02", record_to=tmp_path)
     for _ in range(3):
@@ -170,7 +184,10 @@ def test_pybullet(wrap, reconnects):
         ({"success": "z(sim.ball) >"}, SelectScriptError, "success: "),
         ({"success": "z(sim.ball) > 1; 2"}, ArgumentError, "one expression"),
         ({"success": ""}, ArgumentError, "success: a term is a text"),
-        ({"success": "x(sim.table.botom) > 1"}, SelectScriptError, "success: .*botom"),
+        ({"success": "x(sim.ball) > 9 AND z(sim.bal) > 1"}, UnknownNameError, "success: .*'ball'"),
+        ({"failure": "x(sim.ball) < 9 OR z(sim.bal) > 1"}, UnknownNameError, "failure: .*'ball'"),
+        ({"success": "x(sim.table.tabel) > 1"}, SelectScriptError, "did you mean 'table'"),
+        ({"success": "x(sim.table.site) > 1"}, SelectScriptError, "'site'; its links: table;"),
         ({"success": "joint(sim.pusher, 'psuh') > 1"}, SelectScriptError, "'psuh'; .*'push'"),
         ({"success": "x(sim.ball) > goal", "variables": {"gaol": len}}, UnknownNameError, "'gaol'"),
         ({}, ArgumentError, "give a term"),

@@ -17,9 +17,9 @@ PILE = """
   <worldbody>
     <geom name="floor" type="plane" size="0 0 .1"/>
     <body name="gripper">
-      <body pos="-.1 0 .1"><joint name="l" type="slide" axis="1 0 0" damping="9"/>
+      <body name="left" pos="-.1 0 .1"><joint name="l" type="slide" axis="1 0 0" damping="9"/>
         <geom type="box" size=".02 .1 .1" mass="1"/></body>
-      <body pos=".1 0 .1"><joint name="r" type="slide" axis="-1 0 0" damping="9" range="0 .2"
+      <body name="right" pos=".1 0 .1"><joint name="r" type="slide" axis="-1 0 0" damping="9" range="0 .2"
         limited="true"/><geom type="box" size=".02 .1 .1" mass="1"/></body>
     </body>
     <body name="cube" pos="0 0 .05"><freejoint/><geom type="box" size=".05 .05 .05" mass=".2"/></body>
@@ -80,10 +80,34 @@ def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
     lab.ss.close()
 
 
+def test_contacts_of_links_are_those_of_all_pairs():
+    lab = Lab()
+    expected = set()
+    for _ in range(4):
+        lab.run(40)
+        for sources in ("a=links(lab), b=links(lab)", "a=links(lab), b=lab"):
+            rows = lab.ss.eval(
+                "SELECT a, b, inContact(a, b), contactForce(a, b), grasped(a, b) "
+                f"FROM {sources} AS list;"
+            )
+            for start in range(0, len(rows), 5):
+                lab.ss["one"], lab.ss["other"], *values = rows[start : start + 5]
+                for pair in ("one, other", "other, one"):
+                    text = f"inContact({pair}), contactForce({pair}), grasped({pair})"
+                    seen = statements(lab.ss)
+                    assert lab.ss.eval(f"SELECT {text} FROM [0] AS list;") == values, pair
+                    assert not seen
+                expected.add((values[0], values[1] > 0, values[2]))
+    assert expected >= {(False, False, False), (True, True, False)}
+    lab.ss.close()
+
+
 @pytest.mark.parametrize(
     "term",
     [
         "inContact(lab.cube, lab.ball)",
+        "inContact(lab.gripper.left, lab.cube) AND NOT inContact(lab.gripper.right, lab.ball)",
+        "contactForce(lab.cube, lab.gripper.right) > 0.1 OR grasped(lab.gripper.left, lab.cube)",
         "contactForce(lab.gripper, lab.cube) > 0.1",
         "grasped(lab.gripper, lab.cube) OR z(lab.ball) > 0.1",
         "joint(lab.gripper, 'r') < 0.05",

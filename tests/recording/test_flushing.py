@@ -5,9 +5,12 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping
+from itertools import count
 from pathlib import Path
 
+import pyarrow as pa
 import pybullet
 import pytest
 
@@ -17,9 +20,10 @@ from ssduck.errors import ArgumentError, RecordError
 from ssduck.recording import flush_timer
 from ssduck.recording import recorder as recorders
 from ssduck.recording.recorder import Recorder
-from ssduck.recording.stores import parquet
+from ssduck.recording.stores import checksums, parquet, part_log
 from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
+from tests.support.recorded import end_part
 from tests.support.timing import HANGS
 
 BALLS = 3
@@ -149,7 +153,7 @@ def test_a_log_has_what_parts_have(world: ssduck.World, clock: Clock, tmp_path: 
         writing = ss.record_to(run, recording=Recording(tables=TABLES))
         recorder = ss._database._recorders.running[-1]
         _tick(recorder, world, 2)
-        writing.flush()  # a part
+        end_part(writing)
         for _ in range(4):
             clock.now += 0.6
             _tick(recorder, world, 2)
@@ -224,6 +228,89 @@ def test_a_log_becomes_a_part_when_it_is_long_enough(
     assert counts == [(0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2), (1, 3), (2, 0)]
     with ssduck.open(run) as copy:
         assert copy.past("lab").ticks == list(range(1, 26))
+
+
+def test_flushes_make_no_small_parts(
+    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A flush at each tick: the record has full parts, and each row is written twice at most."""
+    monkeypatch.setattr(parquet, "PART_TICKS", 10)
+    run = tmp_path / "run"
+    written: Counter[str] = Counter()
+    write_parquet, append = parquet.write_parquet, parquet.PartLog.append
+
+    def counted(rows: pa.Table, place: Path, **options: object) -> int:
+        written[place.relative_to(run).parts[0]] += rows.num_rows
+        return write_parquet(rows, place, **options)
+
+    def logged(log: parquet.PartLog, part: int, rows: Mapping[str, pa.Table]) -> None:
+        written["log"] += rows["ticks"].num_rows
+        append(log, part, rows)
+
+    monkeypatch.setattr(parquet, "write_parquet", counted)
+    monkeypatch.setattr(parquet.PartLog, "append", logged)
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", world)
+        with ss.record_to(run, recording=Recording(tables=TABLES, flush_every=None)) as writing:
+            assert writing.flush() == 1
+            for tick in range(2, 26):
+                world.step()
+                assert writing.flush() == tick
+                with ssduck.open(run) as copy:
+                    assert copy.past("lab").ticks == list(range(1, tick + 1))
+            assert (len(_parts(run)), len(_log(run))) == (2, 5)
+    assert (len(_parts(run)), len(_log(run))) == (3, 0)
+    assert (written["ticks"], written["log"]) == (25, 23)  # the last ticks of parts are not logged
+    assert written["entities"] == 25 * BALLS
+    assert ssduck.check(run) == []
+
+
+class Killed(BaseException):
+    """Ends a recorder in the middle of its work."""
+
+
+@pytest.mark.parametrize("step", range(16))
+def test_a_recorder_that_is_killed_at_any_file(
+    world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int
+) -> None:
+    """While a log becomes a part: before and after each file is there, or gone."""
+    monkeypatch.setattr(parquet, "PART_TICKS", 4)
+    run, left = tmp_path / "run", tmp_path / "left"
+    steps = count()
+
+    def dying(work: Callable[..., None]) -> Callable[..., None]:
+        def step_of(*arguments: object, **options: object) -> None:
+            if next(steps) == step:
+                raise Killed
+            work(*arguments, **options)
+            if next(steps) == step:
+                raise Killed
+
+        return step_of
+
+    with ssduck.Interpreter(recording=Recording(tables=TABLES)) as ss:
+        ss.add_variable("lab", world)
+        writing = ss.record_to(run, recording=Recording(tables=TABLES, flush_every=None))
+        for _ in range(3):
+            writing.flush()
+            world.step()
+        with monkeypatch.context() as patch:
+            for module in (checksums, part_log):
+                patch.setattr(module, "write_atomically", dying(module.write_atomically))
+            patch.setattr(parquet.PartLog, "clear", dying(parquet.PartLog.clear))
+            patch.setattr(Path, "unlink", dying(Path.unlink))
+            with pytest.raises(Killed):
+                writing.flush()
+        shutil.copytree(run, left)
+        expected = _contents(ss)
+        with ssduck.open(left) as copy:
+            found = _contents(copy)
+            ticks = copy.past("lab").ticks
+        is_part = bool(_parts(left))
+        assert ticks == list(range(1, 5 if is_part else 4))
+        for table, rows in expected.items():
+            place = 0 if table == "ticks" else [*ssduck.schema.TABLES[table].names].index("tick")
+            assert found[table] == [row for row in rows if row[place] <= ticks[-1]]
 
 
 def test_what_the_disk_does_not_take_waits(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pybullet
 import pytest
@@ -16,6 +18,7 @@ from ssduck.errors import RecordError, SqlError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 from ssduck.recording.stores.checksums import write_json, write_parquet
 from ssduck.recording.stores.descriptions import read_description
+from tests.support.forged import rewrite, without_checksums
 
 PARTS = 10
 PLACE = "world=lab/episode={}"
@@ -180,6 +183,94 @@ def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None
         assert checks == ["entities 3", "entities 4"]
         ss.eval("SELECT id FROM lab{} AS list;")
         assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
+
+
+def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any]:
+    """Returns the rows of a tick, by a program that is the same for all ticks."""
+    ss.add_variable("T", time)
+    return ss.eval(f"SELECT {selected} FROM lab{{T}} AS list;")
+
+
+def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks: list[str]) -> None:
+    """Ten parts are groups of three; any other statement has all of them checked."""
+    with ssduck.open(run) as ss:
+        times = ss.past("lab").times
+        assert _at(ss, times[6]) == [7]
+        assert sorted(set(checks)) == [f"entities {part}" for part in (3, 4, 5)]
+        checks.clear()
+        assert [_at(ss, time)[0] for time in times[6:12]] == list(range(7, 13))  # prepared, too
+        assert checks == []
+        assert _at(ss, times[-1]) == [20]
+        assert set(checks) == {"entities 9"}
+        checks.clear()
+        join = "body = lab.body_0; SELECT tick FROM lab{T} WHERE z(body) <= z(this) AS list;"
+        assert ss.eval(join) == [20]
+        rest = {f"entities {part}" for part in (0, 1, 2, 6, 7, 8)}
+        assert {name for name in checks if name.startswith("entities")} == rest
+        checks.clear()
+        assert ss.sql("SELECT count(*) FROM entities_history").fetchone() == (20,)
+        assert checks == []
+
+
+def test_answers_about_a_tick_are_those_of_all(run: Path, checks: list[str]) -> None:
+    with ssduck.open(run) as ss:
+        found = [_at(ss, time, "z(this)") for time in ss.past("lab").times]
+        whole = ss.sql("SELECT z FROM entities_history ORDER BY tick").fetchall()
+    assert found == [[z] for (z,) in whole]
+
+
+def test_the_log_of_a_record_of_many_parts_is_read(
+    run: Path, checks: list[str], client: int
+) -> None:
+    place, copy = run / "running", run / "copy"
+    world = ssduck.World.attach(client, name="lab")
+    recording = Recording(tables=("entities",), flush_every=None)
+    with ssduck.Interpreter(recording=None) as ss:
+        ss.add_variable("lab", world)
+        with ss.record_to(place, recording=recording) as writing:
+            world.step(2 * PARTS)
+            writing.flush()
+            shutil.copytree(place, copy)
+    assert len(list((copy / "log").rglob("*.arrow"))) == 1
+    checks.clear()
+    with ssduck.open(copy) as ss:
+        times = ss.past("lab").times
+        assert [_at(ss, times[n]) for n in (4, 20, 5)] == [[5], [21], [6]]
+        assert {name for name in checks if name.startswith("entities")} == {
+            f"entities {part}" for part in (0, 1, 2)
+        }
+
+
+def _forge(run: Path, part: int, tick: int) -> None:
+    """Has all rows of a part claim a tick."""
+    file = run / "entities" / PLACE.format(1) / f"part-{part:06d}.parquet"
+
+    def forged(rows: pa.Table) -> pa.Table:
+        ticks = pa.array([tick] * rows.num_rows, rows["tick"].type)
+        return rows.set_column(rows.column_names.index("tick"), rows.schema.field("tick"), ticks)
+
+    rewrite(file, forged)
+    without_checksums(run)
+
+
+@pytest.mark.parametrize(("claimed", "stray"), [(1, 1), (15, 15), (1000, 1000)])
+def test_rows_of_other_ticks_are_in_no_answer(
+    run: Path, checks: list[str], claimed: int, stray: int
+) -> None:
+    """Rows of part 7 that claim a tick of another group, of another part of theirs, or none."""
+    _forge(run, 7, claimed)
+    message = rf"of the rows of entities, one is at the tick {stray} "
+    with ssduck.open(run) as ss:
+        times = ss.past("lab").times
+        assert [_at(ss, times[n]) for n in (0, 1, 8, 19)] == [[1], [2], [9], [20]]
+        for n in (13, 14, 15):
+            with pytest.raises(RecordError, match=message):
+                _at(ss, times[n])
+        with pytest.raises(RecordError, match=message):
+            ss.sql("SELECT count(*) FROM entities_history")
+        with pytest.raises(RecordError, match=message):
+            ss.eval("SELECT tick FROM lab{} AS list;")
+        assert [_at(ss, times[n]) for n in (0, 1, 8, 19)] == [[1], [2], [9], [20]]
 
 
 def test_parts_of_other_ticks_are_not_read(run: Path, checks: list[str]) -> None:

@@ -18,7 +18,7 @@ from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from tests.support.command_line import answer, ssduck_, write_scene
-from tests.support.recorded import ALL, PAST, live_lab, lively, rows
+from tests.support.recorded import ALL, PAST, end_part, live_lab, lively, rows
 from tests.support.s3_server import s3_server
 
 pytest.importorskip("moto.server", reason="moto, a local S3 server, is missing")
@@ -44,8 +44,8 @@ def places(server, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]
         ):
             for _ in range(3):
                 world.step(16)
-                first.flush()
-                second.flush()
+                end_part(first)
+                end_part(second)
             world.step(3)
     pybullet.disconnect(client)
     return remote, local
@@ -105,6 +105,9 @@ def test_a_running_recording_is_read_with_its_log(server) -> None:
             with ssduck.open(place) as there:
                 assert len(there.past("lab").ticks) >= 1
             last = running.flush()
+            with ssduck.open(place) as there:
+                assert there.past("lab").ticks[-1] == last
+            assert end_part(running) == last
             assert not list(_logs(place))
             with ssduck.open(place) as there:
                 assert there.past("lab").ticks[-1] == last

@@ -14,6 +14,7 @@ from ssduck import Recording
 from ssduck.geometry.poses import compose, cross, multiply, rotate, rotation_matrices
 from ssduck.schema import RECORDABLE
 from tests.support.cases import sampled
+from tests.support.recorded import end_part
 
 ALL = Recording(tables=RECORDABLE)
 POSES = Recording()
@@ -101,7 +102,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory):
             for tick in range(30):
                 world.step(8)
                 if tick % 7 == 0:
-                    parts.flush()
+                    end_part(parts)
                 if tick % 11 == 0:
                     ss.flush()
                 live[world.time] = told(ss, PRESENT)

@@ -18,6 +18,7 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores.checksums import write_json
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.parquet_layout import part_name
+from tests.support.recorded import end_part
 
 PARTS = 4
 PLACE = "world=lab/episode={}"
@@ -42,7 +43,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
                         )
                     world.step()
                     world.step()
-                    writing.flush()
+                    end_part(writing)
     pybullet.disconnect(client)
     return place
 

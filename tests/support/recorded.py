@@ -68,6 +68,13 @@ def lively(client, names=()):
     return {number: named.get(number, name) for name, number in bodies.items()}
 
 
+def end_part(recording):
+    """Stores the ticks so far as a part, which else takes as many ticks as a part has."""
+    last = recording.flush()
+    recording._folder.complete()
+    return last
+
+
 def live_lab(ss, client, recording=ALL, ticks=40):
     """A world `lab` of which bodies came and went, one has been switched off, with a sensor."""
     numbers = lively(client)

@@ -11,6 +11,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
+from ssduck.geometry.tick_solids import ShapePlaces
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 
@@ -59,9 +60,8 @@ def narrow(*entities):
             .T
         )
     solids = [solid_of(geometry) for geometry, _, _ in shapes]
-    return NarrowPhase(
-        solids, np.arange(len(shapes)), positions, turns, boxes, starts, CallCounter()
-    )
+    places = ShapePlaces(positions, turns, boxes)
+    return NarrowPhase(solids, np.arange(len(shapes)), places, starts, CallCounter())
 
 
 def sorts_of(tick):

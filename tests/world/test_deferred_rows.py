@@ -1,5 +1,7 @@
 """Rows are written when something reads them, and are those of the present tick then."""
 
+from itertools import chain
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ import ssduck
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.simulators.mujoco import simulator
 from ssduck.world import contact_rows
+from ssduck.world.layout import BodyGroup
+from ssduck.world.shape_places import TickPlaces
 from tests.support.gym_environments import PUSH
 
 RADIUS = 0.05
@@ -24,6 +28,8 @@ def lab():
         yield ss, ss.add_variable("lab", ssduck.World.attach(model, data)), model, data
 
 
+PARTS = "SELECT zmax FROM lab.{} WHERE entity = (SELECT id FROM lab.entities WHERE name = 'ball')"
+
 READERS = {
     "a property": lambda ss, world: world["ball"].aabb[1][2],
     "SQL": lambda ss, world: ss.sql(HIGHEST).fetchall()[0][0],
@@ -35,6 +41,14 @@ READERS = {
     ).fetchall()[0][0],
     "a what-if world": lambda ss, world: world.what_if()["ball"].aabb[1][2],
     "a trigger": lambda ss, world: ss["seen"][5],
+    "a link": lambda ss, world: world["ball"].links[0].aabb[1][2],
+    "SQL of links": lambda ss, world: ss.sql(PARTS.format("links")).fetchall()[0][0],
+    "SQL of shapes": lambda ss, world: ss.sql(PARTS.format("shapes")).fetchall()[0][0],
+    "a query of links": lambda ss, world: ss.eval("aabb(links(lab.ball)[0]);")[5],
+    "the record of links": lambda ss, world: ss.sql(
+        PARTS.format("links_history") + " ORDER BY tick DESC LIMIT 1"
+    ).fetchall()[0][0],
+    "a copy's links": lambda ss, world: world.what_if()["ball"].links[0].aabb[1][2],
 }
 
 
@@ -171,3 +185,60 @@ def test_a_condition_on_positions_computes_no_velocities(lab, monkeypatch):
         mujoco.mj_objectVelocity(model, data, kind, number, velocity, 0)
         assert world["ball"].velocity == pytest.approx([*velocity[3:], *velocity[:3]], abs=1e-12)
         assert calls == [1]
+
+
+SHAPES = """
+<mujoco><worldbody>
+  <geom type="plane" size="1 1 .1"/>
+  <body name="arm" pos="0 0 .5"><joint type="hinge" axis="0 1 0"/>
+    <geom type="box" size=".1 .2 .3" pos=".1 0 .2" euler="10 20 30"/>
+    <geom type="capsule" size=".1 .2" pos="-.3 .1 0" quat=".5 .1 .7 .2"/>
+    <body pos="0 .4 .2" euler="5 6 7"><joint type="ball"/>
+      <geom type="cylinder" size=".1 .2" euler="40 0 10"/>
+      <geom type="ellipsoid" size=".1 .2 .3" pos=".1 .2 .3"/></body></body>
+  <body name="ball" pos="1 0 1" euler="1 2 3"><freejoint/><geom size=".1"/></body>
+</worldbody></mujoco>
+"""
+
+
+def test_a_shape_is_where_the_table_has_it():
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(model, data))
+        for _ in range(3):
+            mujoco.mj_step(model, data, 20)
+            world.tick()
+            columns = "x, y, z, qw, qx, qy, qz, xmin, ymin, zmin, xmax, ymax, zmax"
+            rows = ss.sql(f"SELECT {columns} FROM lab.shapes").fetchall()
+            snapshot = world.snapshot
+            places = TickPlaces(snapshot.layout, snapshot.body_groups)
+            one_by_one = [
+                (*chain(*places.pose(shape)), *places.box(shape)) for shape in range(len(rows))
+            ]
+            assert len(rows) == 6
+            assert one_by_one == rows
+            arrays = np.hstack((places.positions, places.orientations, places.boxes))
+            assert arrays.tolist() == list(map(list, rows))
+
+
+def test_a_pair_of_shapes_places_no_others(monkeypatch):
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    data = mujoco.MjData(model)
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(model, data))
+        program = ss.compile("SELECT on(lab.world, lab.ball) FROM [0] AS list;")
+        calls, write = [], BodyGroup.write_shapes
+        values = []
+        for number in range(60):
+            mujoco.mj_step(model, data, 10)
+            world.tick()
+            values += ss.eval(program)
+            if number == 5:  # it is planned, and its tables are read
+                monkeypatch.setattr(
+                    BodyGroup, "write_shapes", lambda *of: calls.append(1) or write(*of)
+                )
+        assert {True, False} == set(values)
+        assert not calls
+        assert "ball" in ss.eval("SELECT id FROM lab WHERE on(lab.world, this) AS list;")
+        assert calls

@@ -210,11 +210,15 @@ def _classified(
     triangles = _mesh_triangles(pairs, points, mesh, parts, least)
     if known is not None:
         triangles = triangles.joined(known)
+    # The corners of known parts are where a facet would lead.
+    begin_anew = np.ones(len(pairs), dtype=bool)
+    if parts is not None:
+        begin_anew[parts.owners] = False
     decisions = Decisions.none(len(pairs))
     for division in range(_MAX_DIVISIONS + 1):
         is_left = triangles.bounds <= pairs.limits[triangles.owners]
         is_open = _decide(decisions, pairs, triangles, is_left, least)
-        if division == 0 and is_open.any():
+        if division == 0 and (is_open & begin_anew).any():
             _refine(pairs, triangles.select(np.flatnonzero(is_open[triangles.owners])))
             is_left &= triangles.bounds <= pairs.limits[triangles.owners]
             is_open = _decide(decisions, pairs, triangles, is_left, least)
@@ -227,9 +231,13 @@ def _classified(
         record.add(triangles, ~is_left, is_divided)
         divided = _divided(triangles.select(np.flatnonzero(is_divided)), pairs, min_height)
         triangles = triangles.select(np.flatnonzero(is_left & ~is_divided)).joined(divided)
-    if kept is not None and record.divided:
-        record.add(triangles, np.ones(len(triangles.owners), dtype=bool))
-        record.keep(kept, keys)
+    if kept is not None:
+        if parts is not None:
+            found = np.flatnonzero(~begin_anew)
+            kept.judge(~np.isin(found, list(record.divided)))
+        if record.divided:
+            record.add(triangles, np.ones(len(triangles.owners), dtype=bool))
+            record.keep(kept, keys)
     return decisions
 
 

@@ -9,11 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.proofs.columns import column_lengths
+from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
 from ssduck.geometry.solids import Solid
 
 # The number of points that are compared at a time.
 MAX_POINTS = 1 << 20
+# Cubes of larger lengths and distances, metres, overflow: nothing is decided.
+LARGE = 1e100
 
 
 class ConvexCores:
@@ -35,6 +37,8 @@ class ConvexCores:
         axes = np.array([solid.semi_axes for solid in solids]).reshape(-1, 3)
         self.semi_axes = axes.T[:, solid_indices]
         self.is_swept: Flags = np.asarray(self.semi_axes.any(axis=0))
+        # The error of signed distances of two shapes is at least the larger of these, metres.
+        self.least_error = 2.5 * np.where(self.is_swept, CYLINDER_TOLERANCE, CONTACT_TOLERANCE)
         self.disc_radius = np.array([solid.disc_radius for solid in solids])[solid_indices]
         self.largest_radius = np.array([solid.largest_radius for solid in solids])[solid_indices]
         self.is_ellipsoid = np.array([solid.type == "ellipsoid" for solid in solids], dtype=bool)[
@@ -108,10 +112,17 @@ class PlacedCores:
     inscribed_centres: Array
 
     @cached_property
-    def largest_coordinates(self) -> Array:
-        """The largest coordinate of each centre, (n,), without its sign."""
-        largest: Array = np.abs(self.centres).max(axis=0, initial=0.0)
-        return largest
+    def error_terms(self) -> tuple[Array, Array]:
+        """The errors of signed distances of shapes, two arrays (n,), metres.
+
+        That of two shapes is the larger of the first, plus both of the second, which grow with the
+        sizes and the distances from the origin.
+        """
+        largest = np.abs(self.centres).max(axis=0, initial=0.0)
+        size = self.cores.bounding_radius
+        growing = 4e-12 * size + 4e-15 * largest
+        growing[np.maximum(largest, 2.0 * size) > LARGE] = np.inf
+        return self.cores.least_error, growing
 
     def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
         """Returns balls in differences of cores: if one is known, its centre (3, m), radius."""
@@ -159,31 +170,6 @@ class PlacedCores:
         in_world += rotations[1::3] * points[1]
         in_world += rotations[2::3] * points[2]
         return in_world
-
-    def support_heights(self, shapes: Indices, directions: Array) -> Array:
-        """Returns the extents (m,) of shapes from their centres, with their radii.
-
-        Args:
-            shapes: (m,), the indices of the shapes.
-            directions: (3, m), unit vectors in the axes of the shapes.
-        """
-        cores = self.cores
-        heights: Array = np.einsum(
-            "cn,cn->n", cores.half_extents.take(shapes, axis=1), np.abs(directions)
-        )
-        heights += cores.radius.take(shapes)
-        if cores.is_swept.take(shapes).any():
-            heights += column_lengths(cores.semi_axes.take(shapes, axis=1) * directions)
-        kinds = cores.kind.take(shapes)
-        for kind, hulls in enumerate(cores.points):
-            selected = np.flatnonzero(kinds == kind)
-            step = max(1, MAX_POINTS // hulls.shape[2])
-            for start in range(0, len(selected), step):
-                some = selected[start : start + step]
-                points = hulls.take(cores.row[shapes[some]], axis=0)
-                products = np.matmul(directions[:, some].T[:, None], points)[:, 0]
-                heights[some] += products.max(axis=1)
-        return heights
 
     def support_points_all_around(self, shapes: Indices, directions: Array) -> Array:
         """Returns the support points (3, m, n) of cores, relative to their centres, in world axes.

@@ -92,6 +92,9 @@ def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indice
     left = np.flatnonzero((verdicts == UNDECIDED) & ~has_plane)
     left = left[np.abs(centres[:, left]).max(axis=0, initial=0.0) <= _MAX_COORDINATE]
     firsts = np.array(starts)
+    over_ball = _are_over_balls(tick, firsts[a[left]], centres[:, left])
+    verdicts[left[over_ball]] = OVER
+    left = left[~over_ball]
     is_box = _are_boxes(tick, firsts, a[left])
     if is_box.any() and np.count_nonzero(is_box) >= min(_MIN_BOXES, len(left)):
         boxes = left[is_box]
@@ -113,6 +116,17 @@ def _have_steep_planes(tick: TickShapes, count: int) -> Flags:
     have: Flags = np.zeros(count, dtype=bool)
     have[table.entities[planes[np.abs(heights) > _LEVEL]]] = True
     return have
+
+
+def _are_over_balls(tick: TickShapes, shapes: Indices, centres: Array) -> Flags:
+    """Checks whether points (2, n) of the ground are surely over the balls in shapes, (n,).
+
+    A ball has no footprint smaller than its own: whatever else its entity has only adds to it.
+    """
+    radii = tick.table.inscribed_radius.take(shapes) * (1.0 - _ROUND_ERROR) - _ROOM
+    offsets = centres - tick.placed_cores.inscribed_centres[:2].take(shapes, axis=1)
+    is_over: Flags = np.hypot(offsets[0], offsets[1]) < radii
+    return is_over
 
 
 def _are_boxes(tick: TickShapes, starts: Indices, entities: Indices) -> Flags:

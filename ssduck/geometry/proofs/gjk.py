@@ -28,7 +28,6 @@ from typing import TypeAlias
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
 from ssduck.geometry.proofs.columns import column_lengths, unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.kept_verdicts import pair_keys
@@ -41,8 +40,6 @@ MAX_STEPS = 40
 MAX_MOVES = 12
 # The number of pairs that are compared at a time, so that their arrays stay in the cache.
 PAIRS_AT_ONCE = 4096
-# Cubes of larger lengths and distances, metres, overflow: nothing is decided.
-LARGE = 1e100
 _NEXT = np.array([1, 2, 0])
 # Four directions that are parallel to no axis. The offsets of directions from normals, in turn.
 _OBLIQUE_DIRECTIONS = np.array(
@@ -158,16 +155,10 @@ def decide_gaps(
 
 def tolerances(bodies: PlacedCores, first: Indices, second: Indices) -> Array:
     """Returns the distances from the bound, metres, within which pairs stay undecided."""
-    cores, largest = bodies.cores, bodies.largest_coordinates
-    is_swept = cores.is_swept[first] | cores.is_swept[second]
-    largest_of_pair = np.maximum(largest[first], largest[second])
-    size = cores.bounding_radius[first] + cores.bounding_radius[second]
-    error: Array = (
-        np.where(is_swept, 2.5 * CYLINDER_TOLERANCE, 2.5 * CONTACT_TOLERANCE)
-        + 4e-12 * size
-        + 4e-15 * largest_of_pair
-    )
-    error[np.maximum(largest_of_pair, size) > LARGE] = np.inf
+    least, growing = bodies.error_terms
+    error: Array = np.maximum(least.take(first), least.take(second))
+    error += growing.take(first)
+    error += growing.take(second)
     return error
 
 

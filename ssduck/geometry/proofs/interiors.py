@@ -1,4 +1,4 @@
-"""How deep points are in many convex shapes at once, by closed forms."""
+"""How deep points are in many convex shapes at once, and how far these reach, by closed forms."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.solids import Solid
 
 
@@ -23,50 +24,84 @@ class ConvexInteriors:
 
     Attributes:
         are_known: (n,), whether the shape has a formula.
-        are_balls: (n,), whether it is a sphere.
     """
 
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
         self.are_known: Flags = np.array([_has_inside(s) for s in solids], dtype=bool)[
             solid_indices
         ]
-        self.are_balls: Flags = np.array([s.type == "sphere" for s in solids], dtype=bool)[
-            solid_indices
-        ]
-        numbers = np.array([_numbers(solid) for solid in solids]).reshape(-1, 10).T
-        numbers = numbers[:, solid_indices]
-        self._between, self._core, self._scales = numbers[:3], numbers[3:6], numbers[6:9]
-        self._radius = numbers[9]
+        # One array: to take some of its columns takes one call.
+        numbers = np.array([_numbers(solid) for solid in solids]).reshape(-1, _ROWS).T
+        self._numbers = numbers[:, solid_indices]
         hulls = [n for n, solid in enumerate(solids) if _has_inside(solid) and _is_hull(solid)]
         rows = np.full(len(solids), -1)
         rows[hulls] = np.arange(len(hulls))
         self._hull_rows = rows[solid_indices]
-        # The planes of each hull: normals and offsets, the last one repeated.
+        # The corners and the planes of each hull, the last one repeated.
+        count = max((len(solids[n].core) for n in hulls), default=0)
+        self._corners = np.array([_corners(solids[n], count) for n in hulls])
         count = max((len(solids[n].normals) for n in hulls), default=0)
         self._planes = np.array([_planes(solids[n], count) for n in hulls])
 
-    def depths(self, shapes: Indices, points: Array) -> Array:
-        """Returns lower bounds of the depths of points, (m,), metres; negative outside.
+    def of(self, shapes: Indices) -> SomeInteriors:
+        """Returns the interiors of shapes with a formula, (m,)."""
+        return SomeInteriors(
+            self._numbers.take(shapes, axis=1),
+            self._hull_rows.take(shapes),
+            self._corners,
+            self._planes,
+        )
+
+
+class SomeInteriors:
+    """The interiors of m shapes, each in its frame from the solid's centre.
+
+    Args:
+        numbers: (rows, m), see `_numbers`.
+        hull_rows: (m,), the place of each shape's hull; -1 for other shapes.
+        corners: (hulls, 3, k), those of hulls.
+        planes: (hulls, 4, l), the normals and the offsets of hulls.
+
+    Attributes:
+        bounding_radii: (m,), metres.
+        inscribed_offsets: (3, m), the centres of the balls in the solids.
+    """
+
+    def __init__(self, numbers: Array, hull_rows: Indices, corners: Array, planes: Array) -> None:
+        self._numbers = numbers
+        self.inscribed_offsets, self.bounding_radii = numbers[16:19], numbers[20]
+        self._hulls = np.flatnonzero(hull_rows >= 0)
+        if len(self._hulls):
+            rows = hull_rows.take(self._hulls)
+            self._corners, self._planes = corners.take(rows, axis=0), planes.take(rows, axis=0)
+
+    def heights(self, directions: Array) -> Array:
+        """Returns the extents of the shapes from their centres in unit directions (3, m), (m,)."""
+        numbers = self._numbers
+        heights: Array = np.einsum("cn,cn->n", numbers[:3], np.abs(directions))
+        heights += column_lengths(numbers[3:6] * directions)
+        heights += numbers[19]
+        if len(self._hulls):
+            products = np.einsum("nck,cn->nk", self._corners, directions.take(self._hulls, axis=1))
+            heights[self._hulls] = products.max(axis=1)
+        return heights
+
+    def depths(self, points: Array) -> Array:
+        """Returns lower bounds of the depths of points (3, m), (m,), metres; negative outside.
 
         The ball of that radius around a point is in the shape.
-
-        Args:
-            shapes: (m,), shapes with a formula.
-            points: (3, m), one for each shape, in its frame from the solid's centre.
         """
+        numbers = self._numbers
         magnitudes = np.abs(points)
-        between = (self._between.take(shapes, axis=1) - magnitudes).min(axis=0)
-        magnitudes -= self._core.take(shapes, axis=1)
+        between = (numbers[6:9] - magnitudes).min(axis=0)
+        magnitudes -= numbers[9:12]
         scaled = np.maximum(magnitudes, 0.0, out=magnitudes)
-        scaled *= self._scales.take(shapes, axis=1)
-        lengths = np.sqrt(np.einsum("cn,cn->n", scaled, scaled))
-        depths: Array = np.minimum(between, self._radius.take(shapes) * (1.0 - lengths))
-        rows = self._hull_rows.take(shapes)
-        are_hulls = np.flatnonzero(rows >= 0)
-        if len(are_hulls):
-            planes = self._planes.take(rows.take(are_hulls), axis=0)
-            heights = np.einsum("nck,cn->nk", planes[:, :3], points.take(are_hulls, axis=1))
-            depths[are_hulls] = (planes[:, 3] - heights).min(axis=1)
+        scaled *= numbers[12:15]
+        depths: Array = np.minimum(between, numbers[15] * (1.0 - column_lengths(scaled)))
+        if len(self._hulls):
+            planes = self._planes
+            heights = np.einsum("nck,cn->nk", planes[:, :3], points.take(self._hulls, axis=1))
+            depths[self._hulls] = (planes[:, 3] - heights).min(axis=1)
         return depths
 
 
@@ -80,10 +115,30 @@ def _is_hull(solid: Solid) -> bool:
     return solid.type == "hull"
 
 
+# The rows of `_numbers`.
+_ROWS = 21
+
+
 def _numbers(solid: Solid) -> list[float]:
+    """Returns the properties of a solid; those with x, y and z take three rows.
+
+    0 half the sides of the box and 3 the axes of the ellipsoid whose sum it is, with the ball of
+    radius 19 around. 6 the distances of planes, 9 half the sides of the core, 12 the scales around
+    it, 15 the radius at which these are 1. 16 the centre of the ball in it; 20 the radius of that
+    around it.
+    """
+    if not _has_inside(solid):
+        return [0.0] * _ROWS
+    half = solid.core[-1].tolist() if solid.type in ("box", "capsule", "cylinder") else [0.0] * 3
+    inside = np.subtract(solid.inscribed_centre, solid.centre).tolist()
+    radii = solid.radius, solid.bounding_radius
+    return [*half, *solid.semi_axes, *_scaled_numbers(solid), *inside, *radii]
+
+
+def _scaled_numbers(solid: Solid) -> list[float]:
     """Returns the distances of planes, the sides of the core, the scales and the radius."""
     none, anywhere = [0.0] * 3, [np.inf] * 3
-    if not _has_inside(solid) or _is_hull(solid):
+    if _is_hull(solid):
         return [*anywhere, *none, *none, np.inf]
     if solid.type == "box":
         return [*solid.core[-1].tolist(), *none, *none, np.inf]
@@ -94,6 +149,13 @@ def _numbers(solid: Solid) -> list[float]:
         return [*anywhere, *none, *(1 / axis for axis in solid.semi_axes), min(solid.semi_axes)]
     core = [0.0, 0.0, solid.half_length if solid.type == "capsule" else 0.0]
     return [*anywhere, *core, *([1 / solid.radius] * 3), solid.radius]
+
+
+def _corners(solid: Solid, count: int) -> Array:
+    """Returns the corners of a hull from its centre, (3, count)."""
+    points = solid.core - np.array(solid.centre)
+    padded: Array = points[np.minimum(np.arange(count), len(points) - 1)].T
+    return padded
 
 
 def _planes(solid: Solid, count: int) -> Array:

@@ -4,6 +4,10 @@
 overlaps in them tell whether the contact normal points up. Shapes move little between two ticks, so
 that the same parts probably tell it again. They are only where the next proof starts: its bounds
 are those of the new tick.
+
+Where shapes move far between two ticks, more parts are needed at each, and some pairs have to be
+divided further all the same, which takes longer than to begin anew. So it is counted how many pairs
+were decided undivided. If they are too few, all parts are given up, and tried again much later.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.kept_verdicts import Keys
 
 # The greatest number of parts of a pair that are kept: many would take longer than dividing anew.
@@ -21,6 +25,12 @@ _MAX_PARTS = 1024
 _MAX_PAIRS = 4096
 # If more pairs are divided together, it takes longer to keep their parts than to divide them anew.
 MAX_DIVIDED = 128
+# A pair that has to be divided further costs as much as so many save that need not be.
+_COST = 8.0
+# Parts are given up when the cost exceeds what was saved by those of so many ticks.
+_CREDIT = 12.0
+# The number of ticks at which pairs are divided anew then.
+_PAUSE = 96
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +81,23 @@ class KeptParts:
 
     def __init__(self) -> None:
         self._parts: dict[int, _PairParts] = {}
+        self._credit, self._pause = _CREDIT, 0
+
+    def judge(self, sufficed: Flags) -> None:
+        """Counts the pairs whose parts decided them undivided, and gives all up if these are few.
+
+        Args:
+            sufficed: (n,), whether the parts of a pair did, of those for which some were found.
+        """
+        share = float(np.count_nonzero(sufficed)) / len(sufficed)
+        self._credit = min(self._credit + share - _COST * (1.0 - share), _CREDIT)
+        if self._credit <= 0.0:
+            self._parts.clear()
+            self._credit, self._pause = _CREDIT, _PAUSE
 
     def find(self, keys: Keys) -> Parts | None:
         """Returns the parts that are kept of pairs; None if there are none."""
+        self._pause = max(0, self._pause - 1)
         kept = [(n, self._parts.get(key)) for n, key in enumerate(keys.tolist())]
         found = [(n, parts) for n, parts in kept if parts is not None]
         if not found:
@@ -96,7 +120,7 @@ class KeptParts:
     def keep(
         self, key: int, faces: Indices, classes: Indices, stretch: Array, corners: Array
     ) -> None:
-        """Replaces the parts of a pair.
+        """Replaces the parts of a pair, unless parts were given up lately.
 
         Args:
             key: the pair.
@@ -106,7 +130,7 @@ class KeptParts:
             corners: (3, 3, n), the directions at the corners (corner, axis, part).
         """
         self._parts.pop(key, None)
-        if not 0 < len(faces) <= _MAX_PARTS:
+        if self._pause or not 0 < len(faces) <= _MAX_PARTS:
             return
         if len(self._parts) >= _MAX_PAIRS:
             self._parts.clear()

@@ -14,6 +14,7 @@ nothing else.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -50,6 +51,12 @@ class ShapePoses:
     matrices: Array
     radii: Array
 
+    @cached_property
+    def _largest(self) -> Array:
+        """The largest coordinate of each centre, (n,), without its sign."""
+        largest: Array = np.abs(self.centres).max(axis=1, initial=0.0)
+        return largest
+
     def are_still(self, before: ShapePoses) -> Flags:
         """Checks which shapes have the same pose as before, (n,)."""
         are_still: Flags = (self.centres == before.centres).all(axis=1)
@@ -65,8 +72,7 @@ class ShapePoses:
         turned = (self.matrices - before.matrices).reshape(-1, 9)
         norms = np.sqrt(np.einsum("ni,ni->n", turned, turned) / 2.0)
         reach = np.multiply(norms, self.radii, out=np.zeros(len(norms)), where=norms != 0.0)
-        largest = np.maximum(np.abs(self.centres), np.abs(before.centres)).max(axis=1, initial=0.0)
-        reach += _ROUNDING * largest
+        reach += _ROUNDING * np.maximum(self._largest, before._largest)
         shifts = self.centres - before.centres
         relative = shifts.take(first, axis=0) - shifts.take(second, axis=0)
         motion: Array = np.sqrt(np.einsum("ni,ni->n", relative, relative))
@@ -83,11 +89,13 @@ class _Kept:
         keys: (n,), the pairs, ascending.
         decisions: the verdicts on them.
         poses: the poses of all shapes at that tick.
+        has_exact: whether some verdict has no room: it holds for the very same poses.
     """
 
     keys: Keys
     decisions: Decisions
     poses: ShapePoses
+    has_exact: bool
 
 
 class KeptVerdicts:
@@ -106,8 +114,10 @@ class KeptVerdicts:
         places = np.minimum(np.searchsorted(kept.keys, keys), len(kept.keys) - 1)
         room = kept.decisions.room.take(places)
         room -= poses.motion_since(kept.poses, first, second)
-        are_still = poses.are_still(kept.poses)
-        holds = (room > 0.0) | (are_still.take(first) & are_still.take(second))
+        holds = room > 0.0
+        if kept.has_exact:
+            are_still = poses.are_still(kept.poses)
+            holds |= are_still.take(first) & are_still.take(second)
         holds &= kept.keys.take(places) == keys
         np.copyto(found.verdicts, kept.decisions.verdicts.take(places), where=holds)
         np.copyto(found.room, np.maximum(room, 0.0), where=holds)
@@ -122,4 +132,5 @@ class KeptVerdicts:
         order = np.argsort(keys)
         places = places.take(order)
         kept = Decisions(decisions.verdicts.take(places), decisions.room.take(places))
-        self._kept = _Kept(keys.take(order), kept, poses)
+        has_exact = not (kept.room > 0.0).all()
+        self._kept = _Kept(keys.take(order), kept, poses, has_exact)

@@ -29,7 +29,7 @@ _MORE_PROJECTIONS = 2
 
 
 def decide_upward_round(
-    cores: PlacedCores, first: Indices, second: Indices, min_height: float
+    cores: PlacedCores, first: Indices, second: Indices, min_height: float, min_count: int = 1
 ) -> Decisions:
     """Decides whether contact normals point up: `UPWARD`, `NOT_UPWARD` or `UNDECIDED`.
 
@@ -38,12 +38,13 @@ def decide_upward_round(
         first: (n,), bounded convex shapes.
         second: (n,), the same; normals point from the first to the second.
         min_height: the least z of an upward unit normal, from 0 to 1.
+        min_count: fewer pairs of round shapes stay undecided.
     """
     decisions = Decisions.none(len(first))
     has_projection, radius = (cores.cores.kind < 0) & ~cores.cores.is_ellipsoid, cores.cores.radius
     has_formula = has_projection[first] & has_projection[second]
     places = np.flatnonzero(has_formula & (radius[first] + radius[second] > 0.0))
-    if len(places):
+    if len(places) >= max(1, min_count):
         found = _decide(cores, first[places], second[places], min_height)
         decisions.decide(places, found.verdicts, found.room)
     return decisions

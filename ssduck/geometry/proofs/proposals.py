@@ -1,6 +1,8 @@
 """Decides pairs of convex shapes by directions and points that FCL proposes, if there are few.
 
-For a few pairs, a call of FCL for each is faster than a step of GJK for all of them. Its distance
+What proved a verdict at the tick before is tried first; see
+`ssduck.geometry.proofs.kept_proposals`. FCL proposes for the pairs that are left. For a few
+pairs, a call of FCL for each is faster than a step of GJK for all of them. Its distance
 of solids that are apart proposes their nearest points, and the direction between them. Its contact
 of solids that meet proposes a point of both, and the contact normal. FCL may be wrong: its
 distances of boxes and cylinders with parallel edges are. Only what a proof makes of a proposal
@@ -8,14 +10,15 @@ counts:
 
 * The supports of the shapes against any direction bound their signed distance from below.
 * Of any point of each shape, the balls around them in the shapes bound it from above: the distance
-  of the points less both radii.
+  of the points less both radii. Of shapes that meet, it is one point, moved along the direction to
+  where it is equally deep in both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -23,8 +26,10 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.interiors import ConvexInteriors
-from ssduck.geometry.proofs.verdicts import Decisions
+from ssduck.geometry.proofs.interiors import ConvexInteriors, SomeInteriors
+from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals, placed_proposals
+from ssduck.geometry.proofs.kept_verdicts import pair_keys
+from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 from ssduck.geometry.solids import Solid
 
 # Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
@@ -32,9 +37,14 @@ _SHRINK = 1e-8
 # The number of pairs that are remembered to be apart.
 _MAX_APART = 4096
 
+# The positions (n, 3) and the rotations (n, 3, 3) of shapes.
+Poses: TypeAlias = tuple[Array, Array]
+
 
 class Proposer:
-    """FCL's objects of the shapes of a table, which are placed anew for each proposal.
+    """Decides pairs of shapes of a table by what is kept of them, and by what FCL proposes.
+
+    FCL's objects are placed anew for each proposal.
 
     Args:
         solids: the distinct solids.
@@ -45,6 +55,37 @@ class Proposer:
         self.interiors = ConvexInteriors(solids, solid_indices)
         self._solids, self._solid_indices = solids, solid_indices
         self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
+        self._kept = KeptProposals()
+
+    def decide(
+        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
+    ) -> Decisions:
+        """Decides pairs whose signed distances are proved to be beyond the bounds.
+
+        Args:
+            bodies: the shapes.
+            poses: the positions (shapes, 3) and the rotations (shapes, 3, 3) of all shapes.
+            first: (n,), shapes with known interiors.
+            second: (n,), the same.
+            bounds: (n,), metres.
+        """
+        decisions, keys = Decisions.none(len(first)), pair_keys(first, second)
+
+        def prove(places: Indices, proposals: Proposals) -> None:
+            pairs = first.take(places), second.take(places)
+            proof = Proof(bodies, self.interiors, proposals, *pairs)
+            found = proof.decisions(bounds.take(places))
+            decisions.decide(places, found.verdicts, found.room)
+            self._kept.keep(keys.take(places), proof.directions, proof.local, proof.meet)
+
+        places, columns = self._kept.find(keys)
+        if len(places):
+            pairs = first.take(places), second.take(places)
+            prove(places, placed_proposals(bodies, *pairs, columns))
+        left = np.flatnonzero(decisions.verdicts == UNDECIDED)
+        if len(left):
+            prove(left, self.propose(poses, first.take(left), second.take(left)))
+        return decisions
 
     @cached_property
     def _objects(self) -> list[Any]:
@@ -61,21 +102,8 @@ class Proposer:
             for index, is_known in zip(indices, known, strict=True)
         ]
 
-    def propose(
-        self, positions: Array, matrices: Array, first: Indices, second: Indices
-    ) -> tuple[Array, Array]:
-        """Returns points of pairs of shapes, and directions from the second to the first.
-
-        Args:
-            positions: (shapes, 3), of all shapes.
-            matrices: (shapes, 3, 3), their rotations.
-            first: (n,), shapes with known interiors.
-            second: (n,), the same.
-
-        Returns:
-            The points on the first and those on the second, (2, 3, n), and directions, (3, n), not
-            of unit length: 0 where they are those between the points.
-        """
+    def propose(self, poses: Poses, first: Indices, second: Indices) -> Proposals:
+        """Returns what FCL proposes for pairs of shapes with known interiors; see `decide`."""
         import fcl
 
         objects, distance, collide = self._objects, fcl.distance, fcl.collide
@@ -83,6 +111,7 @@ class Proposer:
             fcl.DistanceRequest(enable_nearest_points=True),
             fcl.CollisionRequest(enable_contact=True),
         )
+        positions, matrices = poses
         pairs = list(zip(first.tolist(), second.tolist(), strict=True))
         for shape in {shape for pair in pairs for shape in pair}:
             objects[shape].setRotation(matrices[shape])
@@ -94,8 +123,10 @@ class Proposer:
         for pair in pairs:
             one, other = objects[pair[0]], objects[pair[1]]
             # Both probably are as they were; FCL compares twice where they are not.
-            nearest = fcl.DistanceResult()  # a new object each time: FCL only lowers its distance
-            is_apart = pair in were_apart and distance(one, other, wanted, nearest) > 0.0
+            is_apart = False
+            if pair in were_apart:
+                nearest = fcl.DistanceResult()  # a new one each time: FCL only lowers its distance
+                is_apart = distance(one, other, wanted, nearest) > 0.0
             if not is_apart:
                 meeting = fcl.CollisionResult()
                 collide(one, other, contact, meeting)
@@ -108,8 +139,10 @@ class Proposer:
                 nearest = fcl.DistanceResult()
                 distance(one, other, wanted, nearest)
             rows += (*nearest.nearest_points, _NO_DIRECTION)
-        proposals = np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
-        return proposals[:2], proposals[2]
+        on_first, on_second, directions = np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
+        meet = np.asarray(directions.any(axis=0))
+        directions = np.where(meet, directions, on_first - on_second)
+        return Proposals(np.array((on_first, on_second)), directions, meet)
 
 
 _NO_DIRECTION = np.zeros(3)
@@ -135,54 +168,86 @@ def _geometry(solid: Solid) -> Any:
     return fcl.Convex(solid.core, len(solid.faces), corners.ravel())
 
 
-def decide_by_proposals(
-    bodies: PlacedCores,
-    interiors: ConvexInteriors,
-    proposed: tuple[Array, Array],
-    first: Indices,
-    second: Indices,
-    bounds: Array,
-) -> Decisions:
-    """Decides pairs whose signed distances points and directions prove to be beyond the bounds.
+class Proof:
+    """Bounds of the signed distances of pairs of shapes, of whatever is proposed.
 
     Args:
         bodies: the shapes.
         interiors: their interiors.
-        proposed: points (2, 3, n) in the world, and directions (3, n); see `Proposer.propose`.
+        proposals: points and directions.
         first: (n,), shapes with known interiors.
         second: (n,), the same.
-        bounds: (n,), metres.
+
+    Attributes:
+        least: (n,), what the signed distances are at least, metres.
+        greatest: (n,), what they are at most.
+        directions: (3, n), of unit length.
+        local: (3, 2 n), the points on the first shapes, then those on the second, in their frames
+            from the solids' centres.
+        meet: (n,), whether the shapes may overlap, so that the points are the same.
     """
-    cores, count = bodies.cores, len(first)
-    points, directions = proposed
-    between_points = points[0] - points[1]
-    meet = directions.any(axis=0)
-    directions = np.where(meet, directions, between_points)
-    lengths = column_lengths(directions)
-    directions /= np.where(lengths > 0.0, lengths, 1.0)
-    both = np.concatenate((first, second))
-    centres = bodies.centres.take(both, axis=1)
-    vectors = np.array((points.swapaxes(0, 1).reshape(3, -1), np.tile(directions, 2)))
-    vectors[0] -= centres
-    np.negative(vectors[1, :, :count], out=vectors[1, :, :count])
-    local, outward = bodies.to_local(both, vectors)
-    # From below: by the supports.
-    heights = bodies.support_heights(both, outward)
-    between = np.einsum("cn,cn->n", directions, centres[:, :count] - centres[:, count:])
-    least = between - heights[:count] - heights[count:]
-    least[lengths == 0.0] = -np.inf
-    are_balls = interiors.are_balls.take(both)
-    if (shifted := meet & (are_balls[:count] | are_balls[count:])).any():
-        # FCL's point is not in the middle of the overlap along its direction.
-        middle = 0.5 * (between - heights[:count] + heights[count:])
-        middle -= np.einsum("cn,cn->n", outward[:, count:], local[:, count:])
-        middle *= shifted
-        local += np.concatenate((-middle, middle)) * outward
-    # From above: by the balls around the points.
-    local += _SHRINK * (cores.inscribed_offsets.take(both, axis=1) - local)
-    depths = interiors.depths(both, local)
-    sizes = cores.bounding_radius.take(both)
-    radii = depths - 2.0 * _SHRINK * sizes
-    greatest = column_lengths(between_points) - radii[:count] - radii[count:]
-    greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
-    return Decisions.of_interval(least, greatest, bounds, tolerances(bodies, first, second))
+
+    def __init__(
+        self,
+        bodies: PlacedCores,
+        interiors: ConvexInteriors,
+        proposals: Proposals,
+        first: Indices,
+        second: Indices,
+    ) -> None:
+        self._error = tolerances(bodies, first, second)
+        both = np.concatenate((first, second))
+        inner, centres = interiors.of(both), bodies.centres.take(both, axis=1)
+        lengths = column_lengths(proposals.directions)
+        self.directions = proposals.directions / np.where(lengths > 0.0, lengths, 1.0)
+        between_points = proposals.points[0] - proposals.points[1]
+        on_shapes = np.concatenate(proposals.points, axis=1) - centres
+        vectors = on_shapes, _outward(self.directions), _outward(0.5 * between_points)
+        local, outward, halves = bodies.to_local(both, np.array(vectors))
+        self.least = self._least(inner, outward, centres)
+        self.least[lengths == 0.0] = -np.inf
+        self.meet = proposals.meet | (self.least < 0.0)
+        halves *= np.concatenate((self.meet, self.meet))
+        self.local = self._balanced(inner, outward, local + halves)
+        self.greatest = self._greatest(inner, column_lengths(between_points) * ~self.meet)
+
+    def _least(self, inner: SomeInteriors, outward: Array, centres: Array) -> Array:
+        """Returns bounds from below, (n,): by the supports of the shapes against the directions."""
+        heights, count = inner.heights(outward), self.directions.shape[1]
+        offsets = centres[:, :count] - centres[:, count:]
+        least: Array = np.einsum("cn,cn->n", self.directions, offsets)
+        least -= heights[:count]
+        least -= heights[count:]
+        return least
+
+    def _balanced(self, inner: SomeInteriors, outward: Array, local: Array) -> Array:
+        """Returns points (3, 2 n); those of shapes that meet are about equally deep in both."""
+        depths, count = inner.depths(local), len(self.meet)
+        steps = 0.5 * (depths[:count] - depths[count:])
+        steps *= self.meet
+        local += np.concatenate((steps, -steps)) * outward
+        local += _SHRINK * (inner.inscribed_offsets - local)
+        return local
+
+    def _greatest(self, inner: SomeInteriors, apart: Array) -> Array:
+        """Returns bounds from above, (n,): by the balls in the shapes around the points.
+
+        Args:
+            inner: the interiors.
+            apart: (n,), the distances of the points.
+        """
+        depths, count = inner.depths(self.local), len(apart)
+        radii = depths - 2.0 * _SHRINK * inner.bounding_radii
+        greatest: Array = apart - radii[:count] - radii[count:]
+        greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
+        return greatest
+
+    def decisions(self, bounds: Array) -> Decisions:
+        """Returns the verdicts on the signed distances that the bounds (n,), metres, prove."""
+        return Decisions.of_interval(self.least, self.greatest, bounds, self._error)
+
+
+def _outward(vectors: Array) -> Array:
+    """Returns the negative vectors (3, n) for the first shapes, and these for the second."""
+    both: Array = np.concatenate((-vectors, vectors), axis=1)
+    return both

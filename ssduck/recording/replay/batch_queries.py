@@ -30,6 +30,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.geometry.tick_shapes import ShapeTable, TickShapes, of_known_entities
+from ssduck.geometry.tick_solids import ShapePlaces
 from ssduck.simulators.interface import Link
 from ssduck.world.layout import EntityInfo
 
@@ -173,13 +174,9 @@ class EntityShapes:
             for model, link_poses in zip(models, poses, strict=True)
         ]
         solid_indices, margins = _joined_solids(models)
-        positions, orientations, boxes = (
-            np.concatenate([part[i] for part in placed]) for i in range(3)
-        )
+        places = ShapePlaces(*(np.concatenate([part[i] for part in placed]) for i in range(3)))
         starts = list(accumulate((model.count for model in models), initial=0))
-        narrow = NarrowPhase(
-            self._solids, solid_indices, positions, orientations, boxes, starts, calls, margins
-        )
+        narrow = NarrowPhase(self._solids, solid_indices, places, starts, calls, margins)
         numbers = {id: number for number, id in enumerate(ids)}
         enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
         links = np.concatenate([model.links for model in models])
@@ -314,8 +311,8 @@ class EntityShapes:
             ShapeTable(self._solids, solid_indices, owners, margins), positions, orientations
         )
         boxes = np.tile([-np.inf] * 3 + [np.inf] * 3, (len(owners), 1))
-        placed = positions, orientations, boxes, starts.tolist()
-        narrow = NarrowPhase(self._solids, solid_indices, *placed, calls, margins)
+        places = ShapePlaces(positions, orientations, boxes)
+        narrow = NarrowPhase(self._solids, solid_indices, places, starts.tolist(), calls, margins)
         return PairBatch(scene, _cross_pairs(*sides), count, narrow, starts)
 
     def _place_shapes(

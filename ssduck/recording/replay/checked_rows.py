@@ -6,18 +6,17 @@ rows of a view in place, so these are checked once, before the first time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
-from ssduck.recording.stores.base import PairRequest, RowBlock, TickArchive
+from ssduck.recording.stores.base import PairRequest, PartGroup, RowBlock, TickArchive
 from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, TWICE, RowChecks, keys_of
-from ssduck.schema import RECORDED
 from ssduck.world.layout import EntityInfo
 
 # So many rows of all ticks are checked at once, of a store without parts: a hundred megabytes; of
@@ -42,6 +41,7 @@ class CheckedRows:
     ticks: TickBuffer
     source: str
     _checked: set[str] = field(default_factory=set)
+    _checked_groups: set[tuple[str, PartGroup]] = field(default_factory=set)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last, both included.
@@ -64,11 +64,39 @@ class CheckedRows:
         Raises:
             RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
         """
+        if table not in self._checked:
+            self._check_blocks(table, self._blocks, bodies=bodies)
+            self._checked.add(table)
+
+    def check_groups(self, table: str, first: int, last: int) -> None:
+        """Checks the rows that SQL reads of a table for the ticks from first to last, each once.
+
+        Raises:
+            RecordError: as for all rows.
+        """
+        groups = self.archive.part_groups(table)
+        found = [
+            group
+            for group in groups
+            if not group.parts or (group.first <= last and first <= group.last)
+        ]
+        if len(found) == len(groups):
+            self.check_rows(table)
         if table in self._checked:
             return
-        blocks = self._blocks(table)
+        for group in found:
+            if (table, group) not in self._checked_groups:
+                blocks = partial(self.archive.group_rows, group)
+                self._check_blocks(table, blocks, bodies=True)
+                self._checked_groups.add((table, group))
+
+    def _check_blocks(
+        self, table: str, blocks_of: Callable[[str], Iterator[RowBlock]], *, bodies: bool
+    ) -> None:
+        """Checks the blocks that a function returns of a table."""
+        blocks = blocks_of(table)
         if bodies and table in TABLES_OF_BODIES and "entities" in self.archive.tables:
-            for block, entities in zip(blocks, self._blocks("entities"), strict=True):
+            for block, entities in zip(blocks, blocks_of("entities"), strict=True):
                 self._check_block(table, block)
                 problem = self._checks.problem_of_bodies(
                     table, block.rows, entities.rows, single=self.archive.has_single_links
@@ -77,7 +105,6 @@ class CheckedRows:
         else:
             for block in blocks:
                 self._check_block(table, block)
-        self._checked.add(table)
 
     def _blocks(self, table: str) -> Iterator[RowBlock]:
         starts = self.ticks.numbers[:: self._ticks_at_once]

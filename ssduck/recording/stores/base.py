@@ -161,6 +161,21 @@ class TickStore(ABC):
         """
 
 
+@dataclass(frozen=True)
+class PartGroup:
+    """Parts of a table that a view reads together, or not at all; or rows that are in no part.
+
+    Attributes:
+        parts: their numbers among the parts that are there; empty for the rows in none.
+        first: their first tick.
+        last: their last tick.
+    """
+
+    parts: range
+    first: int
+    last: int
+
+
 class TickArchive(ABC):
     """Recorded ticks that can be read: the stored rows, without the buffered ones.
 
@@ -214,6 +229,18 @@ class TickArchive(ABC):
             table: a table of a world.
             starts: the first tick of each block, for a store that has no parts.
         """
+        return iter(())
+
+    def part_groups(self, table: str) -> Sequence[PartGroup]:  # noqa: ARG002
+        """Returns the groups of parts of which the view of a table reads those of its ticks only.
+
+        The rows that it always reads are a group without parts. There are no groups if the rows of
+        a table are all checked together.
+        """
+        return ()
+
+    def group_rows(self, group: PartGroup, table: str) -> Iterator[RowBlock]:  # noqa: ARG002
+        """Yields the rows that SQL reads of a group of a table, for a check of them."""
         return iter(())
 
     @abstractmethod

@@ -132,7 +132,7 @@ class ParquetStore(TickStore):
 
     def append(self, rows: Mapping[str, pa.Table], commit_lock: CommitLock = NO_LOCK) -> None:
         """Stores the rows of whole ticks in the log, or as a part if they complete one."""
-        if _fill_a_part(self._log.with_rows(rows)):
+        if self._fill_a_part(rows):
             self.add(rows, commit_lock)
             return
         self._store_empty_models()
@@ -160,6 +160,13 @@ class ParquetStore(TickStore):
         """Stores the rows of the log as a part."""
         if self._log:
             self.add({})
+
+    def _fill_a_part(self, rows: Mapping[str, pa.Table]) -> bool:
+        """Checks whether the log has as many rows as a part with these, or would with one tick."""
+        counts = {table: self._log.count(table) + added.num_rows for table, added in rows.items()}
+        ticks: int = counts["ticks"]
+        most: int = max(counts.values())
+        return ticks >= PART_TICKS or most + most / ticks > MAX_BUFFERED_ROWS
 
     def _store_empty_models(self) -> None:
         if not self._model_count:  # the world has no entities
@@ -252,13 +259,6 @@ def write_tags(run: FolderRun, tags: Tags) -> None:
 
     with _writing(run.about_file):
         change_description(run.about_file, with_tags)
-
-
-def _fill_a_part(rows: Mapping[str, pa.Table]) -> bool:
-    """Checks whether rows are as many as a part has, or would be with a further tick."""
-    ticks: int = rows["ticks"].num_rows
-    most: int = max(table.num_rows for table in rows.values())
-    return ticks >= PART_TICKS or most + most / ticks > MAX_BUFFERED_ROWS
 
 
 @contextmanager
@@ -373,7 +373,9 @@ class ParquetRecording:
         write_tags(self._folder.run, tags)
 
     def flush(self) -> int | None:
-        """Writes the buffered ticks as a part; returns the last tick on the disk, or None.
+        """Writes the buffered ticks to the disk; returns the last tick there, or None.
+
+        Other programs than ssduck see them when the part that they belong to is complete.
 
         Raises:
             RecordError: they cannot be written, as the disk is full, say; they stay buffered.

@@ -24,6 +24,7 @@ from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import (
     BufferViews,
     PairRequest,
+    PartGroup,
     RowBlock,
     StoreConnection,
     TickArchive,
@@ -101,21 +102,38 @@ class ParquetArchive(TickArchive):
         """Returns the SELECT of the view of a table's history; None if it is not recorded.
 
         DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
-        whose ticks are others: n parts have √n groups.
+        whose ticks are others. The rows that are read must have been checked; see `key_rows`.
         """
         if table not in self._files:
             return None
         columns = TABLES[table].columns
         count = len(self._files[table])
-        size = math.isqrt(count) if count >= MANY_PARTS else count
-        parts = [
-            self._select_parts(table, range(begin, min(begin + size, count)))
-            for begin in range(0, count, size or 1)
-        ]
+        groups = [group.parts for group in self.part_groups(table)] or [range(count)]
+        parts = [self._select_parts(table, group) for group in groups if group]
         names = column_list(column.name for column in columns)
         views = () if buffer_views is None else buffer_views(table)
         parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
         return " UNION ALL ".join(parts)
+
+    def part_groups(self, table: str) -> list[PartGroup]:
+        """Returns the groups of the parts of a table, √n of n parts, if these are many.
+
+        The log is a group, too.
+        """
+        count = len(self._files.get(table, ()))
+        if count < MANY_PARTS:
+            return []
+        size = math.isqrt(count)
+        groups = [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        logged = [range(count, count)] if self._log else []
+        return [PartGroup(parts, *self._ticks_of(parts)) for parts in (*groups, *logged)]
+
+    def _ticks_of(self, parts: range) -> tuple[int, int]:
+        """Returns the first and the last tick of some parts; of the log if they are none."""
+        starts, last = self._starts, int(self.ticks.numbers[-1])
+        if parts and parts.stop < len(starts):
+            last = starts[parts.stop] - 1
+        return starts[parts.start], last
 
     def models(self) -> dict[str, str]:
         """Returns the SELECT of the view of each model, by the name of the view."""
@@ -128,16 +146,14 @@ class ParquetArchive(TickArchive):
     def _select_parts(self, table: str, parts: range) -> str:
         """Returns a SELECT of all columns of some parts of a table."""
         files = self._files[table]
-        self._check(table, parts)
         if table not in self._columns:
             self._columns[table] = _columns_in(files[0])
         selected = files[parts.start : parts.stop]
         rows = self._select_all(selected, self._columns[table], TABLES[table].columns)
         if len(parts) == len(files):
             return rows
-        starts = self._starts
-        last = starts[parts.stop] - 1 if parts.stop < len(starts) else int(self.ticks.numbers[-1])
-        return f"{rows} WHERE tick BETWEEN {starts[parts.start]} AND {last}"
+        first, last = self._ticks_of(parts)
+        return f"{rows} WHERE tick BETWEEN {first} AND {last}"
 
     def _select_all(
         self, files: Sequence[Path], present: Sequence[str], columns: Sequence[Column]
@@ -189,21 +205,34 @@ class ParquetArchive(TickArchive):
 
     def key_rows(self, table: str, starts: Sequence[int]) -> Iterator[RowBlock]:  # noqa: ARG002
         """Yields all stored rows that SQL reads of a table, for a check of them: part by part."""
-        types, files = key_types(table), self._files[table]
-        ends = [*self._starts[1:], int(self.ticks.numbers[-1]) + 1]
-        for number, file in enumerate(files):
-            self._check(table, range(number, number + 1))
-            parts = [_rows_of_part(file, types)] if RECORDED[table].key else _rows_in(file, types)
-            for rows in parts:
-                yield RowBlock(self._starts[number], ends[number] - 1, rows)
+        yield from self._rows_of(table, range(len(self._files[table])))
+        yield from self._rows_of_log(table)
+
+    def group_rows(self, group: PartGroup, table: str) -> Iterator[RowBlock]:
+        """Yields the same rows of some parts, or of the log."""
+        return self._rows_of(table, group.parts) if group.parts else self._rows_of_log(table)
+
+    def _rows_of(self, table: str, parts: range) -> Iterator[RowBlock]:
+        types = key_types(table)
+        for number in parts:
+            part = range(number, number + 1)
+            self._check(table, part)
+            file = self._files[table][number]
+            blocks = [_rows_of_part(file, types)] if RECORDED[table].key else _rows_in(file, types)
+            for rows in blocks:
+                yield RowBlock(*self._ticks_of(part), rows)
+
+    def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
         if self._log:
+            types, count = key_types(table), len(self._files[table])
             rows = self._log[table].arrow.select(types.names).cast(types)
-            yield RowBlock(self._starts[len(files)], ends[len(files)] - 1, rows)
+            yield RowBlock(*self._ticks_of(range(count, count)), rows)
 
     def near_pairs(self, request: PairRequest, buffered: pa.Table | None) -> pa.Table:
         """Returns the pairs of entities whose boxes are near at a tick, or unknown."""
         logged = self._log["entities"].arrow if self._log else buffered
         parts = self._parts_with("entities", request.first, request.last)
+        self._check("entities", parts)
         stored = self._select_parts("entities", parts) if parts else None
         return near_pair_rows(self._connection, stored, request, logged)
 

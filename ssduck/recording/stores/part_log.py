@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import re
 import stat
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +47,7 @@ class PartLog:
         self.place = place
         self._key = key
         self._batches: list[Mapping[str, pa.Table]] = []
+        self._counts: Counter[str] = Counter()
         self._files: list[Path] = []
 
     def __len__(self) -> int:
@@ -61,6 +63,10 @@ class PartLog:
             for table in self._batches[0]
         }
 
+    def count(self, table: str) -> int:
+        """Returns the number of rows of a table."""
+        return self._counts[table]
+
     def append(self, part: int, rows: Mapping[str, pa.Table]) -> None:
         """Stores rows of a part, all or nothing.
 
@@ -72,6 +78,7 @@ class PartLog:
         label = _label(self._key, file.name)
         write_atomically(file, lambda path: _write(path, rows, label))
         self._batches.append(rows)
+        self._counts.update({table: added.num_rows for table, added in rows.items()})
         self._files.append(file)
 
     def clear(self) -> None:
@@ -81,6 +88,7 @@ class PartLog:
             OSError: a file cannot be removed.
         """
         self._batches = []
+        self._counts.clear()
         while self._files:
             self._files[-1].unlink(missing_ok=True)
             self._files.pop()

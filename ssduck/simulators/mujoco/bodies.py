@@ -48,18 +48,19 @@ class ModelContent:
     """The content of a model's arrays that describe shapes and joints, as it was."""
 
     def __init__(self, model: Any) -> None:
-        self._arrays = _contents(model)
-        self._heights = model.hfield_data.copy()
+        # The arrays are views of the model's memory: each tick compares them.
+        self._views = [getattr(model, name) for name in _MUTABLE]
+        self._content = self._present()
+        self._heights, self._known_heights = model.hfield_data, model.hfield_data.copy()
 
-    def is_that_of(self, model: Any) -> bool:
-        """Checks whether a model has this content now; copies no heights, which may be many."""
-        return _contents(model) == self._arrays and (
-            not model.nhfield or np.array_equal(model.hfield_data, self._heights)
+    def is_present(self) -> bool:
+        """Checks whether the model has this content now; copies no heights, which may be many."""
+        return self._present() == self._content and (
+            not self._heights.size or np.array_equal(self._heights, self._known_heights)
         )
 
-
-def _contents(model: Any) -> list[bytes]:
-    return [getattr(model, name).tobytes() for name in _MUTABLE]
+    def _present(self) -> list[bytes]:
+        return [view.tobytes() for view in self._views]
 
 
 def name_of(model: Any, type: Any, number: int, noun: str) -> str:

@@ -58,6 +58,8 @@ _PREPARED = 4
 # The columns of a link's position, matrix, orientation and twist, and of the centre of its tree.
 _RAW = slice(0, 3), slice(3, 12), slice(12, 16), slice(16, 22)
 _ROOTS = slice(22, 25)
+# The arrays of MuJoCo that have them, in this order.
+_RAW_ARRAYS = ("xpos", "xmat", "xquat", "cvel", "subtree_com")
 # If the squares of numbers add up to less, sums of their products are finite.
 _MODERATE = 1e100
 
@@ -154,6 +156,8 @@ class MuJoCoSimulator(PartialSimulator):
         self._described: tuple[Any, ModelContent] | None = None
         self._bodies: list[Body] = []
         self._rows: list[_Rows] = []
+        # The state and its arrays: views of its memory.
+        self._views: tuple[Any, tuple[Array, ...]] | None = None
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         # The geoms of the present bodies whose margins were read.
@@ -173,7 +177,7 @@ class MuJoCoSimulator(PartialSimulator):
         """
         self._refresh()
         model, known = self.model, self._described
-        if known is not None and known[0] is model and known[1].is_that_of(model):
+        if known is not None and known[0] is model and known[1].is_present():
             return None
         disabled = self._switches.disabled_geoms
         reader = ModelReader(model, self._names, self._kinds, self._only, disabled)
@@ -269,12 +273,11 @@ class MuJoCoSimulator(PartialSimulator):
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
         """Returns the poses and velocities of all links of some bodies, body after body."""
         rows, state = self._rows_of(bodies), self._state
-        raw = np.zeros((len(rows.roots), 25))
-        for columns, array in zip(
-            _RAW, (state.xpos, state.xmat, state.xquat, state.cvel), strict=True
-        ):
-            raw[:, columns] = array[rows.links]
-        raw[:, _ROOTS] = state.subtree_com[rows.roots]
+        if self._views is None or self._views[0] is not state:
+            self._views = state, tuple(getattr(state, name) for name in _RAW_ARRAYS)
+        *of_links, centres = self._views[1]
+        parts = [array[rows.links] for array in of_links]
+        raw = np.concatenate((*parts, centres.take(rows.roots, axis=0)), axis=1)
         turns = None
         if len(rows.sites):
             sites, own = rows.sites, rows.site_rows
@@ -286,6 +289,7 @@ class MuJoCoSimulator(PartialSimulator):
             matrices,
             partial(_states, raw, turns),
             are_finite=bool(np.vdot(raw, raw) < _MODERATE),
+            orientations=raw[:, _RAW[2]] if turns is None else None,
         )
 
     def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:

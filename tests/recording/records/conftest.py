@@ -14,6 +14,7 @@ from tests.support.recorded import (
     PRESENT,
     PROGRAMS,
     answer,
+    end_part,
     live_lab,
     rows,
     sphere,
@@ -29,7 +30,7 @@ def kitchen(tmp_path_factory):
     with ss.record_to(place / "live") as live:
         for tick in range(25):
             if tick == 12:
-                live.flush()
+                end_part(live)
                 ss.flush()
             ss.call_variable("kitchen").step(4)
     ss.export(place / "folder")

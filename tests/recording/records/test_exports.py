@@ -21,6 +21,7 @@ from tests.support.recorded import (
     POSIX,
     PRESENT,
     answer,
+    end_part,
     live_lab,
     lively,
     rows,
@@ -204,7 +205,7 @@ def record(tmp_path, client):
         world = ss.add_variable("lab", ssduck.World.attach(client, names=numbers))
         with ss.record_to(tmp_path / "run") as writing:
             world.step()
-            assert writing.flush() == world.snapshot.number
+            assert end_part(writing) == world.snapshot.number
             world.step()
     return tmp_path / "run"
 

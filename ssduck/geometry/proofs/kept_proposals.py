@@ -1,0 +1,80 @@
+"""Keeps from tick to tick the directions and the points from which verdicts on pairs were proved.
+
+Bodies move little between two ticks. A direction that separated two shapes probably separates them
+still, and points in two shapes that overlap, which move with these, are probably deep in both
+still. So they are proposed first: whatever they prove at the poses of the new tick, FCL is not
+asked about.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.kept_verdicts import Keys
+
+# The number of pairs whose proposals are kept.
+_MAX_PAIRS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """Directions and points that may prove verdicts on n pairs of shapes.
+
+    Attributes:
+        points: (2, 3, n), on or in the first shapes, and the second ones, in the world.
+        directions: (3, n), from the second to the first, of any length.
+        meet: (n,), whether the shapes are thought to overlap, around the points.
+    """
+
+    points: Array
+    directions: Array
+    meet: Flags
+
+
+class KeptProposals:
+    """What decided pairs of shapes of a table when they were last tried, whatever the condition."""
+
+    def __init__(self) -> None:
+        self._slots: dict[int, int] = {}
+        # In columns: the direction, the points in the frames of the shapes, whether they meet.
+        self._columns = np.zeros((10, _MAX_PAIRS))
+
+    def find(self, keys: Keys) -> tuple[Indices, Array]:
+        """Returns the places of pairs of which something is kept, and these columns."""
+        slots = self._slots
+        found = np.array([slots.get(key, -1) for key in keys.tolist()], np.intp)
+        places = np.flatnonzero(found >= 0)
+        return places, self._columns.take(found.take(places), axis=1)
+
+    def keep(self, keys: Keys, directions: Array, local: Array, meet: Flags) -> None:
+        """Replaces what is kept of pairs.
+
+        Args:
+            keys: (n,), the pairs.
+            directions: (3, n), see `Proposals`.
+            local: (3, 2 n), the points on the first shapes, then those on the second, in their
+                frames from the solids' centres.
+            meet: (n,), see `Proposals`.
+        """
+        slots, numbers = self._slots, keys.tolist()
+        if len(slots) + len(numbers) > _MAX_PAIRS:
+            slots.clear()
+        places = [slots.setdefault(key, len(slots)) for key in numbers[:_MAX_PAIRS]]
+        count = len(numbers)
+        columns = np.concatenate((directions, local[:, :count], local[:, count:], meet[None]))
+        self._columns[:, places] = columns[:, :_MAX_PAIRS]
+
+
+def placed_proposals(
+    bodies: PlacedCores, first: Indices, second: Indices, columns: Array
+) -> Proposals:
+    """Returns what is kept of pairs, (10, n), moved with their shapes."""
+    both = np.concatenate((first, second))
+    local = np.concatenate((columns[3:6], columns[6:9]), axis=1)
+    points = bodies.to_world(both, local[None])[0]
+    points += bodies.centres.take(both, axis=1)
+    return Proposals(points.reshape(3, 2, -1).swapaxes(0, 1), columns[:3], columns[9] > 0.0)

@@ -1,0 +1,102 @@
+"""The shapes of a world for comparisons, and where they are at a tick."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from typing import Self
+
+import numpy as np
+
+from ssduck.geometry.arrays import Array
+from ssduck.geometry.solids import solid_of
+from ssduck.geometry.tick_shapes import ShapeTable
+from ssduck.geometry.tick_solids import ShapePlaces
+from ssduck.simulators.interface import LinkPoses
+from ssduck.world.layout import BodyGroup, TableLayout
+
+
+@dataclass(frozen=True, eq=False)
+class ComparableShapes:
+    """What comparisons of the shapes of a world need to know besides their places.
+
+    Attributes:
+        starts: the first shape of each entity, and the number of all.
+        numbers: the number of each entity by its id.
+        table: the solids of the shapes, their entities, and what else they have.
+    """
+
+    starts: Sequence[int]
+    numbers: Mapping[int, int]
+    table: ShapeTable
+
+    @classmethod
+    def of(cls, layout: TableLayout, margins: Array) -> Self:
+        """Returns that of the bodies of a layout; margins (shapes,), m."""
+        bodies = layout.bodies
+        shapes = [shape for _, body in bodies for shape in body.shapes]
+        distinct = {shape.geometry.key: shape.geometry for shape in shapes}
+        indices = {key: index for index, key in enumerate(distinct)}
+        solid_indices = np.array([indices[shape.geometry.key] for shape in shapes], dtype=np.intp)
+        solids = list(map(solid_of, distinct.values()))
+        counts = [len(body.shapes) for _, body in bodies]
+        starts = list(accumulate(counts, initial=0))
+        numbers = {id: number for number, (id, _) in enumerate(bodies)}
+        # Sensors have no shapes: they share an empty range after those of all bodies.
+        sensor_ids = [info.id for info in layout.entities if info.body is None]
+        numbers |= dict.fromkeys(sensor_ids, len(bodies))
+        owners = np.repeat(np.arange(len(bodies)), counts)
+        table = ShapeTable(solids, solid_indices, owners, margins)
+        return cls([*starts, starts[-1]], numbers, table)
+
+
+class TickPlaces(ShapePlaces):
+    """Where the shapes of a tick are; those of two entities take no arrays of all shapes.
+
+    Args:
+        layout: the entities.
+        groups: their groups with the link poses of the tick.
+    """
+
+    def __init__(self, layout: TableLayout, groups: Iterable[tuple[BodyGroup, LinkPoses]]) -> None:
+        self._layout, self._groups = layout, list(groups)
+
+    @cached_property
+    def _block(self) -> Array:
+        """The columns x to zmax of the table of shapes."""
+        block = np.zeros((13, len(self._layout.shape_groups)))
+        with np.errstate(invalid="ignore"):  # a diverging simulation has infinite numbers
+            for group, poses in self._groups:
+                group.write_shapes(poses, block)
+        return block
+
+    @cached_property
+    def positions(self) -> Array:  # type: ignore[override]  # computed when asked for
+        """The positions, (n, 3)."""
+        return self._block[:3].T.copy()
+
+    @cached_property
+    def orientations(self) -> Array:  # type: ignore[override]
+        """The orientations, (n, 4)."""
+        return self._block[3:7].T.copy()
+
+    @cached_property
+    def boxes(self) -> Array:  # type: ignore[override]
+        """The boxes, (n, 6): lower corner, upper corner."""
+        return self._block[7:].T.copy()
+
+    def pose(self, shape: int) -> tuple[list[float], list[float]]:
+        """Returns the position and the orientation of a shape."""
+        number, place = self._layout.shape_groups[shape]
+        group, poses = self._groups[number]
+        return group.shape_pose(poses, place)
+
+    def box(self, shape: int) -> list[float]:
+        """Returns the box of a shape: lower corner, upper corner."""
+        number, place = self._layout.shape_groups[shape]
+        group, poses = self._groups[number]
+        with np.errstate(invalid="ignore"):
+            box: list[float] = group.shape_boxes(poses)[:, place].tolist()
+        return box
