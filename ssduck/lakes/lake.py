@@ -362,7 +362,8 @@ class Lake:
             UnknownNameError: there is no such dialect, or the program names nothing.
             ArgumentError: the condition is none, or no episode is without an error.
         """
-        return statement(self._selected(where), program, dialect, limits)
+        entries = [self._entries[place] for place in self._places(where)]
+        return statement(entries, program, dialect, limits)
 
     # -- tags -------------------------------------------------------------------------------
 
