@@ -78,6 +78,11 @@ class OnDemand(Generic[T]):
         """Checks whether a view or a function is still to be made."""
         return name in self._makers
 
+    @property
+    def leaves_out(self) -> bool:
+        """Whether a statement runs that has names left out; one that runs within it may not."""
+        return bool(self._left_out)
+
     @contextmanager
     def without(self, names: Collection[Name]) -> Iterator[None]:
         """Has `provide` make none of some names in a context: they are there, in part."""

@@ -223,7 +223,9 @@ class PlannedQuery:
         parameters = _parameter_values(self.plan, outer, sources)
         windows = self._windows
         ticks = {(w.schema, w.view): (parameters[w.first], parameters[w.last]) for w in windows}
-        if not ticks or len(ticks) < len(windows):  # none, or one that is read twice
+        if len(ticks) < len(windows):  # a table that is read twice
+            ticks = {}
+        if not ticks and not self._database.connection.on_demand.leaves_out:
             return self._rows(sources, parameters)
         with self._database.reading_ticks(ticks):
             return self._rows(sources, parameters)

@@ -13,6 +13,7 @@ from ssduck import Recording
 from ssduck.database import connection as connections
 from ssduck.database.connection import Connection
 from ssduck.database.instances import MAX_WAITING, InstancePool
+from ssduck.database.on_demand import OnDemand
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
@@ -330,3 +331,23 @@ def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> No
                 assert len(ss.eval("SELECT tick(this) FROM lab{} AS list;")) == 0
                 assert ss.past("lab").ticks == [1]
     pool.close()
+
+
+def test_what_is_left_out_is_made_for_another_statement() -> None:
+    """Of statements within one another, each has its own names left out."""
+    made: list[str] = []
+    on_demand: OnDemand[None] = OnDemand()
+    on_demand.offer(("lab", "entities_history"), lambda _: made.append("entities_history"))
+    select = "SELECT * FROM lab.entities_history"
+    with on_demand.without([("lab", "entities_history")]):
+        on_demand.provide(select, None)
+        assert (made, on_demand.leaves_out) == ([], True)
+        with on_demand.without(()):
+            on_demand.provide(select, None)
+        assert made == ["entities_history"]
+    on_demand.offer(("lab", "entities_history"), lambda _: made.append("again"))
+    with on_demand.without([("lab", "entities_history")]):
+        on_demand.provide(select, None)
+    on_demand.provide(select, None)  # it is not taken for a statement that has all it needs
+    assert made == ["entities_history", "again"]
+    assert not on_demand.leaves_out
