@@ -156,8 +156,14 @@ class Lake:
         return f"<Lake {self.path!r}: {len(self)} episodes>"
 
     def _selected(self, where: str | None) -> list[EpisodeEntry]:
-        """Returns the episodes for which a condition holds; all if there is none."""
-        return [self._entries[place] for place in self._places(where)]
+        """Returns the episodes for which a condition holds; all if there is none.
+
+        A warning tells that there are no such episodes.
+        """
+        entries = [self._entries[place] for place in self._places(where)]
+        if where is not None and not entries:
+            warn(no_episode(where, self.episodes))
+        return entries
 
     def _places(self, where: str | None) -> Sequence[int]:
         """Returns the rows of the episodes for which a condition holds; all if there is none.
@@ -318,8 +324,6 @@ class Lake:
                 engines["processes"], "ask: processes", minimum=1
             )
         entries = self._selected(where)
-        if where is not None and not entries:
-            warn(no_episode(where, self.episodes))
         if engine == "local" and engines["processes"] is None:
             engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)
@@ -358,7 +362,8 @@ class Lake:
             UnknownNameError: there is no such dialect, or the program names nothing.
             ArgumentError: the condition is none, or no episode is without an error.
         """
-        return statement(self._selected(where), program, dialect, limits)
+        entries = [self._entries[place] for place in self._places(where)]
+        return statement(entries, program, dialect, limits)
 
     # -- tags -------------------------------------------------------------------------------
 
