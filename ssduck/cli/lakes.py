@@ -22,7 +22,7 @@ from ssduck.cli.options import (
     program_text,
     writer_of_result,
 )
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, warn
 from ssduck.formatting import count_of
 
 
@@ -139,11 +139,14 @@ def _list_episodes(
     """
     from ssduck.adapters.result import Result
     from ssduck.lakes.lake import Lake as Episodes
+    from ssduck.lakes.where import no_episode
 
     lake = Episodes(path)
     if forget_missing:
         lake.refresh(forget_missing=True)
     episodes = lake.select(where)
+    if where is not None and not episodes.num_rows:
+        warn(no_episode(where, lake.episodes))
     write(Result(episodes if is_whole else episodes.drop_columns(_NOT_IN_TABLES)))
 
 

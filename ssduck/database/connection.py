@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias, TypeVar
+from typing import Any, NoReturn, TypeAlias, TypeVar
 
 import duckdb
 import pyarrow as pa
@@ -52,9 +52,6 @@ from ssduck.recording.processes import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.object_store import ObjectPath
-
-if TYPE_CHECKING:
-    from pyarrow.dataset import Dataset
 
 T = TypeVar("T")
 
@@ -269,8 +266,8 @@ class Connection:
         """Whether the file of a record is attached."""
         return self._attached is not None
 
-    def register(self, name: str, table: pa.Table | Dataset) -> None:
-        """Makes a table readable under a name."""
+    def register(self, name: str, table: pa.Table) -> None:
+        """Makes a table, or a dataset of Arrow, readable under a name."""
         self._connection.register(name, table)
 
     def unregister(self, name: str) -> None:

@@ -24,9 +24,10 @@ from ssduck.errors import (
 )
 from ssduck.interpreter.linter import Linter
 from ssduck.interpreter.namespace import Namespace
+from ssduck.interpreter.output import is_list
 from ssduck.interpreter.planner import Planner
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS, TemporalEvaluator
-from ssduck.language.analysis import variables_of
+from ssduck.language.analysis import calls_of, is_impure, variables_of
 from ssduck.language.clauses import formed
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import Frame
@@ -174,6 +175,36 @@ class Execution(Namespace):
         if program.explain:
             return self.explanation(program)
         return self._value_of(program, Frame(self))
+
+    def row_again(self, program: Program) -> list[Any] | None:
+        """Returns the value of a program that is a SELECT of one row AS list, and ran before.
+
+        An environment runs such a program at each step. None for all others, and for one that may
+        fail now: `run` tells of the error and its place.
+        """
+        with self.lock:
+            query = None if self.is_running or program.explain else self._row_of(program)
+            if query is None:
+                return None
+            try:
+                self.begin_program()
+                with self.worlds_pinned(query, is_settled=False):
+                    return self.planner.row_again(query, Frame(self))
+            except SelectScriptError:
+                return None
+
+    def _row_of(self, program: Program) -> Query | None:
+        """Returns the only statement if it is such a SELECT, without a probable mistake."""
+        program = self.read(program)
+        if len(program.statements) != 1 or program.suspicions:
+            return None
+        query = program.statements[0]
+        if not (isinstance(query, Query) and self.planner.is_kept(query) and is_list(query)):
+            return None
+        # What calls functions of the user, or prints, is evaluated once, by `run`.
+        is_known = not (is_impure(query) or any(map(self.is_users, calls_of(query))))
+        is_row = is_known and not query.group and query.recursion is None
+        return query if is_row and not self.linter.check(program.text, query, {}) else None
 
     def _value_of(self, program: Program, frame: Frame) -> Any:
         """Returns the value of the last statement."""

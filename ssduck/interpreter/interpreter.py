@@ -240,9 +240,11 @@ class Interpreter(RecordingMethods, TriggerMethods, EvalAsMethods, PublicNames):
         """
         if isinstance(program, QueryPart | SelectedColumns):
             return program.value(elements, names)
-        compiled = tree_of(program, self._limits)
-        with self._execution.transaction(compiled):
-            return self._execution.run(compiled)
+        compiled, execution = tree_of(program, self._limits), self._execution
+        if type(self).evalAs is Interpreter.evalAs and (row := execution.row_again(compiled)):
+            return row
+        with execution.transaction(compiled):
+            return execution.run(compiled)
 
     def show(self, program: str | CompiledProgram, rows: int = MAX_ROWS) -> TableView:
         """Returns the result of a program as a table for a terminal or a notebook.

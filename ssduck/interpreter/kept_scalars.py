@@ -104,7 +104,8 @@ class KeptScalars:
         except _ChangedError:
             return None
         for (world, row), keys in self._columns.items():
-            values.update(zip(keys.values(), world.snapshot.values_in(row, [*keys]), strict=True))
+            numbers = world.snapshot.doubles_in(row, tuple(keys))
+            values.update(zip(keys.values(), numbers, strict=True))
         parameters = self._parameters | {name: values[key] for name, key in self._bindings}
         rows = self._select.rows(parameters)
         scope.meter.check_time()
@@ -129,11 +130,12 @@ class KeptScalars:
                 self._note_world(name, frame)
             column = binding.column or "id"
             key: tuple[Any, ...] = value.world.serial, value.id, column
-            row = value.world.snapshot.rows.get(value.id)
-            if not isinstance(value, Entity) or row is None:
-                self._readers[key] = lambda _: value.column(column)
-            else:
+            snapshot = value.world.snapshot
+            row = snapshot.rows.get(value.id) if isinstance(value, Entity) else None
+            if row is not None and snapshot.has_double(column):
                 self._columns.setdefault((value.world, row), {})[column] = key
+            else:
+                self._readers[key] = _column_reader(value, row, column)
             return key
         if binding.column is not None:
             raise ValueError("it names an entity in another way")
@@ -156,6 +158,20 @@ class KeptScalars:
         if not isinstance(world, World):
             raise ValueError("an entity is an element of something else")  # noqa: TRY004
         self._worlds[name] = value, world, world.snapshot.load_order
+
+
+def _column_reader(handle: Handle, row: int | None, column: str) -> _Reader:
+    """Returns the reader of a column at the last tick, while the entities are the same.
+
+    Args:
+        handle: the entity or the link.
+        row: the row of an entity; None for a link.
+        column: the column.
+    """
+    world = handle.world
+    if row is None:
+        return lambda _: handle.column(column)
+    return lambda _: world.snapshot.value(row, column)
 
 
 def _variable_reader(name: str, sql_type: SqlType) -> _Reader:

@@ -32,6 +32,9 @@ from ssduck.language.tree import Literal, Name, Query, TimeIndex
 from ssduck.recording.replay.past import Past
 from ssduck.world.world import World
 
+# The name of the form that is a flat list.
+LIST = "list"
+
 QueryRunner: TypeAlias = Callable[
     [Query, Frame, Callable[[Sequence[SelectedValue]], None]], Selected
 ]
@@ -184,6 +187,14 @@ def as_clause_of(query: Query, frame: Frame) -> AsClause:
             f"AS {clause.name}: {error}; its usage: {adapter.usage}", span=clause.span
         ) from error
     return AsClause(clause.name, adapter, arguments, by_name, clause.span)
+
+
+def is_list(query: Query) -> bool:
+    """Checks whether the result of a query is a flat list of the values of its rows."""
+    clause = query.adapter
+    if clause is None or clause.name != LIST:  # no form of a user has this name
+        return False
+    return not (clause.arguments or clause.named or clause.of_sql)
 
 
 def help_of_result_forms() -> str:

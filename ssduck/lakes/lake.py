@@ -156,12 +156,11 @@ class Lake:
         return f"<Lake {self.path!r}: {len(self)} episodes>"
 
     def _selected(self, where: str | None) -> list[EpisodeEntry]:
-        """Returns the episodes for which a condition holds; all if there is none."""
-        return [self._entries[place] for place in self._places(where)]
+        """Returns the episodes for which a condition holds; all if there is none.
 
-    def _selected_or_warned(self, where: str | None) -> list[EpisodeEntry]:
-        """Returns the same, and warns of a condition that holds for none."""
-        entries = self._selected(where)
+        A warning tells that there are no such episodes.
+        """
+        entries = [self._entries[place] for place in self._places(where)]
         if where is not None and not entries:
             warn(no_episode(where, self.episodes))
         return entries
@@ -325,7 +324,7 @@ class Lake:
             engines["processes"] = validation.integer(
                 engines["processes"], "ask: processes", minimum=1
             )
-        entries = self._selected_or_warned(where)
+        entries = self._selected(where)
         if engine == "local" and engines["processes"] is None:
             engines["processes"] = pools.default_count(len(entries))
         answer = engine_of(engine, **engines)
@@ -364,7 +363,8 @@ class Lake:
             UnknownNameError: there is no such dialect, or the program names nothing.
             ArgumentError: the condition is none, or no episode is without an error.
         """
-        return statement(self._selected(where), program, dialect, limits)
+        entries = [self._entries[place] for place in self._places(where)]
+        return statement(entries, program, dialect, limits)
 
     # -- tags -------------------------------------------------------------------------------
 
@@ -425,7 +425,7 @@ class Lake:
             RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
         """
         added = checked_tags(tags)
-        entries = self._selected_or_warned(where)
+        entries = self._selected(where)
         self._write_tags({entry.key: added for entry in entries if entry.error is None})
         return sum(entry.error is None for entry in entries)
 

@@ -8,7 +8,7 @@ DuckDB, see the next tick without further calls. Columns that few programs read 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable
 from itertools import count
 from typing import Any, TypeAlias
 
@@ -227,13 +227,12 @@ class LiveTable:
         number = column[row].item()
         return None if number != number else number  # noqa: PLR0124  # NaN is unknown
 
-    def values_in(self, row: int, names: Sequence[str]) -> list[Any]:
-        """Returns the values of columns in a row as Python's, None for unknown ones."""
+    def doubles_in(self, row: int, names: tuple[str, ...]) -> list[float | None]:
+        """Returns the values of columns of doubles in a row, None for unknown ones."""
         if self._deferred:
             self.settle(names)
-        doubles, rows = self._block[:, row].tolist(), self._row
-        values = [doubles[rows[name]] if name in rows else self.value(name, row) for name in names]
-        return [None if value != value else value for value in values]  # noqa: PLR0124
+        numbers = self._block[self.block_rows(names), row].tolist()
+        return [None if number != number else number for number in numbers]  # noqa: PLR0124
 
     def doubles(self, first: str, last: str) -> Array:
         """Returns the buffer of adjacent columns of doubles, (columns, rows)."""

@@ -340,9 +340,13 @@ class Snapshot:
         """Returns a value of a table; None if it is unknown."""
         return (self._tables if table == "entities" else self.tables)[table].value(column, row)
 
-    def values_in(self, row: int, columns: Sequence[str]) -> list[Any]:
-        """Returns the values of an entity's columns in a row; None for unknown ones."""
-        return self._tables["entities"].values_in(row, columns)
+    def has_double(self, column: str) -> bool:
+        """Checks whether a column of the entities has doubles."""
+        return column in self._tables["entities"].names_of_doubles
+
+    def doubles_in(self, row: int, columns: tuple[str, ...]) -> list[float | None]:
+        """Returns the values of columns of doubles of an entity; None for unknown ones."""
+        return self._tables["entities"].doubles_in(row, columns)
 
     # -- a tick ---------------------------------------------------------------------------
 

@@ -74,3 +74,12 @@ def test_mistakes(runs):
         result = ssduck_(*arguments)
         assert result.exit_code in (1, 2)
         assert message in result.stderr
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("command", [("lake",), ("ask", "1;"), ("tag", "seen=1")])
+def test_a_condition_that_holds_for_no_episode_is_told(runs, command):
+    name, *rest = command
+    result = ssduck_(name, runs, *rest, "--where", "task = 'dorp'")
+    assert "none has the task 'dorp'; did you mean 'drop'?" in result.stderr
+    assert result.exit_code == 0

@@ -148,5 +148,3 @@ def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):
         places, columns = kept.find(np.arange(20))
         assert places.tolist() == keys.tolist()
         assert (columns[0] == start).all()
-    kept.keep(np.arange(30), np.ones((3, 30)), np.zeros((3, 60)), np.zeros(30, bool))
-    assert kept.find(np.arange(30))[0].tolist() == list(range(8))

@@ -221,7 +221,9 @@ def test_a_scene_with_numbers_beyond_bounds_is_refused(folder, part, message):
 )
 def test_a_number_that_is_no_float_is_an_error(folder, before, key, term):
     (folder / "task.toml").write_text(TASK.replace(before, f'"{term}"'))
-    with pytest.raises(ArgumentError, match=rf"task.toml: reward\['{key}'\].*a float"):
+    with pytest.raises(
+        ArgumentError, match=rf"task.toml: (reward|observation)\['{key}'\].*a float"
+    ):
         make_task(folder / "task.toml")
 
 

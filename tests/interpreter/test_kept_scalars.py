@@ -228,3 +228,55 @@ def test_a_program_reads_what_its_variables_are_at_each_run(lab, monkeypatch):
                 assert reads[-1] == (has_links, worlds)
     finally:
         other.ss.close()
+
+
+class _Loud(ssduck.Interpreter):
+    """An interpreter with result forms of its own."""
+
+    def evalAs(self, form, select, elements, names, where):  # noqa: N802
+        return ("own", form, super().evalAs(form, select, elements, names, where))
+
+
+def test_a_row_again_is_what_the_program_gives(lab, monkeypatch, capsys):
+    calls = []
+    lab.ss.add_function("noted", lambda x: calls.append(x) or x + 1.0)
+    texts = [
+        "SELECT x(lab.ball), z(lab.ball) > 0.1 FROM [0] AS list;",
+        "SELECT noted(x(lab.ball)) FROM [0] AS list;",
+        "SELECT print(z(lab.ball)) FROM [0] AS list;",
+        "SELECT x(lab.ball), 1 FROM [0] GROUP BY 1 AS list;",
+        "SELECT x(lab.ball) FROM [0] AS value;",
+        "SELECT x(lab.ball) AS a FROM [0];",
+    ]
+    programs = [lab.ss.compile(text) for text in texts]
+    for _ in range(4):
+        lab.run(5)
+        calls.clear()
+        capsys.readouterr()
+        again = [lab.ss.eval(program) for program in programs]
+        assert len(calls) == 1
+        assert len(capsys.readouterr().out.splitlines()) == 1
+        with monkeypatch.context() as patch:
+            patch.setattr(Planner, "row_again", lambda *_: None)
+            patch.setattr(KeptScalars, "run", lambda *_: None)
+            assert [lab.ss.eval(program) for program in programs] == again
+
+
+def test_own_forms_are_asked_each_time(lab):
+    with _Loud(strict=False) as own:
+        own.add_variable("lab", lab.world)
+        program = own.compile("SELECT x(lab.ball) FROM [0] AS list;")
+        for _ in range(4):
+            assert own.eval(program)[:2] == ("own", "list")
+
+
+def test_an_entity_that_is_gone_is_an_error_of_the_next_run(lab):
+    program = lab.ss.compile("SELECT x(lab.ball) FROM [0] AS list;")
+    for _ in range(3):
+        lab.run(1)
+        lab.ss.eval(program)
+    model = mujoco.MjModel.from_xml_string(PILE.format(cone="").replace('"ball"', '"egg"'))
+    lab.ss["lab"] = ssduck.World.attach(model, mujoco.MjData(model))
+    with pytest.raises(SelectScriptError, match="no entity 'ball'") as raised:
+        lab.ss.eval(program)
+    assert "line 1, column 14" in str(raised.value)

@@ -177,7 +177,7 @@ def test_a_condition_that_holds_for_no_episode_is_told(recorded, where, message)
         assert lake.ask("1;", where=where).num_rows == 0
     assert [warning.filename for warning in told] == [__file__]
     with pytest.warns(UserWarning, match=message):
-        assert lake.set_tags({"task": "pick"}, where) == 0
+        assert lake.set_tags({"seen": True}, where) == 0
 
 
 def test_where_selects(recorded):

@@ -54,7 +54,7 @@ class KeptProposals:
         """Replaces what is kept of pairs.
 
         Args:
-            keys: (n,), the pairs.
+            keys: (n,), the pairs, at most as many as are kept.
             directions: (3, n), see `Proposals`.
             local: (3, 2 n), the points on the first shapes, then those on the second, in their
                 frames from the solids' centres.
@@ -63,10 +63,10 @@ class KeptProposals:
         slots, numbers = self._slots, keys.tolist()
         if len(slots) + len(numbers) > _MAX_PAIRS:
             slots.clear()
-        places = [slots.setdefault(key, len(slots)) for key in numbers[:_MAX_PAIRS]]
+        places = [slots.setdefault(key, len(slots)) for key in numbers]
         count = len(numbers)
-        columns = np.concatenate((directions, local[:, :count], local[:, count:], meet[None]))
-        self._columns[:, places] = columns[:, :_MAX_PAIRS]
+        columns = (directions, local[:, :count], local[:, count:], meet[None])
+        self._columns[:, places] = np.concatenate(columns)
 
 
 def placed_proposals(

@@ -52,10 +52,14 @@ class Proposer:
     """
 
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
-        self.interiors = ConvexInteriors(solids, solid_indices)
         self._solids, self._solid_indices = solids, solid_indices
         self._apart: set[tuple[int, int]] = set()  # pairs that were apart when last proposed
         self._kept = KeptProposals()
+
+    @cached_property
+    def interiors(self) -> ConvexInteriors:
+        """The interiors of the shapes, made when first needed: a table of many ticks needs none."""
+        return ConvexInteriors(self._solids, self._solid_indices)
 
     def decide(
         self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
