@@ -36,7 +36,7 @@ from ssduck.database.limited_fetch import (
     whole_table,
 )
 from ssduck.database.on_demand import OnDemand
-from ssduck.database.referenced_tables import may_change_rows
+from ssduck.database.referenced_tables import type_and_text
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     EvaluationError,
@@ -440,11 +440,9 @@ class Connection:
     def statements(self, sql: str) -> list[tuple[str, str]] | None:
         """Returns the type (WITH if that may change rows) and text of each; None: no SQL."""
         try:
-            statements = self._connection.extract_statements(sql)
+            return [type_and_text(one) for one in self._connection.extract_statements(sql)]
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
             return None
-        typed = [(statement.type.name, statement.query) for statement in statements]
-        return [("WITH" if t == "SELECT" and may_change_rows(q) else t, q) for t, q in typed]
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""

@@ -23,7 +23,9 @@ from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
 
 # The types of statements that change no catalog.
-_HARMLESS = frozenset(("SELECT", "WITH", "EXPLAIN", "INSERT", "UPDATE", "DELETE", "MERGE_INTO", "COPY"))
+_HARMLESS = frozenset(
+    ("SELECT", "WITH", "EXPLAIN", "INSERT", "UPDATE", "DELETE", "MERGE_INTO", "COPY")
+)
 # Statements that may read a record, and the part of each that names what it writes.
 _WRITTEN = {
     "CREATE": re.compile(r"^.*?(?=\b(?:AS|SELECT|FROM)\b|$)", re.IGNORECASE | re.DOTALL),

@@ -110,9 +110,15 @@ class StatementWords:
 
 
 @lru_cache(maxsize=256)
-def may_change_rows(select: str) -> bool:
-    """Checks whether a SELECT may have a query of WITH that changes rows or writes a file."""
-    return "with" in select.casefold() and _CHANGING.search(select) is not None
+def type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
+    """Returns the type and the text of a statement.
+
+    The type of a SELECT is WITH if a query of WITH may change rows or write a file.
+    """
+    name, text = statement.type.name, statement.query
+    if name == "SELECT" and "with" in text.casefold() and _CHANGING.search(text) is not None:
+        name = "WITH"
+    return name, text
 
 
 def words_of(sql: str) -> StatementWords:

@@ -32,8 +32,6 @@ Reward: TypeAlias = str | Mapping[str, str]
 CONDITIONS = ("success", "failure")
 # The name of a reward that is one term.
 WHOLE = "reward"
-# The name of an element of a list that a variable has: the name of the variable, and the index.
-_ELEMENT = "{name}__{index}"
 
 
 @dataclass(frozen=True)
@@ -223,6 +221,7 @@ class Judge:
     def __init__(
         self, terms: Terms, interpreter: Interpreter, world: str, variables: Sequence[str]
     ) -> None:
+        _check_variables(variables, terms, world)
         self.terms = terms
         self._interpreter, self._world = interpreter, world
         self._elements: dict[str, set[int]] = {name: set() for name in variables}
@@ -253,9 +252,16 @@ class Judge:
                         f"variables[{name!r}]: a term uses {name}[{index}], and the value is "
                         f"{short_repr(value)}"
                     ) from None
-                self._interpreter.add_variable(_ELEMENT.format(name=name, index=index), element)
+                self._interpreter.add_variable(self._element(name, index), element)
             if name in self._whole:
                 self._interpreter.add_variable(name, value)
+
+    def _element(self, name: str, index: int) -> str:
+        """Returns the name of an element of a list that a variable has, which none else has."""
+        element = f"{name}__{index}"
+        while element in self._elements:
+            element += "_"
+        return element
 
     def judgement(self) -> Judgement:
         """Returns the values of the terms at the present tick.
@@ -322,7 +328,7 @@ class Judge:
                     name in self._elements and index >= 0 and not isinstance(index, bool)
                 ):
                     self._elements[name].add(index)
-                    replacement = _ELEMENT.format(name=name, index=index)
+                    replacement = self._element(name, index)
                 case Name(name=name) if name in self._elements:
                     self._whole.add(name)
                     return node
@@ -332,7 +338,7 @@ class Judge:
                         raise ArgumentError(f"{term.key} uses {name}, and there is no such term")
                     if term.key in CONDITIONS:
                         raise ArgumentError(f"{term.key} cannot use {name}: write its term out")
-                    replacement = f"({self._expanded(condition)})"
+                    replacement = f"({self._expanded(condition)}\n)"
                 case _:
                     return None
             replacements.append((node.span.start, node.span.end, replacement))
@@ -346,7 +352,7 @@ class Judge:
     def _uses_variables(self, program: CompiledProgram) -> bool:
         """Checks whether a program uses variables that are set at each step."""
         variables = {*self._elements} | {
-            _ELEMENT.format(name=name, index=index)
+            self._element(name, index)
             for name, indices in self._elements.items()
             for index in indices
         }
@@ -396,9 +402,24 @@ class Judge:
             )
 
 
+def _check_variables(names: Sequence[str], terms: Terms, world: str) -> None:
+    """Checks that no variable takes the place of the world, or of a term that others may name.
+
+    Raises:
+        ArgumentError: one does.
+    """
+    for name in names:
+        if name == world:
+            raise ArgumentError(f"variables: {name!r} is the name of the world")
+        if name in CONDITIONS and getattr(terms, name) is not None:
+            raise ArgumentError(
+                f"variables: {name!r} is the name of a term: give the variable another name"
+            )
+
+
 def _selected(texts: Iterable[str]) -> str:
     """Returns the program whose value is the list of the values of expressions."""
-    columns = ", ".join(f"({text})" for text in texts)
+    columns = ", ".join(f"({text}\n)" for text in texts)  # a comment ends with its line
     return f"SELECT {columns} FROM [0] AS list;"  # noqa: S608
 
 

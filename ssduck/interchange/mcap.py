@@ -78,27 +78,43 @@ def write_mcap(file: Path, motion: Motion) -> Path:
 
 
 def _write(stream: Any, motion: Motion) -> None:
-    from mcap_protobuf.writer import Writer
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+    from mcap.writer import Writer
 
     present = motion.present
-    with Writer(stream) as writer:
-        raw = writer._writer  # noqa: SLF001  # the only way to other encodings in the same file
-        schema = raw.register_schema("ssduck.Tick", "jsonschema", json.dumps(_TICK_SCHEMA).encode())
-        channel = raw.register_channel(TICKS, "json", schema)
-        raw.add_metadata(METADATA, _about(motion))
-        before = np.zeros(len(motion.frames), dtype=bool)
-        for number, (tick, time) in enumerate(
-            zip(motion.ticks.tolist(), motion.times.tolist(), strict=True)
-        ):
-            moment = round(time * _NANO)
-            if (present[number] != before).any():
-                update = _scene(motion, present[number], before, moment)
-                writer.write_message(SCENE, update, log_time=moment, publish_time=moment)
-                before = present[number]
-            poses = _transforms(motion, number, present[number], moment)
-            writer.write_message(TRANSFORMS, poses, log_time=moment, publish_time=moment)
-            told = json.dumps({"tick": tick, "time": time}).encode()
-            raw.add_message(channel, log_time=moment, publish_time=moment, data=told)
+    # The checksum of all that is not in a chunk, such as the metadata.
+    writer: Any = Writer(stream, enable_data_crcs=True)
+    writer.start(library="ssduck")
+    schema = writer.register_schema("ssduck.Tick", "jsonschema", json.dumps(_TICK_SCHEMA).encode())
+    ticks = writer.register_channel(TICKS, "json", schema)
+    scene = _channel(writer, SCENE, SceneUpdate)
+    transforms = _channel(writer, TRANSFORMS, FrameTransforms)
+    writer.add_metadata(METADATA, _about(motion))
+    before = np.zeros(len(motion.frames), dtype=bool)
+    for number, (tick, time) in enumerate(
+        zip(motion.ticks.tolist(), motion.times.tolist(), strict=True)
+    ):
+        moment = round(time * _NANO)
+        told = []
+        if (present[number] != before).any():
+            update = _scene(motion, present[number], before, moment)
+            told.append((scene, update.SerializeToString()))
+            before = present[number]
+        poses = _transforms(motion, number, present[number], moment)
+        told.append((transforms, poses.SerializeToString()))
+        told.append((ticks, json.dumps({"tick": tick, "time": time}).encode()))
+        for channel, data in told:
+            writer.add_message(channel, log_time=moment, publish_time=moment, data=data)
+    writer.finish()
+
+
+def _channel(writer: Any, topic: str, kind: Any) -> int:
+    """Returns the number of a new channel of messages of a kind."""
+    from mcap_protobuf.schema import register_schema
+
+    channel: int = writer.register_channel(topic, "protobuf", register_schema(writer, kind))
+    return channel
 
 
 def _about(motion: Motion) -> dict[str, str]:

@@ -23,8 +23,7 @@ from ssduck.interpreter.triggers.registry import TriggerRegistry
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.past import Past, past_of
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.parquet import ParquetRecording
-from ssduck.recording.stores.parquet import whole_record
+from ssduck.recording.stores.parquet import ParquetRecording, whole_record
 from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import RECORDABLE

@@ -6,7 +6,8 @@ row of a group, a number as the age of `least` and `greatest`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, fields, replace
 from typing import Any
 from typing import Literal as OneOf
@@ -316,7 +317,7 @@ def mistakes_in(
         yield from _mistakes_at(site, variable, type_of_relation)
     for node, literal in suspects.handles:
         if _is_handle(node, variable):
-            yield _never_equals("this", ("entity",), literal)
+            yield _never_equals("this", {"entity"}, literal)
     for call in suspects.ages:
         lesser = "min" if call.name == "least" else "max"
         yield ArgumentError(
@@ -385,7 +386,7 @@ def _mistakes_at(
             yield _never_equals(site.column, kinds, literal)
 
 
-def _never_equals(what: str, kinds: Collection[Kind], literal: Literal) -> ArgumentError:
+def _never_equals(what: str, kinds: AbstractSet[Kind], literal: Literal) -> ArgumentError:
     words = " or ".join(_WORDS[kind] for kind in sorted(kinds))
     advice = ""
     if "entity" in kinds and isinstance(literal.value, str):

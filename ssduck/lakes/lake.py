@@ -175,12 +175,13 @@ class Lake:
             return range(len(self._entries))
         rows = self.episodes
         test = condition(where, rows.column_names)
-        name, known = "row", {name.casefold() for name in rows.column_names}
-        while name in known:  # a tag may have any name
-            name += " "
-        place = exp.to_identifier(name, quoted=True)
-        numbered = rows.append_column(name, pa.array(range(rows.num_rows), pa.int64()))
-        select = exp.select(exp.column(place)).from_("episodes").where(test)
+        # DuckDB takes names that differ in case for one: the columns get numbers.
+        names = {name: str(number) for number, name in enumerate(rows.column_names)}
+        for column in test.find_all(exp.Column):
+            column.set("this", exp.to_identifier(names[column.name], quoted=True))
+        numbers = pa.array(range(rows.num_rows), pa.int64())
+        numbered = rows.rename_columns(list(names.values())).append_column("row", numbers)
+        select = exp.select(exp.column("row", quoted=True)).from_("episodes").where(test)
         database = Database(":memory:", None)
         try:
             database.connection.register("episodes", numbered)

@@ -78,7 +78,6 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
         raise ArgumentError(f"where: {text!r} is no condition: {error}") from error
     except RecursionError:
         raise ArgumentError("where: the condition is nested too deeply") from None
-    names = {name.casefold(): name for name in columns}
     for part in tree.walk():
         if not isinstance(part, _PARTS):
             raise ArgumentError(
@@ -86,14 +85,28 @@ def condition(text: str, columns: Collection[str]) -> exp.Expr:
                 f"comparisons, arithmetic and the functions {_NAMES}"
             )
         if isinstance(part, exp.Column):
-            name = part.name.casefold()
-            if part.table or name not in names:
-                raise ArgumentError(
-                    f"where: episodes have no column or tag {part.sql('duckdb')}",
-                    suggestions=nearest(part.name, list(columns)),
-                )
-            part.set("this", exp.to_identifier(names[name], quoted=True))
+            part.set("this", exp.to_identifier(_column(part, columns), quoted=True))
     return tree
+
+
+def _column(part: exp.Column, columns: Collection[str]) -> str:
+    """Returns the column that a condition names, in letters of any case if only one has them.
+
+    Raises:
+        ArgumentError: there is none, or there are several.
+    """
+    if part.name in columns and not part.table:
+        return part.name
+    found = [name for name in columns if name.casefold() == part.name.casefold()]
+    if part.table or not found:
+        raise ArgumentError(
+            f"where: episodes have no column or tag {part.sql('duckdb')}",
+            suggestions=nearest(part.name, list(columns)),
+        )
+    if len(found) > 1:
+        names = " and ".join(map(repr, found))
+        raise ArgumentError(f"where: {part.name} may be {names}: write one of them in quotes")
+    return found[0]
 
 
 def no_episode(where: str, episodes: pa.Table) -> str:

@@ -161,6 +161,13 @@ class EpisodeSteps:
         lengths |= set() if actions is None else {len(actions) + 1}
         if len(lengths) != 1:
             raise RecordError(f"{file} is damaged: its lists have different lengths")
+        try:
+            variables = {
+                validation.identifier(name, "a variable"): plain(values, f"variables[{name!r}]")
+                for name, values in variables.items()
+            }
+        except ArgumentError as error:
+            raise RecordError(f"{file} is damaged: {error.message}") from error
         return cls(
             content["terms"],
             content.get("seed"),

@@ -233,7 +233,9 @@ def test_no_plan_is_kept_of_joined_rows_that_a_macro_may_list(traced, macro, cal
     other = "SELECT min(b.z) FROM entities a JOIN entities b ON a.id > b.id"
     for _ in range(RUNS):
         ss.sql(other).fetchall()
-    rows = ss._database.connection.internal_rows("SELECT count(*) FROM duckdb_prepared_statements()")
+    rows = ss._database.connection.internal_rows(
+        "SELECT count(*) FROM duckdb_prepared_statements()"
+    )
     assert rows == [(2,)]
 
 

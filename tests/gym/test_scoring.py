@@ -1,11 +1,13 @@
 """`score` gives for recorded episodes what `QueryWrapper` gave live, to the last digit."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
 
-from ssduck.errors import RecordError, UnknownNameError
+import ssduck
+from ssduck.errors import RecordError, SelectScriptError, UnknownNameError
 from ssduck.gym import QueryWrapper, score
 from tests.support.cases import generated
 from tests.support.gym_environments import Push
@@ -137,3 +139,60 @@ def test_damaged_steps_are_errors(few, change, message):
 def test_a_record_without_steps_is_an_error(few):
     with pytest.raises(RecordError, match=r"no episode of an environment with the world 'other'"):
         score(few, reward="x(other.ball)", world="other")
+
+
+def forged(few, place, **variables):
+    """Returns a copy whose first episode has more variables, with one value at each tick."""
+    folder = shutil.copytree(few, place / "forged")
+    (file, *_) = sorted((folder / "gym").iterdir())
+    content = json.loads(file.read_text())
+    content.pop("crc32", None)
+    for name, value in variables.items():
+        content["variables"][name] = [value] * len(content["times"])
+    file.write_text(json.dumps(content))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ({"success": True}, "'success' is the name of a term"),
+        ({"failure": False}, "'failure' is the name of a term"),
+        ({"sim": 1}, "'sim' is the name of the world"),
+        ({"a b; x": 1}, "cannot be a variable's name"),
+        ({"SELECT": 1}, "cannot be a variable's name"),
+        ({"v": {"__class__": 1}}, "a variable is True, False, a number"),
+        ({"v": None}, "a variable is True, False, a number"),
+        ({"v": [[None]]}, "a variable is True, False, a number"),
+    ],
+)
+def test_forged_variables_are_errors(few, tmp_path, variables, message):
+    folder = forged(few, tmp_path, **variables)
+    terms = {"success": "z(sim.ball) > 9", "failure": "z(sim.ball) < 0"}
+    with pytest.raises(SelectScriptError, match=message):
+        list(score(folder, **terms))
+    answers = ssduck.lake(folder).score(**terms)
+    (first, *others) = answers["error"].to_pylist()
+    assert message in first
+    assert others == [None] * len(others)
+
+
+def test_an_element_is_of_its_own_variable(few, tmp_path):
+    folder = forged(few, tmp_path, v=[1, 2], v__0=9)
+    right = "v[0] == 1 AND v[1] == 2 AND v__0 == 9 AND z(sim.ball) > -9"
+    assert all(next(iter(score(folder, success=right))).success)
+
+
+def test_terms_may_end_with_comments(few):
+    """All terms are one statement."""
+    plain = {
+        "success": "z(sim.ball) > 0.4",
+        "reward": {"a": "IF(success; 1; 0)", "b": "z(sim.ball)"},
+    }
+    told = {
+        "success": f"{plain['success']} # high",
+        "reward": {"a": "IF(success; 1; 0) -- done", "b": "z(sim.ball)"},
+    }
+    assert [one.rewards for one in score(few, **told)] == [
+        one.rewards for one in score(few, **plain)
+    ]

@@ -196,6 +196,20 @@ def test_tags_are_for_all_episodes_or_none(tmp_path):
     assert lake.set_tags({"task": "pick"}, "path LIKE '%/c'") == 1
 
 
+def test_tags_that_differ_in_case_only(folder):
+    lake = ssduck.lake(folder)
+    assert lake.set_tags({"goal": 1, "Goal": 2}, "episode = 0") == 1
+    assert lake.set_tags({"Goal": 1}, "episode = 1") == 1
+    for where, episodes in (
+        ('"goal" = 1', [0]),
+        ('"Goal" = 1', [1]),
+        ("Goal = 2 AND goal = 1 AND EPISODE = 0", [0]),
+    ):
+        assert lake.ask("1;", where=where, processes=1)["episode"].to_pylist() == episodes
+    with pytest.raises(ArgumentError, match=r"GOAL may be '[Gg]oal' and '[Gg]oal'"):
+        lake.ask("1;", where="GOAL = 1")
+
+
 def test_tags(folder):
     lake = ssduck.lake(folder)
     assert lake.set_tags({"task": "pick", "grade": 2}, "episode < 3") == 3

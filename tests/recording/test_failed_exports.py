@@ -116,7 +116,6 @@ def test_pairs_that_cannot_be_written_leave_no_episode(
         raise RecordError("the disk is full")
 
     monkeypatch.setattr(recording, "write_pairs", fails)
-    with ssduck.load("hall") as ss:
-        with pytest.raises(RecordError, match="the disk is full"):
-            ss.export(tmp_path / "new", pairs=0.1)
+    with ssduck.load("hall") as ss, pytest.raises(RecordError, match="the disk is full"):
+        ss.export(tmp_path / "new", pairs=0.1)
     assert not (tmp_path / "new").exists()

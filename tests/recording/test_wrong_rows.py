@@ -119,6 +119,35 @@ def test_sql_refuses_them(
                 ss.sql(f"SELECT count(*) FROM {table}_history")
 
 
+# Columns that a folder repeats for other tools: (table, column, another value)
+REPEATED = [
+    ("entities", "name", "'another'"),
+    ("entities", "kind", "'robot'"),
+    ("entities", "parent", "'another'"),
+    ("entities", "mass", "mass + 1"),
+    ("entities", "run", "run + 1"),
+    ("links", "name", "'another'"),
+    ("joints", "type", "'another'"),
+    ("joints", "upper", "7.5"),
+    ("shapes", "margin", "0.25"),
+]
+
+
+@pytest.mark.parametrize(("table", "column", "value"), REPEATED)
+def test_what_rows_repeat_is_that_of_their_model(
+    made: Path, tmp_path: Path, table: str, column: str, value: str
+) -> None:
+    select = (
+        f"SELECT * REPLACE (CASE WHEN tick = (SELECT max(tick) FROM rows) THEN {value} "
+        f"ELSE {column} END AS {column}) FROM rows"
+    )
+    record = forged_folder(made, tmp_path, table, select)
+    words = f"of the rows of {table}, the column '{column}' has another value than its model"
+    assert words in ssduck.check(record)[0].problem
+    with ssduck.open(record) as ss, pytest.raises(RecordError, match=words):
+        ss.sql(f"SELECT count(*) FROM {table}_history")
+
+
 def test_links_that_no_replay_reads(made: Path, tmp_path: Path) -> None:
     """A folder has the links of bodies that have one: SQL reads them, SelectScript does not."""
     select = (

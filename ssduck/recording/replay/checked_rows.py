@@ -16,7 +16,13 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.stores.base import PairRequest, PartGroup, RowBlock, TickArchive
-from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, TWICE, RowChecks, keys_of
+from ssduck.recording.stores.row_checks import (
+    TABLES_OF_BODIES,
+    TWICE,
+    RowChecks,
+    keys_of,
+    other_model,
+)
 from ssduck.world.layout import EntityInfo
 
 # So many rows of all ticks are checked at once, of a store without parts: a hundred megabytes; of
@@ -112,6 +118,8 @@ class CheckedRows:
 
     def _check_block(self, table: str, block: RowBlock) -> None:
         self._require(table, self._checks.problem_of_block(table, block, self.ticks))
+        if block.repeated is not None:
+            self._require(table, other_model(table, *block.repeated))
 
     @cached_property
     def _ticks_at_once(self) -> int:

@@ -71,11 +71,14 @@ class RowBlock:
         first: the first of these ticks.
         last: the last of them.
         rows: the rows, of the columns `row_checks.key_types`.
+        repeated: what the rows repeat of their model, `row_checks.model_columns`, and the rows of
+            the model; None for nothing.
     """
 
     first: int
     last: int
     rows: pa.Table
+    repeated: tuple[pa.Table, pa.Table] | None = None
 
 
 class TickStore(ABC):

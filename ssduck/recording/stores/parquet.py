@@ -472,9 +472,9 @@ def _remove_empty(path: Path, made: Sequence[Path]) -> None:
     with suppress(OSError):
         (path / "episodes").rmdir()
         (path / ABOUT).unlink()
-        for folder, _, _ in os.walk(path, topdown=False):
-            if Path(folder) != path:
-                Path(folder).rmdir()
+        for name, _, _ in os.walk(path, topdown=False):
+            if Path(name) != path:
+                Path(name).rmdir()
         for folder in made:
             folder.rmdir()
     if (path / "episodes").exists() and not (path / ABOUT).exists():

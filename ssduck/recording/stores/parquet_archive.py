@@ -38,7 +38,7 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
-from ssduck.recording.stores.row_checks import key_types
+from ssduck.recording.stores.row_checks import key_types, model_columns
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
@@ -219,8 +219,10 @@ class ParquetArchive(TickArchive):
             self._check(table, part)
             file = self._files[table][number]
             blocks = [_rows_of_part(file, types)] if RECORDED[table].key else _rows_in(file, types)
+            columns = model_columns(table)
+            repeated = (_model_columns_in(file, columns), self._models[table]) if columns else None
             for rows in blocks:
-                yield RowBlock(*self._ticks_of(part), rows)
+                yield RowBlock(*self._ticks_of(part), rows, repeated)
 
     def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
         if self._log:
@@ -308,6 +310,18 @@ def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
     return rows.select(types.names).cast(types)
+
+
+def _model_columns_in(file: Path, names: Sequence[str]) -> pa.Table:
+    """Returns some columns of the rows of a part, as far as it has them; texts are numbered."""
+    try:
+        found = pq.read_schema(parquet_source(file)).names
+        present = [name for name in names if name in found]
+        part = pq.ParquetFile(parquet_source(file), read_dictionary=present)
+        rows = part.read(columns=present, use_threads=False).select(present)
+    except (pa.ArrowException, OSError) as error:
+        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    return rows.unify_dictionaries()
 
 
 def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:

@@ -16,9 +16,10 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.static_tables import join_model, with_joint_numbers
 from ssduck.recording.stores.base import RowBlock
 from ssduck.recording.stores.tick_checks import stray_row
-from ssduck.schema import FRAMES, RECORDED
+from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
 from ssduck.world.layout import EntityInfo
 
 Integers = npt.NDArray[np.int64]
@@ -44,6 +45,37 @@ def key_types(table: str) -> pa.Schema:
             *((name, pa.bool_()) for name in columns.booleans),
         ]
     )
+
+
+def model_columns(table: str) -> list[str]:
+    """Returns the columns that a folder repeats in each row, after the keys that they follow from.
+
+    None for a table without a model.
+    """
+    if table not in MODELS:
+        return []
+    stored = TABLES[table].tick_columns.names
+    return [*TABLES[table].key, *(name for name in TABLES[table].names if name not in stored)]
+
+
+def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
+    """Returns that rows have other values than their model; None if they have not.
+
+    Args:
+        table: a table with a model.
+        rows: some of `model_columns`, of known entities and links.
+        model: the rows of the model.
+    """
+    model, rows = (with_joint_numbers(table, one) for one in (model, rows))
+    keys = TABLES[table].key
+    names = [name for name in rows.column_names if name in model.column_names or name in keys]
+    distinct = rows.select(names).group_by(names, use_threads=False).aggregate([])
+    expected = join_model(table, distinct.select(keys), model, names)
+    for name in names:
+        pairs = zip(distinct[name].to_pylist(), expected[name].to_pylist(), strict=True)
+        if any(found != right and found == found for found, right in pairs):  # noqa: PLR0124  # NaN
+            return f"the column {name!r} has another value than its model"
+    return None
 
 
 class RowChecks:
@@ -117,7 +149,8 @@ class RowChecks:
         places = self._places(rows[owner].to_numpy()[is_first]), present[is_body]
         if len(ticks[0]) == len(ticks[1]):
             keys = keys_of(np.concatenate(ticks), np.concatenate(places), len(has_parts))
-            if np.array_equal(*map(_ascending, np.split(keys, 2))):
+            found, expected = map(_ascending, np.split(keys, 2))
+            if np.array_equal(found, expected):
                 return None
         return "those of a body are missing at a tick, or there without it"
 

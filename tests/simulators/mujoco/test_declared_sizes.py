@@ -71,7 +71,7 @@ def test_copies_of_an_included_file_count(tmp_path):
 ATTACHED = f'<mujoco model="own"><worldbody><replicate count="2000"><body name="b">{GEOM}</body></replicate></worldbody></mujoco>'
 
 
-@pytest.mark.parametrize("body", ['', 'body="b"'])
+@pytest.mark.parametrize("body", ["", 'body="b"'])
 @pytest.mark.parametrize("name", ["m", None])
 def test_copies_of_an_attached_model_count(tmp_path, name, body):
     model = '<model file="inner.xml"/>' if name is None else '<model name="m" file="inner.xml"/>'
@@ -102,7 +102,7 @@ def test_assets_of_attached_models_are_checked(tmp_path):
     (tmp_path / "inner.xml").write_text(inner)
     file = tmp_path / "a.xml"
     file.write_text('<mujoco><asset><model name="m" file="inner.xml"/></asset></mujoco>')
-    with pytest.raises(SceneError, match="inner.xml: <hfield>: nrow times ncol"):
+    with pytest.raises(SceneError, match=r"inner\.xml: <hfield>: nrow times ncol"):
         ssduck.load(file)
 
 
