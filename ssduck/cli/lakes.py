@@ -99,7 +99,12 @@ SqlOption = Annotated[
     ),
 ]
 Strict = Annotated[
-    bool, typer.Option("--strict", help="For programs from elsewhere: limit time, memory and rows.")
+    bool,
+    typer.Option(
+        "--strict",
+        help="For programs from elsewhere: limit time, memory and rows, and refuse probable "
+        "mistakes instead of warning.",
+    ),
 ]
 ForgetMissing = Annotated[
     bool,
@@ -174,6 +179,7 @@ def _ask_lake(
             where,
             engine.value,
             limits=Limits.strict() if strict else None,
+            strict=strict,
             processes=processes,
             batch=batch,
             resume=resume,

@@ -39,7 +39,7 @@ from ssduck.database.statement import PreparedPlans, Statement
 from ssduck.database.strict.select_check import SelectCheck
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
-from ssduck.errors import EvaluationError, SqlError
+from ssduck.errors import EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.export import export
@@ -153,8 +153,9 @@ class Database:
                     except SqlError as error:
                         if not error.is_refused:
                             raise
-                # DuckDB's message suggests the names that there are.
-                self._describe(words)
+                        self._describe_after(error, words)
+                else:
+                    self._describe(words)
                 return self._raw_sql.rows(sql, parameters, words, reads)
 
     def _confine(self, sql: str) -> None:
@@ -208,6 +209,20 @@ class Database:
             for bound in self._worlds.bound:
                 if bound.history is not None and bound.reference() is not None:
                     bound.history.record.warn_of_masses()
+
+    def _describe_after(self, refused: SqlError, words: StatementWords) -> None:
+        """Creates all views and macros, as DuckDB's message suggests the names that there are.
+
+        It takes long in a database that has none of them yet.
+
+        Raises:
+            SqlError: the time of the program is up; it is the error without suggestions.
+        """
+        self._describe(words)
+        try:
+            self.connection.meter.check_time()
+        except LimitError:
+            raise refused from refused.__cause__
 
     def pinned(
         self,

@@ -77,6 +77,21 @@ def _reads_present(node: Node) -> bool:
     return any(map(_reads_present, node.children()))
 
 
+@contextmanager
+def collected_doubts(interpreter: Interpreter) -> Iterator[list[str]]:
+    """Yields a list that gets the probable mistakes of the programs inside, in place of warnings.
+
+    It has each as often as it is found, also if an earlier program had it.
+    """
+    execution = interpreter._execution  # noqa: SLF001  # one package
+    doubts: list[str] = []
+    execution.doubts = doubts
+    try:
+        yield doubts
+    finally:
+        execution.doubts = None
+
+
 class BatchInterpreter:
     """An interpreter with the world of recorded episodes that have the same entities.
 

@@ -66,6 +66,7 @@ class Execution(Namespace):
     Attributes:
         strict: whether a probable mistake is an error; it may be set at any time.
         is_stopped: tells whether another thread has stopped what runs; None if none can.
+        doubts: the probable mistakes that are collected in place of warnings; None to warn.
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class Execution(Namespace):
         super().__init__(database, limits)
         self.strict = strict
         self.is_stopped: Callable[[], bool] | None = None
+        self.doubts: list[str] | None = None
         self._value_of_query = value_of_query
         self.linter = Linter(
             self.variable_or_none,
@@ -226,11 +228,17 @@ class Execution(Namespace):
             yield node
 
     def report(self, suspicions: Iterable[SelectScriptError]) -> None:
-        """Warns of probable mistakes, once of each; in strict interpreters it raises the first."""
+        """Warns of probable mistakes, once of each, or collects them in `doubts`.
+
+        Raises:
+            SelectScriptError: the first of them, in strict interpreters.
+        """
         for suspicion in suspicions:
             if self.strict:
                 raise suspicion
-            if self.linter.is_new(suspicion):
+            if self.doubts is not None:
+                self.doubts.append(str(suspicion))
+            elif self.linter.is_new(suspicion):
                 warn(str(suspicion), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:

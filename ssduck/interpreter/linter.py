@@ -20,7 +20,7 @@ from ssduck.errors import (
 )
 from ssduck.formatting import short_repr
 from ssduck.interpreter.known_names import KnownNames
-from ssduck.interpreter.suspect_values import Suspects, mistakes_in, suspects_of
+from ssduck.interpreter.suspect_values import Suspects, handle_of, mistakes_in, suspects_of
 from ssduck.language.analysis import states
 from ssduck.language.tree import (
     Assignment,
@@ -60,12 +60,14 @@ class NameSite:
         function: the function whose value is compared: `id`, `name`, `kind` or `type`.
         value: the text or the variable.
         is_bare: whether the name is a bare one, which may be a key of a dict.
+        element: the argument of the function if it is no element of a source; None if it is one.
     """
 
     source: Source | None
     function: str
     value: Literal | Name
     is_bare: bool
+    element: Node | None = None
 
 
 @dataclass
@@ -230,9 +232,12 @@ def _collect_name_site(
     only_source: Source | None,
     facts: StatementFacts,
 ) -> None:
+    element: Node | None = None
     match side:
         case Call(name=name, arguments=(This(alias=alias),)) if name in _NAME_FUNCTIONS:
             source, is_bare = only_source if alias is None else outer_sources.get(alias), False
+        case Call(name=name, arguments=(element,)) if name in _NAME_FUNCTIONS:
+            source, is_bare = None, False
         case QualifiedName(alias=alias, key=name) if name in _NAME_FUNCTIONS:
             source, is_bare = outer_sources.get(alias), True
         case Name(name=name) if name in _NAME_FUNCTIONS and only_source is not None:
@@ -241,7 +246,7 @@ def _collect_name_site(
             return
     for value in values:
         if isinstance(value, Name) or (isinstance(value, Literal) and type(value.value) is str):
-            facts.names.append(NameSite(source, name, value, is_bare))
+            facts.names.append(NameSite(source, name, value, is_bare, element))
 
 
 class Linter:
@@ -370,6 +375,8 @@ class Linter:
         self, facts: StatementFacts, local: Mapping[str, Any]
     ) -> Iterator[SelectScriptError]:
         for site in facts.names:
+            if isinstance(site.element, Name) and site.element.name in local:
+                continue
             worlds, kinds = self._owners_at(site)
             if not worlds:
                 continue
@@ -396,6 +403,12 @@ class Linter:
         of_entity: NameKind = "kind" if is_kind else "entity"
         of_link: NameKind = "full link" if site.function == "id" else "link"
         of_link = "kind of link" if is_kind else of_link
+        if site.element is not None:
+            handle = handle_of(site.element, self._variable)
+            if handle is None:
+                return [], []
+            worlds = list(self._worlds()) if handle.world is None else [handle.world]
+            return worlds, [of_link if handle.is_link else of_entity]
         value = None if site.source is None else site.source.value
         if (
             isinstance(value, Call)

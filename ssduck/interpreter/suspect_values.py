@@ -35,7 +35,7 @@ from ssduck.language.tree import (
 )
 from ssduck.recording.replay.past import Past
 from ssduck.world.handles import Handle
-from ssduck.world.links import Links
+from ssduck.world.links import Link, Links
 from ssduck.world.world import World
 
 Kind = OneOf["number", "text", "boolean", "entity", "list"]
@@ -316,7 +316,7 @@ def mistakes_in(
             continue
         yield from _mistakes_at(site, variable, type_of_relation)
     for node, literal in suspects.handles:
-        if _is_handle(node, variable):
+        if handle_of(node, variable) is not None:
             yield _never_equals("this", {"entity"}, literal)
     for call in suspects.ages:
         lesser = "min" if call.name == "least" else "max"
@@ -397,17 +397,43 @@ def _never_equals(what: str, kinds: AbstractSet[Kind], literal: Literal) -> Argu
     )
 
 
-def _is_handle(node: Node, variable: Callable[[str], Any]) -> bool:
-    """Checks whether a value outside of a query is an entity, a link or a site for sure."""
+@dataclass(frozen=True)
+class KnownHandle:
+    """What is known of an expression that is an entity, a link or a site for sure.
+
+    Attributes:
+        world: its world; None if it is not known.
+        is_link: whether it is a link or a site.
+    """
+
+    world: World | None
+    is_link: bool
+
+
+def handle_of(node: Node, variable: Callable[[str], Any]) -> KnownHandle | None:
+    """Returns what is known of an expression outside of a source; None if it may be no handle.
+
+    Args:
+        node: the expression.
+        variable: a function that returns the value of a variable; None if there is none.
+    """
     match node:
         case Name(name=name):
-            return isinstance(variable(name), Handle)
-        case Index(base=Name(name=name), indices=(Literal(value=str() as key),)):
-            world = variable(name)
-            return isinstance(world, World) and key in world
-        case Call(name="entity", arguments=(_,)):
-            return variable("entity") is None
-    return False
+            return _known(variable(name))
+        case Index(base=Name(name=name), indices=(Literal(value=str() as key), *links)):
+            place = variable(name)
+            if isinstance(place, Handle):  # a link of an entity
+                return None if links else KnownHandle(place.world, is_link=True)
+            if isinstance(place, World) and key in place and len(links) <= 1:
+                return KnownHandle(place, is_link=bool(links))
+        case Call(name="entity", arguments=(_,)) if variable("entity") is None:
+            return KnownHandle(None, is_link=False)
+    return None
+
+
+def _known(value: Any) -> KnownHandle | None:
+    is_handle = isinstance(value, Handle)
+    return KnownHandle(value.world, is_link=isinstance(value, Link)) if is_handle else None
 
 
 def _cells(site: Comparison, variable: Callable[[str], Any]) -> list[Any] | None:

@@ -18,6 +18,7 @@ from ssduck.recording.stores.checksums import verified_parquet, write_parquet
 
 KEYS = ("world", "episode", "path")
 ERROR = "error"
+_DOUBTS = "doubts"
 
 
 @dataclass(frozen=True)
@@ -28,11 +29,13 @@ class AnsweredEpisode:
         entry: the episode.
         text: the answer as a text of JSON; None if there is an error.
         error: the error; None if there is an answer.
+        doubts: the probable mistakes in the question.
     """
 
     entry: EpisodeEntry
     text: str | None
     error: str | None
+    doubts: tuple[str, ...] = ()
 
     @property
     def value(self) -> Any:
@@ -143,9 +146,10 @@ class KeptAnswers:
             return
         identities = [_identity(entry) for entry in entries]
         name = hashlib.sha256("".join(identities).encode()).hexdigest()[:32]
-        texts, errors = zip(*answers, strict=True)
+        texts, errors, doubts = zip(*answers, strict=True)
         columns = {"episode": identities, "answer": texts, ERROR: errors}
         rows = pa.table({name: pa.array(values, pa.string()) for name, values in columns.items()})
+        rows = rows.append_column(_DOUBTS, pa.array(doubts, pa.list_(pa.string())))
         file = self._folder / f"answers-{self._question}-{name}.parquet"
         write_parquet(rows, file, compression="zstd")
 
@@ -160,7 +164,10 @@ def _kept_in(file: Path) -> dict[str, Answer]:
     """Returns the answers in a file; none if it is damaged."""
     try:
         rows = verified_parquet(file, has_checksums=True).read()
-        answers = zip(rows["answer"].to_pylist(), rows[ERROR].to_pylist(), strict=True)
-        return dict(zip(rows["episode"].to_pylist(), answers, strict=True))
+        answers = (rows[name].to_pylist() for name in ("episode", "answer", ERROR, _DOUBTS))
+        return {
+            episode: Answer(text, error, tuple(doubts))
+            for episode, text, error, doubts in zip(*answers, strict=True)
+        }
     except (OSError, pa.ArrowException, KeyError):  # a RecordError is an OSError
         return {}

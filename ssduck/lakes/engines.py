@@ -34,7 +34,7 @@ RETRIES = 3
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
 _PARTS = "batch int, question binary, entries binary"
-_RESULTS = "batch int, place int, answer string, error string"
+_RESULTS = "batch int, place int, answer string, error string, doubts array<string>"
 
 
 def answer_locally(question: Question, batches: Sequence[Batch], processes: int) -> Answers:
@@ -159,12 +159,13 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
     text = pickle.dumps(question)
     rows = [(index, text, to_bytes(batch)) for index, batch in enumerate(batches)]
     parts = session.createDataFrame(rows, _PARTS).repartition(len(batches), "batch")
-    answers: dict[int, list[tuple[int, str | None, str | None]]] = {}
+    answers: dict[int, dict[int, Answer]] = {}
     for row in parts.mapInArrow(_answer_parts, _RESULTS).collect():
-        answers.setdefault(row["batch"], []).append((row["place"], row["answer"], row["error"]))
+        answer = Answer(row["answer"], row["error"], tuple(row["doubts"]))
+        answers.setdefault(row["batch"], {})[row["place"]] = answer
     for index in range(len(batches)):
-        ordered = sorted(answers.pop(index))
-        yield index, [(answer, error) for _, answer, error in ordered]
+        of_batch = answers.pop(index)
+        yield index, [of_batch[place] for place in sorted(of_batch)]
 
 
 def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
@@ -173,14 +174,15 @@ def _answer_parts(parts: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         for row in part.to_pylist():
             question = pickle.loads(row["question"])  # noqa: S301  # the driver made it
             answers = answer_episodes(question, from_bytes(row["entries"]))
-            texts, errors = zip(*answers, strict=True)
+            texts, errors, doubts = zip(*answers, strict=True)
             columns = [
                 pa.array([row["batch"]] * len(answers), pa.int32()),
                 pa.array(range(len(answers)), pa.int32()),
                 pa.array(texts, pa.string()),
                 pa.array(errors, pa.string()),
+                pa.array(doubts, pa.list_(pa.string())),
             ]
-            names = ["batch", "place", "answer", "error"]
+            names = ["batch", "place", "answer", "error", "doubts"]
             yield pa.RecordBatch.from_arrays(columns, names=names)
 
 

@@ -17,7 +17,7 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, RecordError, SqlError, warn
+from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, warn
 from ssduck.gym.terms import Reward, Terms
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
@@ -45,6 +45,8 @@ from ssduck.recording.tags import Tag, checked_tags
 MANIFEST = "ssduck-manifest"
 # The number of episodes that are asked together, at most.
 BATCH = 100
+# The number of different doubts in a question that become warnings, at most.
+MAX_DOUBTS = 10
 _FILE_SCHEME = "file://"
 _INTERNAL = ("group", "tags", "files", "error")
 
@@ -201,6 +203,7 @@ class Lake:
         engine: EngineName = "local",
         *,
         limits: Limits | None = None,
+        strict: bool = False,
         processes: int | None = None,
         batch: int | None = None,
         resume: str | Path | None = None,
@@ -216,6 +219,8 @@ class Lake:
             where: a condition on the columns of `episodes`, in SQL; None for all episodes.
             engine: `"local"`: processes of this machine; `"ray"`; `"spark"`.
             limits: the limits of the program; `Limits.strict()` for programs from elsewhere.
+            strict: whether a probable mistake in the program, such as a name that no entity of an
+                episode has, is the error of that episode.
             processes: the number of processes of this machine; by default one for each core, and
                 fewer for few episodes. They are kept for some minutes, for further questions.
             batch: the number of episodes that are asked together, by default at most 100.
@@ -236,8 +241,12 @@ class Lake:
             ParseError: the text is no program.
             ArgumentError: an argument is wrong, or the condition is none.
             UnsupportedError: the engine is not installed.
+
+        Warns:
+            ProgramWarning: a probable mistake in the program, once, with the first episode that
+                has it.
         """
-        question = ProgramQuestion(program, limits)
+        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
         question.check()
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
@@ -250,6 +259,7 @@ class Lake:
         engine: EngineName = "local",
         *,
         limits: Limits | None = None,
+        strict: bool = False,
         processes: int | None = None,
         batch: int | None = None,
         resume: str | Path | None = None,
@@ -263,7 +273,7 @@ class Lake:
         the first table. Each table has the types of its own
         answers.
         """
-        question = ProgramQuestion(program, limits)
+        question = ProgramQuestion(program, limits, validation.boolean(strict, "ask: strict"))
         question.check()
         engines = {"processes": processes, "options": options, "session": session}
         answered = self._answered(question, where, engine, batch, resume, progress, engines)
@@ -395,7 +405,8 @@ class Lake:
             RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
         """
         checked_tags({name: True}, "tag")
-        question = ProgramQuestion(program, arguments.pop("limits", None))
+        strict = validation.boolean(arguments.pop("strict", False), "tag: strict")
+        question = ProgramQuestion(program, arguments.pop("limits", None), strict)
         question.check()
         engines = {key: arguments.pop(key, None) for key in ("processes", "options", "session")}
         batch, resume = arguments.pop("batch", None), arguments.pop("resume", None)
@@ -508,6 +519,7 @@ def _in_order(
         size: the number of episodes of a batch.
         progress: whether to show the progress.
     """
+    warned: set[str] = set()
     ready = {
         index: known
         for index, entry in enumerate(entries)
@@ -524,7 +536,26 @@ def _in_order(
                 kept.write([entries[one] for one in batches[place]], answers)
                 ready.update(zip(batches[place], answers, strict=True))
                 advance(len(answers))
-            yield AnsweredEpisode(entry, *ready.pop(index))
+            answered = AnsweredEpisode(entry, *ready.pop(index))
+            _warn_of(answered, warned)
+            yield answered
+
+
+def _warn_of(answered: AnsweredEpisode, warned: set[str]) -> None:
+    """Warns of the probable mistakes in a question that no episode before had.
+
+    Args:
+        answered: the episode.
+        warned: the mistakes of those before; at most some are told of.
+    """
+    for doubt in answered.doubts:
+        if doubt not in warned and len(warned) <= MAX_DOUBTS:
+            warned.add(doubt)
+            entry = answered.entry
+            is_last = len(warned) > MAX_DOUBTS
+            message = "there are more such warnings: they are left out" if is_last else doubt
+            place = f"episode {entry.episode} of {entry.world} in {entry.path}"
+            warn(f"{message}\n  first in {place}", ProgramWarning)
 
 
 def _tables(answered: Iterator[AnsweredEpisode], size: int) -> Iterator[pa.Table]:

@@ -66,15 +66,17 @@ class ProgramQuestion(Question):
     Attributes:
         text: the program.
         limits: the limits of the program.
+        is_strict: whether a probable mistake in it is an error.
     """
 
     text: str
     limits: Limits | None = None
+    is_strict: bool = False
 
     @property
     def key(self) -> str:
         """What tells it from other questions."""
-        return repr((self.text, self.limits))
+        return repr((self.text, self.limits, self.is_strict))
 
     @property
     def _tree(self) -> Program:

@@ -9,18 +9,18 @@ its answer or its error is the result.
 from __future__ import annotations
 
 import threading
-import warnings
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
-from ssduck.errors import ProgramWarning, RecordError, SelectScriptError
-from ssduck.interpreter.episode_batches import BatchInterpreter
+from ssduck.errors import RecordError, SelectScriptError
+from ssduck.interpreter.episode_batches import BatchInterpreter, collected_doubts
+from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
@@ -36,12 +36,24 @@ from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.summaries import size_and_time
 from ssduck.schema import RECORDABLE
 
-# The answer as a text of JSON, and the error: one of them is None.
-Answer: TypeAlias = tuple[str | None, str | None]
 # What reading a forged file may raise: its columns and their types may be any.
 UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
 # The number of groups whose models and plans a process keeps.
 MAX_READERS = 4
+
+
+class Answer(NamedTuple):
+    """The answer of an episode.
+
+    Attributes:
+        text: the answer as a text of JSON; None if there is an error.
+        error: the error; None if there is an answer.
+        doubts: the probable mistakes in the question, each once, of which to warn.
+    """
+
+    text: str | None
+    error: str | None = None
+    doubts: tuple[str, ...] = ()
 
 
 class _Reader:
@@ -90,8 +102,7 @@ class _Reader:
                     interpreter.strict = question.is_strict
                     if self._answering is None or self._answering[0] != key:
                         self._answering = key, question.answering(interpreter)
-                    value = self._answering[1](interpreter, entries[index])
-                    results[index] = to_text(value), None
+                    results[index] = _answer(self._answering[1], interpreter, entries[index])
             except (SelectScriptError, OSError, pa.ArrowException):
                 continue
         return results
@@ -161,9 +172,7 @@ def _reader_of(entry: EpisodeEntry, limits: Limits | None) -> _Reader:
 def answer_episodes(question: Question, entries: Sequence[EpisodeEntry]) -> list[Answer]:
     """Returns the answer or the error of each episode, in order."""
     answers: list[Answer | None] = [None] * len(entries)
-    with _lock, warnings.catch_warnings():
-        # They are of the program, and would come from each process.
-        warnings.simplefilter("ignore", ProgramWarning)
+    with _lock:
         groups: dict[str, list[int]] = {}
         if question.is_batchable:
             for index, entry in enumerate(entries):
@@ -190,18 +199,28 @@ def _answers_of_group(question: Question, entries: Sequence[EpisodeEntry]) -> li
 def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
     """Returns the answer or the error of an episode, opened as `ssduck.open` does."""
     if entry.error is not None:
-        return None, entry.error
+        return Answer(None, entry.error)
     try:
         _check_database_file(entry)
         with open_record(
             entry.path, entry.world, entry.episode, limits=question.limits
         ) as interpreter:
             interpreter.strict = question.is_strict
-            return to_text(question.answering(interpreter)(interpreter, entry)), None
+            return _answer(question.answering(interpreter), interpreter, entry)
     except SelectScriptError as error:
-        return None, str(error)
+        return Answer(None, str(error))
     except Exception as error:  # noqa: BLE001  # a damaged file must not end the others' answers
-        return None, f"{type(error).__name__}: {error}"
+        return Answer(None, f"{type(error).__name__}: {error}")
+
+
+def _answer(answering: Answering, interpreter: Interpreter, entry: EpisodeEntry) -> Answer:
+    """Returns the answer of an episode, with the doubts that would be warnings of an interpreter.
+
+    They are for the process that asks, which warns once.
+    """
+    with collected_doubts(interpreter) as doubts:
+        text = to_text(answering(interpreter, entry))
+    return Answer(text, doubts=tuple(dict.fromkeys(doubts)))
 
 
 def _check_database_file(entry: EpisodeEntry) -> None:

@@ -54,6 +54,7 @@ _BEHIND_SOURCE = (
 )
 CHAIN_OF_EQUALS = "this compares True or False; write x = y AND y = z"
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
+_SIGNS = (TokenType.DASH, TokenType.PLUS)
 
 
 def numbered_column(key: Node, items: Sequence[Node]) -> Node:
@@ -247,12 +248,20 @@ class SqlForms(Cursor):
             return Literal(star, 1)
         following = self.ahead()
         begins = following is not None and following.token_type in _BEGINS
+        begins = begins or self._is_sign_ahead()
         if name.lower() in AGGREGATES and self.at_word("DISTINCT") and begins:
             start = self.here()
             self.index += 1
             argument = self.statement()
             return Call(self.since(start), "uniq", (argument,), start)
         return None
+
+    def _is_sign_ahead(self) -> bool:
+        """Checks whether a sign of the next value follows: `x -1`, but not `x - 1` or `x-1`."""
+        word, sign, value = self.token, self.ahead(), self.ahead(2)
+        if word is None or sign is None or value is None or sign.token_type not in _SIGNS:
+            return False
+        return sign.start > word.end + 1 and value.start == sign.end + 1
 
     # -- clauses --------------------------------------------------------------------------
 
@@ -264,7 +273,8 @@ class SqlForms(Cursor):
         if is_word(token, "FROM", "AS", *OPERATOR_WORDS[:3], "IN"):
             return False
         has_space = token.start > word.end + 1
-        opens = token.token_type == TokenType.L_PAREN and has_space
+        opens = token.token_type in (TokenType.L_PAREN, TokenType.L_BRACKET) and has_space
+        opens = opens or self._is_sign_ahead()
         is_star = token.token_type == TokenType.STAR and is_word(self.ahead(2), "FROM")
         if token.token_type not in _BEGINS and not opens and not is_star:
             return False

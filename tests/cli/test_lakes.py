@@ -64,6 +64,17 @@ def test_errors_of_episodes_end_with_1(runs):
     assert "no entity" in result.stdout
 
 
+@pytest.mark.filterwarnings("default")
+def test_a_doubt_is_told_and_an_error_of_strict_questions(runs):
+    program = "count(SELECT id FROM kitchen WHERE kind=='robto' AS list);"
+    result = ssduck_("ask", runs, program, "-F", "json")
+    assert [row["answer"] for row in json.loads(result.stdout)] == [0, 0]
+    assert result.stderr.count("did you mean 'robot'?") == 1
+    result = ssduck_("ask", runs, program, "-F", "json", "--strict")
+    assert result.exit_code == 1
+    assert all("did you mean 'robot'?" in row["error"] for row in json.loads(result.stdout))
+
+
 def test_mistakes(runs):
     for arguments, message in (
         (("ask", runs, "1;", "--where", "tsk = 1"), "did you mean"),

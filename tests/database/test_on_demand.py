@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pybullet
 import pytest
@@ -14,6 +15,7 @@ from ssduck.database import connection as connections
 from ssduck.database.connection import Connection
 from ssduck.database.instances import MAX_WAITING, InstancePool
 from ssduck.database.on_demand import OnDemand
+from ssduck.database.schemas import Schemas
 from ssduck.errors import SqlError
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
@@ -351,3 +353,26 @@ def test_what_is_left_out_is_made_for_another_statement() -> None:
     on_demand.provide(select, None)  # it is not taken for a statement that has all it needs
     assert made == ["entities_history", "again"]
     assert not on_demand.leaves_out
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(
+    run: Path, monkeypatch: pytest.MonkeyPatch, is_late: bool
+) -> None:
+    """All views and macros are made for DuckDB's suggestions, which may take long."""
+    describe = Schemas.describe
+    described = []
+
+    def slowly(schemas: Schemas, *arguments: Any) -> None:
+        describe(schemas, *arguments)
+        described.append(arguments)
+        if is_late:
+            monkeypatch.setattr(ss._database.connection.meter, "_deadline", 0.0)
+
+    monkeypatch.setattr(Schemas, "describe", slowly)
+    with ssduck.open(run, limits=ssduck.Limits(seconds=600)) as ss:
+        with pytest.raises(SqlError, match="clearanse") as caught:
+            ss.sql("SELECT clearanse(a, b) FROM entities a, entities b")
+        assert len(described) == 1
+        assert ('"clearance"' in caught.value.message) != is_late
+        assert ss.sql("SELECT 42").fetchall() == [(42,)]

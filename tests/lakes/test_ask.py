@@ -21,7 +21,7 @@ from ssduck.lakes.workers import answer_episodes, forget_readers
 from tests.lakes.conftest import EPISODES
 from tests.support.command_line import write_scene
 from tests.support.lake_episodes import REWARD, SUCCESS, record_episodes
-from tests.support.lake_questions import FURTHER, PROGRAMS, answer_of, by_itself, scores
+from tests.support.lake_questions import FURTHER, PROGRAMS, by_itself, scores, whole_answer_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::ssduck.errors.ProgramWarning")
 
@@ -39,9 +39,9 @@ def opened(recorded):
 def test_one_answer_for_each_episode(recorded, opened, program):
     entries = ssduck.lake(recorded)._entries
     ((_, answers),) = answer_locally(ProgramQuestion(program), [entries], 1)
-    assert answers == [answer_of(record, program) for record in opened]
+    assert answers == [whole_answer_of(record, program) for record in opened]
     is_error = program in (FURTHER["error"], FURTHER["no value"])
-    assert any(answer is not None for answer, _ in answers) != is_error
+    assert any(answer.text is not None for answer in answers) != is_error
 
 
 def test_scores(recorded):

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 import ssduck
-from ssduck.errors import EvaluationError, UnsupportedError
+from ssduck.errors import EvaluationError, ProgramWarning, UnsupportedError
 from ssduck.lakes.answers import answer_table
 from tests.support.lake_questions import PROGRAMS, KillingQuestion
 
 QUESTION = PROGRAMS["last tick"]
+DOUBT = "count(SELECT id FROM sim WHERE id=='cpu' AS list);"
 pytestmark = [
     pytest.mark.slow,
     # Those of the engines' own code.
@@ -66,6 +67,12 @@ def test_ray(ray, folder):
     assert lake.ask(QUESTION, engine="ray", batch=2).equals(wanted)
 
 
+def test_ray_tells_doubts(ray, folder):
+    with pytest.warns(ProgramWarning, match="'cpu'") as told:
+        ssduck.lake(folder).ask(DOUBT, engine="ray", batch=2)
+    assert [one.category for one in told].count(ProgramWarning) == 1
+
+
 def test_a_killed_worker_of_ray(ray, folder, tmp_path):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
@@ -76,6 +83,12 @@ def test_spark(spark, folder):
     lake = ssduck.lake(folder)
     wanted = lake.ask(QUESTION, processes=1)
     assert lake.ask(QUESTION, engine="spark", batch=2).equals(wanted)
+
+
+def test_spark_tells_doubts(spark, folder):
+    with pytest.warns(ProgramWarning, match="'cpu'") as told:
+        ssduck.lake(folder).ask(DOUBT, engine="spark", batch=2)
+    assert [one.category for one in told].count(ProgramWarning) == 1
 
 
 def test_a_killed_worker_of_spark(spark, folder, tmp_path):

@@ -25,7 +25,7 @@ from ssduck.recording.stores.batched_parts import ReadPart, ReadParts
 from ssduck.recording.stores.checksums import json_text, write_parquet
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.lakes.conftest import EPISODES
-from tests.support.lake_questions import answer_of
+from tests.support.lake_questions import whole_answer_of
 
 PROGRAM = "count(SELECT id FROM sim AS list);"
 FILE = f"{MANIFEST}.parquet"
@@ -222,7 +222,7 @@ def record(folder, *, cup="cup", size=0.05, more="", name="sim", **recording):
 def by_themselves(entry):
     """The answers of an episode that is opened by itself."""
     with ssduck.open(entry.path, entry.world, entry.episode) as ss:
-        return [answer_of(ss, program) for program in QUESTIONS]
+        return [whole_answer_of(ss, program) for program in QUESTIONS]
 
 
 @pytest.mark.parametrize("forgery", FORGERIES)
@@ -311,7 +311,7 @@ def test_columns_of_other_types_are_the_error_of_one_episode(folder):
     for asked in (entries, entries[1:]):
         forget_readers()
         ((_, answers),) = answer_locally(ProgramQuestion(PROGRAM), [asked], 1)
-        assert [error is None for _, error in answers] == [e is not entries[1] for e in asked]
+        assert [one.error is None for one in answers] == [e is not entries[1] for e in asked]
 
 
 @pytest.mark.parametrize("table", ["ticks", "entities", "models/entities"])
@@ -352,7 +352,7 @@ def test_a_batch_has_the_recorded_camera_of_each_episode(folder, monkeypatch):
     assert len({entry.group for entry in entries}) == 2
     monkeypatch.setattr("ssduck.lakes.workers.answer_by_itself", None)  # all are in a batch
     answers = answer_episodes(CameraQuestion(PROGRAM), entries)
-    assert [json.loads(text) for text, _ in answers] == list(eyes.values())
+    assert [json.loads(answer.text) for answer in answers] == list(eyes.values())
 
 
 def test_a_manifest_that_groups_other_cameras_changes_none(folder):
@@ -362,7 +362,7 @@ def test_a_manifest_that_groups_other_cameras_changes_none(folder):
     entries = ssduck.lake(folder).entries
     wrong = [replace(entry, group=entries[0].group) for entry in entries]
     answers = answer_episodes(CameraQuestion(PROGRAM), wrong)
-    assert [json.loads(text) == [5.0, 5.0, 5.0] for text, _ in answers] == [
+    assert [json.loads(one.text) == [5.0, 5.0, 5.0] for one in answers] == [
         number == 1 for number in range(EPISODES)
     ]
 

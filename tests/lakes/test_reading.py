@@ -17,7 +17,7 @@ from ssduck.recording.stores import batched_parts
 from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
 from ssduck.recording.stores.checksums import write_parquet
 from tests.support.forged import with_column
-from tests.support.lake_questions import answer_of
+from tests.support.lake_questions import whole_answer_of
 
 EPISODES, TICKS, CHANGED = 4, 6, 1
 # Programs that SQL answers for all episodes at once, for each by itself, and from rows in Python.
@@ -53,7 +53,7 @@ def by_themselves(record: Path, program: str) -> list[tuple[str | None, str | No
     answers = []
     for episode in range(EPISODES):
         with ssduck.open(record, "lab", episode) as ss:
-            answers.append(answer_of(ss, program))
+            answers.append(whole_answer_of(ss, program))
     return answers
 
 

@@ -85,7 +85,7 @@ def without_value(rows: pa.Table) -> pa.Table:
     return with_column("visible", lambda values: [*values[:-1], None])(rows)
 
 
-def answers_of(record: Path, program: str) -> list[tuple[str | None, str | None]]:
+def answers_of(record: Path, program: str) -> list[workers.Answer]:
     workers.forget_readers()
     return workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
 
@@ -111,11 +111,11 @@ def test_a_row_of_another_tick_changes_no_answer(
     record = recorded(tmp_path / "r")
     right = {program: answers_of(record, program) for program in PROGRAMS}
     assert alone == []
-    assert all(error is None for answers in right.values() for _, error in answers)
+    assert all(one.error is None for answers in right.values() for one in answers)
     forge(record, *FORGERIES[forgery])
     for program in PROGRAMS:
         found = answers_of(record, program)
-        assert [n for n, (_, error) in enumerate(found) if error is not None] == [FORGED]
+        assert [n for n, one in enumerate(found) if one.error is not None] == [FORGED]
         assert [a for n, a in enumerate(found) if n != FORGED] == [
             a for n, a in enumerate(right[program]) if n != FORGED
         ]
@@ -136,7 +136,7 @@ def test_wrong_rows_are_an_error_of_their_episode(
     record = recorded(tmp_path / "r")
     rewrite_rows(record, change)
     for program in PROGRAMS:
-        errors = [error for _, error in answers_of(record, program)]
+        errors = [one.error for one in answers_of(record, program)]
         assert [n for n, error in enumerate(errors) if error is not None] == [FORGED]
         assert words in str(errors[FORGED])
     statement = ssduck.lake(record).sql("greatest(z(lab.cup));")

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ssduck
+from ssduck.errors import SqlError
 from tests.support.bodies import create_linked_body
 
 EDGE = 1e-9
@@ -118,6 +119,41 @@ def squeezed(angle):
     points = pybullet.getContactPoints(hand, thing, **here)
     names = {hand: "hand", thing: "thing"}
     return client, ssduck.World.attach(client, names=names), points
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        ("upright({}, {})", "upright: angle is an angle, rad, from 0 up, not"),
+        ("settled({}, {})", "settled: linear is a speed, m/s, from 0 up, not"),
+        ("settled({}, {}, 1)", "settled: linear is a speed, m/s, from 0 up, not"),
+        ("settled({}, 0, {})", "settled: angular is an angular speed, rad/s, from 0 up, not"),
+        ("inSphere({0}, {0}, {1})", "inSphere: r is a radius, m, from 0 up, not"),
+    ],
+)
+def test_what_is_less_than_0_is_an_error(lab, call, told):
+    """Also of an object that is too fast, or lies, so that another part of it decides."""
+    ss, put = lab
+    put((1, 0, 0, 0), linear=(5, 0, 0), angular=(5, 0, 0))
+    for value in ("-1", "-1e-9", "0 - 0.5"):
+        for by_rows in (False, True):
+            with ssduck.Interpreter(row_by_row=by_rows) as one:
+                one.add_variable("lab", ss.worlds[0])
+                for program in (
+                    f"{call.format('lab.cube', value)};",
+                    f"SELECT id FROM lab WHERE {call.format('this', value)} AS list;",
+                    f"SELECT {call.format('this', value)} FROM lab AS list;",
+                ):
+                    with pytest.raises(ssduck.SelectScriptError, match=told):
+                        one.eval(program)
+    for value in ("-1", "-1e-9", "'nan'::DOUBLE", "e.z - 9"):
+        with pytest.raises(SqlError, match=told):
+            ss.sql(f"SELECT 1 FROM entities e WHERE {call.format('e', value)}")
+        with pytest.raises(SqlError, match=told):
+            ss.sql(f"SELECT {call.format('e', value)} FROM entities e").fetchall()
+    unknown = ss.sql(f"SELECT {call.format('e', 'NULL')} FROM entities e").fetchall()
+    assert unknown in ([(None,)], [(False,)])
+    assert ss.eval(f"{call.format('lab.cube', '100')};") in (True, False)
 
 
 @pytest.mark.parametrize("angle", [180, 150, 121, 119, 90])

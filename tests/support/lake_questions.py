@@ -7,7 +7,9 @@ from pathlib import Path
 
 import ssduck
 from ssduck.gym import score
+from ssduck.interpreter.episode_batches import collected_doubts
 from ssduck.lakes.questions import ProgramQuestion, plain, to_text
+from ssduck.lakes.workers import Answer
 from tests.support.lake_episodes import REWARD, SUCCESS
 
 # Those of the last tick, the first touch, the longest rest and the least clearance.
@@ -53,10 +55,17 @@ def by_itself(folder, number, program):
 
 def answer_of(ss, program):
     """Returns the answer of an opened episode, as a text, and its error."""
+    return whole_answer_of(ss, program)[:2]
+
+
+def whole_answer_of(ss, program):
+    """Returns the answer of an opened episode, with its error and the doubts."""
     try:
-        return to_text(plain(ss.eval(program))), None
+        with collected_doubts(ss) as doubts:
+            text = to_text(plain(ss.eval(program)))
     except ssduck.SelectScriptError as error:
-        return None, str(error)
+        return Answer(None, str(error))
+    return Answer(text, None, tuple(doubts))
 
 
 def scores(folder):

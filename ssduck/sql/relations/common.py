@@ -39,6 +39,22 @@ def entity_relation(
     )
 
 
+def if_from_0_up(relation: str, formula: str, **parameters: str) -> str:
+    """Returns a condition that is an error if a parameter is negative or not a number.
+
+    Args:
+        relation: the name of the relation.
+        formula: the condition.
+        parameters: what each of the parameters is, for the message: `r="a radius, m"`.
+    """
+    checks = (
+        f"WHEN {name} < 0 OR isnan({name}::DOUBLE) THEN "
+        f"error('{relation}: {name} is {what}, from 0 up, not ' || {name})::BOOLEAN"
+        for name, what in parameters.items()
+    )
+    return f"CASE {' '.join(checks)} ELSE {formula} END"
+
+
 def link_of(entity: str, link: str) -> str:
     """Returns a formula: the id of a link, from the id of its entity and its number."""
     return f"(({link} + 1) * {LINK_FACTOR} + {entity})"

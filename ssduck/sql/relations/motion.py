@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import ENTITY, entity_relation
+from ssduck.sql.relations.common import ENTITY, entity_relation, if_from_0_up
 from ssduck.sql.relations.relation import Parameter, Relation
 
 # What `settled` and `upright` take by default: m/s, rad/s and rad.
@@ -48,8 +48,8 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         f"{_TILT} <= {UPRIGHT}",
         "Checks if the z axis of the entity's link frame is at most an angle from the world's z "
-        f"axis, {UPRIGHT} rad (11 degrees) by default.",
-        formula_with_options=f"{_TILT} <= angle",
+        f"axis, {UPRIGHT} rad (11 degrees) by default. A negative angle is an error.",
+        formula_with_options=if_from_0_up("upright", f"{_TILT} <= angle", angle="an angle, rad"),
     ),
     Relation(
         "settled",
@@ -62,8 +62,16 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
         _is_slow(str(SLOW), str(SLOW_TURN)),
         f"Checks if the entity's speed is at most {SLOW} m/s and its angular speed at most "
         f"{SLOW_TURN} rad/s, or at most the given ones. Only the base of an articulated body "
-        "counts. heldFor(settled(object)) >= 0.2 is true if that has held for 0.2 s.",
-        formula_with_first_option=_is_slow("linear", str(SLOW_TURN)),
-        formula_with_options=_is_slow("linear", "angular"),
+        "counts. heldFor(settled(object)) >= 0.2 is true if that has held for 0.2 s. A negative "
+        "speed is an error.",
+        formula_with_first_option=if_from_0_up(
+            "settled", _is_slow("linear", str(SLOW_TURN)), linear="a speed, m/s"
+        ),
+        formula_with_options=if_from_0_up(
+            "settled",
+            _is_slow("linear", "angular"),
+            linear="a speed, m/s",
+            angular="an angular speed, rad/s",
+        ),
     ),
 )

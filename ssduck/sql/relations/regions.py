@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import A_B, ENTITY
+from ssduck.sql.relations.common import A_B, ENTITY, if_from_0_up
 from ssduck.sql.relations.relation import Parameter, Relation
 
 _CORNERS = (
@@ -54,7 +54,8 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "boolean",
         "object.x BETWEEN min.x AND max.x AND object.y BETWEEN min.y AND max.y "
         "AND object.z BETWEEN min.z AND max.z",
-        "Checks if the position of the entity is in an axis-aligned box, boundary included.",
+        "Checks if the position of the entity is in an axis-aligned box, boundary included. "
+        "Nothing is in a box whose lower corner is above its upper one along an axis.",
     ),
     Relation(
         "fitsBox",
@@ -63,7 +64,8 @@ REGION_RELATIONS: tuple[Relation, ...] = (
         "object.xmin >= min.x AND object.xmax <= max.x AND object.ymin >= min.y "
         "AND object.ymax <= max.y AND object.zmin >= min.z AND object.zmax <= max.z "
         "AND object.xmin <= object.xmax",
-        "Checks if all shapes of the entity are in an axis-aligned box, boundary included.",
+        "Checks if all shapes of the entity are in an axis-aligned box, boundary included. "
+        "Nothing is in a box whose lower corner is above its upper one along an axis.",
     ),
     Relation(
         "inSphere",
@@ -73,8 +75,13 @@ REGION_RELATIONS: tuple[Relation, ...] = (
             Parameter("r", "double", "a radius, m"),
         ),
         "boolean",
-        "sqrt((object.x - centre.x) ** 2 + (object.y - centre.y) ** 2 "
-        "+ (object.z - centre.z) ** 2) <= r",
-        "Checks if the position of the entity is in a sphere, boundary included.",
+        if_from_0_up(
+            "inSphere",
+            "sqrt((object.x - centre.x) ** 2 + (object.y - centre.y) ** 2 "
+            "+ (object.z - centre.z) ** 2) <= r",
+            r="a radius, m",
+        ),
+        "Checks if the position of the entity is in a sphere, boundary included. A negative radius "
+        "is an error.",
     ),
 )

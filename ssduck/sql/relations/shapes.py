@@ -164,7 +164,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
         "Checks if the clearance of shapes of a and b is at most eps, 1 mm by default, plus the "
         "collision margins of the two shapes. The simulator keeps bodies at rest apart by their "
         "margins (the column margin of the table shapes), 2 mm for two hulls in PyBullet. "
-        "near(a, b, d) ignores margins.",
+        "near(a, b, d) ignores margins. With a negative eps, so much of the margins does not "
+        "count.",
         parameters=(*A_B, Parameter("eps", "double", "a distance, m", optional=True)),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(TOUCHING, "0.001", "eps"),
@@ -179,7 +180,8 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             pairs="on pairs whose boxes are at most d apart",
             over_ticks="within",
         ),
-        "Checks if the clearance of a and b is at most d.",
+        "Checks if the clearance of a and b is at most d. It is never negative, so that none are "
+        "near at a negative d.",
         parameters=(*A_B, Parameter("d", "double", "a distance, m")),
         is_symmetric=True,
         candidate_pairs=CandidatePairs(WITHIN, "d"),

@@ -308,6 +308,18 @@ def test_conditions(ss, entities, text):
         ("SELECT DISTINCT this FROM [2, 1, 2.0, [1], [1]] AS list;", [2, 1, [1]]),
         ("SELECT DISTINCT this FROM [1, 1, 2] GROUP BY this % 2 AS list;", {"1": [1], "0": [2]}),
         ("count(SELECT DISTINCT type FROM kitchen AS list);", 3),
+        ("SELECT DISTINCT -1 FROM [1, 2] AS list;", [-1]),
+        ("SELECT DISTINCT -this FROM [1, 1, 2] AS list;", [-1, -2]),
+        ("SELECT DISTINCT -this, +this FROM [1, 1] AS list;", [-1, 1]),
+        ("SELECT DISTINCT [this] FROM [1, 1] AS list;", [[1]]),
+        ("SELECT DISTINCT NOT this FROM [True, True] AS list;", [False]),
+        (
+            "count(SELECT DISTINCT z FROM kitchen AS list) - "
+            "(SELECT count(DISTINCT -z) FROM kitchen AS value);",
+            0,
+        ),
+        ("distinct = 3; SELECT distinct - this FROM [1, 1] AS list;", [2, 2]),
+        ("distinct = 3; SELECT distinct-this FROM [1, 1] AS list;", [2, 2]),
         ("(SELECT count(*) FROM kitchen AS value) + 1;", 38),
         ("SELECT this + 1 AS next FROM [1, 2];", [{"next": 2}, {"next": 3}]),
         ("SELECT -this AS minus FROM [1, 2] ORDER BY minus AS LIST;", [-2, -1]),
