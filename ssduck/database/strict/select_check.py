@@ -125,6 +125,9 @@ class SelectCheck:
             count = f"and the text has {len(statements)} statements"
             raise LimitError(f"SQL is one SELECT here, {count} (Limits: select_only)")
         kind = statements[0][0]
+        if kind == "MULTI":
+            example = "PIVOT t ON x IN ('a', 'b') USING count(*)"
+            raise LimitError(f"PIVOT needs its values here: {example} (Limits: select_only)")
         if kind not in ("SELECT", "WITH"):  # the tree tells what is in WITH
             raise LimitError(f"SQL is one SELECT here, not {kind} (Limits: select_only)")
         ((text,),) = self._connection.internal_rows(_TREE, [sql])
