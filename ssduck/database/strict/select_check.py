@@ -20,6 +20,7 @@ from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
     HASHING,
+    HASHING_SHORTER,
     JOINING,
     LIKES,
     MAX_EXPRESSION,
@@ -281,6 +282,9 @@ class _Walk:
             self._check_path(node, name, node["arguments"][1]["expression"])
         if name == "map" and not all(map(_is_written_out, node["arguments"])):
             self._refuse(node, "map takes lists that are written out here: MAP {'a': 1}")
+
+        if name in HASHING_SHORTER and not any(map(_is_written_out, node["arguments"])):
+            self._refuse(node, f"one of the lists of {name} is written out here: ['a', 'b']")
 
     def _check_path(self, node: Node, name: str, path: Node) -> None:
         """Checks that a path in JSON is known, or one without wildcards: that of a column."""
