@@ -206,7 +206,7 @@ of `entities` in raw SQL (`FROM entities a, entities b WHERE above(a, b)`). In r
   prefix. Rows of another run (see the column `run`) are an error: `FROM kitchen.entities a,
   kitchen.entities b WHERE kitchen.collides(a, b)`.
 - `contains` of two texts is DuckDB's own; for a list or a map, write `list_contains` or
-  `map_contains`.
+  `map_contains`, also in place of `x IN list`, for which DuckDB calls `contains`.
 - DuckDB lists the relations with `SELECT function_name, comment FROM duckdb_functions()`, and the
   columns with `SELECT table_name, column_name, comment FROM duckdb_columns()`.
 

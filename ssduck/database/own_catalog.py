@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
+import duckdb
 from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
@@ -26,12 +27,15 @@ from ssduck.recording.stores.model_tables import RUN_SCHEMA
 _HARMLESS = frozenset(
     ("SELECT", "WITH", "EXPLAIN", "INSERT", "UPDATE", "DELETE", "MERGE_INTO", "COPY")
 )
-# Statements that may read a record, and the part of each that names what it writes.
-_WRITTEN = {
-    "CREATE": re.compile(r"^.*?(?=\b(?:AS|SELECT|FROM)\b|$)", re.IGNORECASE | re.DOTALL),
-    "COPY": re.compile(r"^.*?(?=\b(?:SELECT|FROM|TO)\b|$)", re.IGNORECASE | re.DOTALL),
-    "INSERT": re.compile(r"\bINTO\s+\S+", re.IGNORECASE),
+# Statements that may read a record, and the words that end the part that names what they write.
+_ENDS = {
+    "CREATE": frozenset(("AS", "SELECT", "FROM")),
+    "COPY": frozenset(("SELECT", "FROM", "TO")),
 }
+# The words of statements that change rows, in a query of WITH or behind EXPLAIN ANALYZE, too.
+_CHANGING = frozenset(("INSERT", "UPDATE", "DELETE", "TRUNCATE", "MERGE", "COPY"))
+_DEFINING = frozenset(("CREATE", "DROP", "ALTER", "EXECUTE", "CALL"))
+_NO_CODE = frozenset((duckdb.token_type.comment, duckdb.token_type.string_const))
 _RECORDS = "SELECT schema_name FROM duckdb_schemas() WHERE contains(schema_name, $1)"
 _BEGINS = re.compile(r"\s*(BEGIN|START)\b", re.IGNORECASE)
 # The views and macros in worlds' schemas, and the views of their rows.
@@ -67,22 +71,23 @@ class OwnCatalog:
                 anew; or they begin a transaction and do not end it.
         """
         statements = self._connection.statements(sql) or []
+        statements = [(_kind_run(kind, text), text) for kind, text in statements]
         kinds = [kind for kind, _ in statements]
         self._check_names(statements)
         _check_transactions(statements)
         if _HARMLESS.issuperset(kinds):
             yield
             return
-        before = self._entries()
+        before, database = self._entries(), self._connection.name
         try:
             yield
         except SelectScriptError:
             if "TRANSACTION" in kinds:
                 with suppress(SelectScriptError):
                     self._connection.run("ROLLBACK")
-            self._restore(before)
+            self._restore(before, database)
             raise
-        error = self._restore(before)
+        error = self._restore(before, database)
         if error is not None:
             raise error
 
@@ -94,8 +99,7 @@ class OwnCatalog:
         for kind, text in statements:
             if kind in ("SELECT", "EXPLAIN"):
                 continue
-            part = _WRITTEN[kind].search(text) if kind in _WRITTEN else None
-            named = (text if part is None else part.group()).casefold()
+            named = _written(kind, text).casefold()
             if NAME_PREFIX.casefold() in named:
                 raise SqlError(f"names that begin with {NAME_PREFIX!r} are ssduck's own")
             for (schema,) in rows:
@@ -116,14 +120,16 @@ class OwnCatalog:
             if schema in self._worlds.by_schema or name.startswith(keys)
         }
 
-    def _restore(self, before: dict[tuple[str, str], int]) -> SqlError | None:
+    def _restore(self, before: dict[tuple[str, str], int], database: str) -> SqlError | None:
         """Makes what has changed anew; returns an error that says so, or None for no change."""
-        for (database,) in self._connection.internal_rows(_DATABASES):
-            if database in self._worlds.by_schema:
-                self._connection.run(f"DETACH {quoted(database)}")
+        for (attached,) in self._connection.internal_rows(_DATABASES):
+            if attached in self._worlds.by_schema:
+                self._connection.run(f"DETACH {quoted(attached)}")
                 return SqlError(
-                    f"{database!r} is the name of a world: attach the database under another name"
+                    f"{attached!r} is the name of a world: attach the database under another name"
                 )
+        if (error := self._returned(database)) is not None:
+            return error
         after = self._entries()
         changed = sorted(name for name, number in before.items() if after.get(name) != number)
         if not changed:
@@ -137,6 +143,18 @@ class OwnCatalog:
             "have created there"
         )
 
+    def _returned(self, name: str) -> SqlError | None:
+        """Makes the worlds' database the current one again; returns an error if it was not."""
+        ((current,),) = self._connection.internal_rows("SELECT current_database()")
+        if current == name:
+            return None
+        self._connection.run(f"USE {quoted(name)}")
+        self._worlds.set_search_path()
+        return SqlError(
+            f"{current!r} cannot be the current database, which is that of the worlds: name its "
+            "tables in full, as in other.main.things"
+        )
+
     def _remake(self, bound: BoundWorld) -> None:
         """Makes the views of a world anew."""
         for view in bound.versions:
@@ -148,6 +166,49 @@ class OwnCatalog:
         for schema in bound.schemas:
             self._schemas.forget(schema)
             self._schemas.make(schema, bound)
+
+
+def _words(text: str) -> list[str]:
+    """Returns the words and signs of a statement, without comments and texts.
+
+    Words are in capital letters, but for names, which are as they are written.
+    """
+    letters, tokens = text.encode(), duckdb.tokenize(text)
+    ends = [place for place, _ in tokens[1:]] + [len(letters)]
+    words = []
+    for (place, kind), end in zip(tokens, ends, strict=True):
+        if kind not in _NO_CODE:
+            word = letters[place:end].decode().strip()
+            words.append(word.upper() if kind == duckdb.token_type.keyword else word)
+    return words
+
+
+def _kind_run(kind: str, text: str) -> str:
+    """Returns the kind of a statement; that of EXPLAIN ANALYZE, which runs it, is told apart."""
+    if kind != "EXPLAIN":
+        return kind
+    words = [word.upper() for word in _words(text)]
+    is_run = "ANALYZE" in words and not (_CHANGING | _DEFINING).isdisjoint(words)
+    return "EXPLAIN ANALYZE" if is_run else kind
+
+
+def _written(kind: str, text: str) -> str:
+    """Returns the part of a statement that names what it changes, or all of it."""
+    if kind not in ("INSERT", *_ENDS):
+        return text
+    words = _words(text)
+    changes = [word for word in words if word in _CHANGING and word != kind]
+    may_change = kind == "CREATE" or "WITH" in words  # a trigger; a query of WITH
+    if may_change and (changes or words.count(kind) > 1):
+        return text
+    if kind in _ENDS:
+        end = next((place for place, word in enumerate(words) if word in _ENDS[kind]), None)
+        return " ".join(words[:end])
+    start = words.index("INTO") + 1
+    end = start + 1
+    while words[end : end + 1] == ["."]:
+        end += 2
+    return " ".join(words[start:end])
 
 
 def _check_transactions(statements: Sequence[tuple[str, str]]) -> None:

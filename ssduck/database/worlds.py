@@ -97,7 +97,7 @@ class WorldRegistry:
 
     def _update_names(self) -> None:
         """Updates the names of the worlds."""
-        self._set_search_path()
+        self.set_search_path()
         names = {schema: bound for bound in self.bound for schema in bound.schemas}
         self.by_schema.clear()
         self.by_schema.update(names)
@@ -165,7 +165,7 @@ class WorldRegistry:
                         "and SQL ignores case"
                     )
 
-    def _set_search_path(self) -> None:
+    def set_search_path(self) -> None:
         """Lets the schema of the first world be omitted."""
         first = next((bound.schemas[0] for bound in self.bound if bound.schemas), None)
         if first is not None:

@@ -56,6 +56,30 @@ MISTAKES = [
     ('DELETE FROM room_record_0."entities model"', RECORD),
     ('INSERT INTO room_record_0."entities model" SELECT * FROM range(3)', RECORD),
     ('UPDATE room_record_0."entities model" SET id = 1', RECORD),
+    ('EXPLAIN ANALYZE DELETE FROM room_record_0."entities model"', RECORD),
+    ('EXPLAIN (ANALYZE) UPDATE room_record_0."entities model" SET id = 1', RECORD),
+    ('SELECT 1; explain analyze TRUNCATE room_record_0."entities model"', RECORD),
+    ("EXPLAIN ANALYZE DROP VIEW room.entities", OWN),
+    ('INSERT INTO /* mine */ room_record_0."ssduck record" DEFAULT VALUES', RECORD),
+    ("WITH s AS (SELECT ' INTO mine') INSERT INTO room_record_0.\"ssduck record\" FROM s", RECORD),
+    ('CREATE /* AS */ OR REPLACE TABLE room_record_0."ssduck record" AS SELECT 1', RECORD),
+    ("COPY -- from\n room_record_0.\"entities model\" FROM 'entities.csv'", RECORD),
+    ('CREATE INDEX "as it is" ON room_record_0."entities model" (id)', RECORD),
+    (
+        "CREATE TABLE mine (a INTEGER); CREATE TRIGGER more AFTER INSERT ON mine "
+        'DELETE FROM room_record_0."entities model"',
+        RECORD,
+    ),
+    (
+        "CREATE TABLE mine AS "
+        'WITH x AS (DELETE FROM room_record_0."entities model" RETURNING *) FROM x',
+        RECORD,
+    ),
+    (
+        'COPY (WITH x AS (DELETE FROM room_record_0."entities model" RETURNING *) FROM x) '
+        "TO '/dev/null'",
+        RECORD,
+    ),
     (
         'WITH x AS (DELETE FROM room_record_0."entities model" RETURNING *) SELECT count(*) FROM x',
         RECORD,
@@ -66,6 +90,7 @@ MISTAKES = [
     ),
     ("CREATE TABLE room_record_0.mine AS SELECT 1", RECORD),
     ("USE room_record_0", RECORD),
+    ("ATTACH IF NOT EXISTS ':memory:' AS other; USE other", "name its tables in full"),
     ('PREPARE mine AS DELETE FROM room_record_0."entities model"', RECORD),
     ('PREPARE "ssduck statement 1 entities" AS SELECT 1', "are ssduck's own"),
     ('DEALLOCATE "ssduck statement 1 entities"', "are ssduck's own"),
@@ -121,7 +146,12 @@ def test_a_file_keeps_its_record(tmp_path):
     path = tmp_path / "run.db"
     with ssduck.load(ROOM, path) as ss:
         ss.call_variable("room").step(3)
-        for text in ("DROP SCHEMA room_record_0 CASCADE", "DROP SCHEMA room CASCADE"):
+        for text in (
+            "DROP SCHEMA room_record_0 CASCADE",
+            "DROP SCHEMA room CASCADE",
+            "RESET search_path",
+            'EXPLAIN ANALYZE DELETE FROM room_record_0."ssduck record"',
+        ):
             with pytest.raises(SqlError):
                 ss.sql(text)
         ss.sql("CREATE TABLE summary AS SELECT max(tick) AS t FROM room_record_0.entities_history")

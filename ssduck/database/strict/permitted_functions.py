@@ -86,6 +86,8 @@ AGGREGATING = frozenset(
 )
 # Aggregates that hash each element: of the elements of a list, in one step.
 HASHING = frozenset(("entropy", "histogram", "mode"))
+# Functions that hash each element of the shorter of two lists.
+HASHING_SHORTER = frozenset(("&&", "array_has_any", "list_has_any"))
 # Functions whose second argument is a path in JSON, in which each `*` and `..` may stand for all
 # places of those before.
 PATHS = frozenset(

@@ -20,6 +20,7 @@ from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
     HASHING,
+    HASHING_SHORTER,
     JOINING,
     LIKES,
     MAX_EXPRESSION,
@@ -125,6 +126,9 @@ class SelectCheck:
             count = f"and the text has {len(statements)} statements"
             raise LimitError(f"SQL is one SELECT here, {count} (Limits: select_only)")
         kind = statements[0][0]
+        if kind == "MULTI":
+            example = "PIVOT t ON x IN ('a', 'b') USING count(*)"
+            raise LimitError(f"PIVOT needs its values here: {example} (Limits: select_only)")
         if kind not in ("SELECT", "WITH"):  # the tree tells what is in WITH
             raise LimitError(f"SQL is one SELECT here, not {kind} (Limits: select_only)")
         ((text,),) = self._connection.internal_rows(_TREE, [sql])
@@ -278,6 +282,9 @@ class _Walk:
             self._check_path(node, name, node["arguments"][1]["expression"])
         if name == "map" and not all(map(_is_written_out, node["arguments"])):
             self._refuse(node, "map takes lists that are written out here: MAP {'a': 1}")
+
+        if name in HASHING_SHORTER and not any(map(_is_written_out, node["arguments"])):
+            self._refuse(node, f"one of the lists of {name} is written out here: ['a', 'b']")
 
     def _check_path(self, node: Node, name: str, path: Node) -> None:
         """Checks that a path in JSON is known, or one without wildcards: that of a column."""
