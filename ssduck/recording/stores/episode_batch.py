@@ -19,7 +19,7 @@ from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import members_of
+from ssduck.recording.static_tables import join_model, members_of
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.batched_parts import (
     OLDER,
@@ -30,7 +30,12 @@ from ssduck.recording.stores.batched_parts import (
 )
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
-from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
+from ssduck.recording.stores.row_checks import (
+    TABLES_OF_BODIES,
+    RowChecks,
+    other_model,
+    repeated_columns,
+)
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
 
@@ -249,10 +254,27 @@ class EpisodeBatch(TickArchive):
         stored = [name for name in columns if name != _RUN]
         for index in indices:
             for number in range(len(self._episodes[index].files[table])):
-                rows = self._part(table, number, index).rows(stored)
+                part = self._part(table, number, index)
+                rows = part.rows(stored)
                 if rows.column_names != stored:
                     raise RecordError(OLDER)
+                self._check_repeated(table, part, rows)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
+
+    def _check_repeated(self, table: str, part: ReadPart, rows: pa.Table) -> None:
+        """Checks what rows repeat of their model, in the columns that are read.
+
+        Raises:
+            RecordError: a column has another value.
+        """
+        names = [name for name in rows.column_names if name in repeated_columns(table)]
+        if not names:
+            return
+        keys = part.rows(TABLES[table].key)
+        expected = join_model(table, keys, self._models[table], names)
+        if any(not rows[name].equals(expected[name]) for name in names):  # NaN is not equal to NaN
+            model = self._models[table]
+            part.require(other_model(table, part.rows([*keys.column_names, *names]), model))
 
     def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:
         """Returns rows of an episode with the numbers that ticks and the run have in the batch."""
