@@ -19,10 +19,11 @@ from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.spec import Recording
-from ssduck.recording.static_tables import join_model, members_of
+from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.batched_parts import (
     OLDER,
+    RUN,
     BatchedFile,
     PartsDataset,
     ReadPart,
@@ -30,17 +31,10 @@ from ssduck.recording.stores.batched_parts import (
 )
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
-from ssduck.recording.stores.row_checks import (
-    TABLES_OF_BODIES,
-    RowChecks,
-    other_model,
-    repeated_columns,
-)
+from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
 
-# The column in which the parts have the number of the run.
-_RUN = "run"
 # The largest number of checked parts that are remembered.
 MAX_CHECKED = 20_000
 
@@ -251,38 +245,24 @@ class EpisodeBatch(TickArchive):
 
     def _pieces(self, table: str, indices: range, columns: Sequence[str]) -> Iterator[pa.Table]:
         """Yields the rows of each part of episodes; the errors are those of `_rows_of`."""
-        stored = [name for name in columns if name != _RUN]
+        stored = [name for name in columns if name != RUN]
         for index in indices:
             for number in range(len(self._episodes[index].files[table])):
                 part = self._part(table, number, index)
                 rows = part.rows(stored)
                 if rows.column_names != stored:
                     raise RecordError(OLDER)
-                self._check_repeated(table, part, rows)
+                if table in self._models:
+                    part.check_repeated(self._models[table], stored)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
-
-    def _check_repeated(self, table: str, part: ReadPart, rows: pa.Table) -> None:
-        """Checks what rows repeat of their model, in the columns that are read.
-
-        Raises:
-            RecordError: a column has another value.
-        """
-        names = [name for name in rows.column_names if name in repeated_columns(table)]
-        if not names:
-            return
-        keys = part.rows(TABLES[table].key)
-        expected = join_model(table, keys, self._models[table], names)
-        if any(not rows[name].equals(expected[name]) for name in names):  # NaN is not equal to NaN
-            model = self._models[table]
-            part.require(other_model(table, part.rows([*keys.column_names, *names]), model))
 
     def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:
         """Returns rows of an episode with the numbers that ticks and the run have in the batch."""
         own = {}
         if "tick" in columns:
             own["tick"] = pa.array(rows["tick"].to_numpy() + offset)
-        if _RUN in columns:
-            own[_RUN] = pa.array(np.full(len(rows), self._run, dtype=np.int64))
+        if RUN in columns:
+            own[RUN] = pa.array(np.full(len(rows), self._run, dtype=np.int64))
         return pa.table({name: own[name] if name in own else rows[name] for name in columns})
 
     def models(self) -> dict[str, str]:
