@@ -109,7 +109,6 @@ class StatementWords:
     folded: str
 
 
-@lru_cache(maxsize=256)
 def type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
     """Returns the type and the text of a statement.
 
@@ -121,6 +120,7 @@ def type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
     return name, text
 
 
+@lru_cache(maxsize=256)
 def words_of(sql: str) -> StatementWords:
     """Returns what the words in a statement say."""
     words = frozenset(word.lower() for word in _WORD.findall(sql))

@@ -30,7 +30,7 @@ from ssduck.recording.stores.checksums import (
     with_footer_sum,
 )
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
-from ssduck.recording.stores.row_checks import RowChecks
+from ssduck.recording.stores.row_checks import RowChecks, repeated_columns
 from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
 
@@ -186,7 +186,8 @@ class EpisodeGroup:
             parts: reads its parts.
 
         Raises:
-            RecordError: they are of unknown ticks or entities, or twice there.
+            RecordError: they are of unknown ticks or entities, or twice there, or repeat another
+                name, kind or mass than their model has.
             OSError: a file cannot be read.
         """
         run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
@@ -195,7 +196,9 @@ class EpisodeGroup:
         assert run.key is not None  # its parts have labels
         files = EntryFiles(entry, run.key).parts("entities")
         for file, start, end in zip(files, starts, ends, strict=True):
-            parts.read(file).check(self._checks, ticks, (start, end - 1))
+            part = parts.read(file)
+            part.check(self._checks, ticks, (start, end - 1))
+            part.check_repeated(self.models["entities"], repeated_columns("entities"))
 
     def _check_model(self, run: FolderRun, listed: EntryFiles, model: str) -> None:
         """Checks that a model of an episode is that of the group.

@@ -111,7 +111,7 @@ def test_the_next_question_decodes_what_is_new_only(record, monkeypatch) -> None
     assert len(opened) <= EPISODES
 
 
-def changed(record: Path, name: str, value: float) -> None:
+def changed(record: Path, name: str, value: object) -> None:
     """Changes a value of the last row of the cup in an episode, with right checksums."""
     file = record / f"entities/world=lab/episode={CHANGED}/part-000000.parquet"
     rows = pq.ParquetFile(file).read()
@@ -163,3 +163,22 @@ def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
         assert file not in parts
     kept = [set(parts.read(file).columns) for file in files]
     assert kept == [set(), set(), {"x", "y", "z"}, {"x", "y", "z"}]
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "program"),
+    [
+        ("name", "another", "count(SELECT id FROM lab{} WHERE id(this) == 'another' AS list);"),
+        ("kind", "robot", "count(SELECT id FROM lab{} WHERE isRobot(this) AS list);"),
+        ("mass", 7.5, "count(SELECT id FROM lab{} WHERE mass(this) > 7 AS list);"),
+    ],
+)
+def test_what_rows_repeat_is_that_of_their_model(record, column, value, program) -> None:
+    expected = asked(record, program)
+    assert [error for _, error in expected] == [None] * EPISODES
+    changed(record, column, value)
+    found = asked(record, program)
+    words = f"of the rows of entities, the column '{column}' has another value than its model"
+    assert words in str(found[CHANGED][1])
+    del expected[CHANGED], found[CHANGED]
+    assert found == expected

@@ -21,9 +21,10 @@ from ssduck.recording import flush_timer
 from ssduck.recording import recorder as recorders
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores import checksums, parquet, part_log
+from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.bodies import create_linked_body
 from tests.support.cases import sampled
-from tests.support.recorded import end_part
+from tests.support.recorded import end_part, sphere
 from tests.support.timing import HANGS
 
 BALLS = 3
@@ -412,3 +413,30 @@ def test_full_buffers_only(world: ssduck.World, clock: Clock, tmp_path: Path) ->
 def test_an_invalid_time(value: object) -> None:
     with pytest.raises((ArgumentError, TypeError, ValueError), match="flush_every"):
         Recording(flush_every=value)  # type: ignore[arg-type]
+
+
+def test_a_record_opens_while_bodies_come(
+    world: ssduck.World, client: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A body that comes while the models are read is in none of them."""
+    run, read = tmp_path / "run", FolderRun.read
+    with ssduck.Interpreter(recording=None) as ss:
+        recorder = _started(ss, world, run, flush_every=NEVER)
+        _tick(recorder, world)
+        recorder.flush()
+        before = {entity.name for entity in world}
+
+        def while_bodies_come(opened: FolderRun, table: str) -> pa.Table:
+            rows = read(opened, table)
+            if table == "models/entities":
+                sphere(client, [0, 0, 5])
+                _tick(recorder, world)
+                recorder.flush()
+            return rows
+
+        monkeypatch.setattr(FolderRun, "read", while_bodies_come)
+        with ssduck.open(run) as copy:
+            assert {entity.name for entity in copy.call_variable("lab")} == before
+            models = copy.sql("SELECT name FROM entities_model").fetchall()
+            assert {name for (name,) in models} == before
+        assert len({entity.name for entity in world}) == len(before) + 1

@@ -22,12 +22,14 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.static_tables import join_model
 from ssduck.recording.stores.base import RowBlock
 from ssduck.recording.stores.checksums import footer_in
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import OTHER_PART
-from ssduck.recording.stores.row_checks import RowChecks, key_types
+from ssduck.recording.stores.row_checks import RowChecks, key_types, other_model, repeated_columns
 from ssduck.recording.stores.stored_columns import checked_parquet, part_columns
+from ssduck.schema import TABLES
 
 OLDER = "a part of an older record is read by itself"
 # The largest number of bytes of the parts of a batch, as they are and decoded, and that of the
@@ -35,6 +37,8 @@ OLDER = "a part of an older record is read by itself"
 MOST_READ = 1 << 27
 MOST_KEPT = 1 << 26
 _VALUE_BYTES = 8
+# The column in which the parts have the number of the run.
+RUN = "run"
 # Columns by name.
 Columns: TypeAlias = dict[str, pa.ChunkedArray]
 
@@ -157,6 +161,25 @@ class ReadPart:
         """
         block = RowBlock(*between, self.keys())
         self.require(checks.problem_of_block(self.file.table, block, ticks))
+
+    def check_repeated(self, model: pa.Table, names: Sequence[str]) -> None:
+        """Checks what the rows repeat of their model, but for the number of the run.
+
+        Args:
+            model: the rows of the model.
+            names: the columns to check; others than those are passed over.
+
+        Raises:
+            RecordError: a column has another value.
+        """
+        table = self.file.table
+        chosen = [name for name in repeated_columns(table) if name in names and name != RUN]
+        if not chosen:
+            return
+        rows = self.rows([*TABLES[table].key, *chosen])
+        expected = join_model(table, rows.select(TABLES[table].key), model, chosen)
+        if not rows.select(chosen).equals(expected):  # or a number is NaN, which equals nothing
+            self.require(other_model(table, rows, model))
 
     def require(self, problem: str | None) -> None:
         """Raises a RecordError if there is a problem with the rows."""

@@ -23,6 +23,7 @@ from ssduck.recording.static_tables import members_of
 from ssduck.recording.stores.base import BufferViews, PairRequest, StoreConnection, TickArchive
 from ssduck.recording.stores.batched_parts import (
     OLDER,
+    RUN,
     BatchedFile,
     PartsDataset,
     ReadPart,
@@ -34,8 +35,6 @@ from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
 
-# The column in which the parts have the number of the run.
-_RUN = "run"
 # The largest number of checked parts that are remembered.
 MAX_CHECKED = 20_000
 
@@ -246,12 +245,15 @@ class EpisodeBatch(TickArchive):
 
     def _pieces(self, table: str, indices: range, columns: Sequence[str]) -> Iterator[pa.Table]:
         """Yields the rows of each part of episodes; the errors are those of `_rows_of`."""
-        stored = [name for name in columns if name != _RUN]
+        stored = [name for name in columns if name != RUN]
         for index in indices:
             for number in range(len(self._episodes[index].files[table])):
-                rows = self._part(table, number, index).rows(stored)
+                part = self._part(table, number, index)
+                rows = part.rows(stored)
                 if rows.column_names != stored:
                     raise RecordError(OLDER)
+                if table in self._models:
+                    part.check_repeated(self._models[table], stored)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
 
     def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:
@@ -259,8 +261,8 @@ class EpisodeBatch(TickArchive):
         own = {}
         if "tick" in columns:
             own["tick"] = pa.array(rows["tick"].to_numpy() + offset)
-        if _RUN in columns:
-            own[_RUN] = pa.array(np.full(len(rows), self._run, dtype=np.int64))
+        if RUN in columns:
+            own[RUN] = pa.array(np.full(len(rows), self._run, dtype=np.int64))
         return pa.table({name: own[name] if name in own else rows[name] for name in columns})
 
     def models(self) -> dict[str, str]:

@@ -219,6 +219,11 @@ class FolderRun:
         key: str | None = self.description.get("key")
         return key
 
+    @cached_property
+    def _model_parts(self) -> list[int]:
+        """The numbers of the complete parts of each model; one that records now may add others."""
+        return part_numbers(self.place("models/entities"))
+
     def _parts_of(self, table: str) -> list[int]:
         """Returns the numbers of the parts of a table, ascending.
 
@@ -227,7 +232,7 @@ class FolderRun:
         """
         is_model = table.startswith("models/")
         place = self.place("models/entities" if is_model else "ticks")
-        numbers = part_numbers(place) if is_model else self.parts
+        numbers = self._model_parts if is_model else self.parts
         missing = self._missing(numbers, is_model=is_model)
         if missing is not None:
             file, hint = place / part_name(missing), "" if is_model else f"; {RESCUE}"

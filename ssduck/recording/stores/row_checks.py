@@ -47,15 +47,21 @@ def key_types(table: str) -> pa.Schema:
     )
 
 
+@cache
+def repeated_columns(table: str) -> tuple[str, ...]:
+    """Returns the columns that a folder repeats of their model in each row of a table."""
+    if table not in MODELS:
+        return ()
+    stored = TABLES[table].tick_columns.names
+    return tuple(name for name in TABLES[table].names if name not in stored)
+
+
 def model_columns(table: str) -> list[str]:
     """Returns the columns that a folder repeats in each row, after the keys that they follow from.
 
     None for a table without a model.
     """
-    if table not in MODELS:
-        return []
-    stored = TABLES[table].tick_columns.names
-    return [*TABLES[table].key, *(name for name in TABLES[table].names if name not in stored)]
+    return [*TABLES[table].key, *repeated_columns(table)] if table in MODELS else []
 
 
 def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
