@@ -228,7 +228,7 @@ def test_a_pair_of_shapes_places_no_others(monkeypatch):
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(model, data))
         program = ss.compile("SELECT on(lab.world, lab.ball) FROM [0] AS list;")
-        calls, write = [], BodyGroup.write_shapes
+        calls, place = [], BodyGroup.place_shapes
         values = []
         for number in range(60):
             mujoco.mj_step(model, data, 10)
@@ -236,7 +236,7 @@ def test_a_pair_of_shapes_places_no_others(monkeypatch):
             values += ss.eval(program)
             if number == 5:  # it is planned, and its tables are read
                 monkeypatch.setattr(
-                    BodyGroup, "write_shapes", lambda *of: calls.append(1) or write(*of)
+                    BodyGroup, "place_shapes", lambda *of: calls.append(1) or place(*of)
                 )
         assert {True, False} == set(values)
         assert not calls

@@ -32,6 +32,8 @@ from ssduck.geometry.proofs.kept_verdicts import pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 from ssduck.geometry.solids import Solid
 
+# FCL proposes for fewer pairs as fast as what is kept of them is found and moved.
+_MIN_KEPT = 4
 # Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
 _SHRINK = 1e-8
 # The number of pairs that are remembered to be apart.
@@ -73,6 +75,9 @@ class Proposer:
             second: (n,), the same.
             bounds: (n,), metres.
         """
+        if len(first) < _MIN_KEPT:
+            proposals = self.propose(poses, first, second)
+            return Proof(bodies, self.interiors, proposals, first, second).decisions(bounds)
         decisions, keys = Decisions.none(len(first)), pair_keys(first, second)
 
         def prove(places: Indices, proposals: Proposals) -> None:
