@@ -116,9 +116,10 @@ class TableLayout:
 
     @cached_property
     def shape_order(self) -> Indices:
-        """The place of each shape among those of static bodies, followed by those of moving ones."""
+        """The place of each shape among those of static bodies, followed by those of others."""
         rows = np.concatenate((self.static_bodies.shape_rows, self.moving_bodies.shape_rows))
-        return np.argsort(rows)
+        order: Indices = np.argsort(rows)
+        return order
 
     @cached_property
     def sites(self) -> list[tuple[int, int, Geometry]]:
@@ -305,9 +306,13 @@ class BodyGroup:
         if self._last_shapes is None or self._last_shapes[0] is not link_poses:
             links, inner_positions, inner_orientations = self._shape_places
             positions = link_poses.positions.take(links, axis=0)
-            positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
             orientations = link_poses.orientations.take(links, axis=0)
-            orientations = multiply(orientations, inner_orientations)
+            if self._are_shapes_at_links and link_poses.are_finite:
+                positions += 0.0  # as a sum, it has no negative zero
+                orientations += 0.0
+            else:
+                positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
+                orientations = multiply(orientations, inner_orientations)
             placed = positions, orientations, self.shape_boxes(link_poses)
             self._last_shapes = link_poses, placed
         return self._last_shapes[1]
@@ -344,6 +349,12 @@ class BodyGroup:
         """Whether each link has one shape, in the order of the links: then it has its box."""
         frames = [shape.frame for shape in self._shapes]
         return frames == list(range(len(self._link_rows)))
+
+    @cached_property
+    def _are_shapes_at_links(self) -> bool:
+        """Whether the pose of each shape is that of its link."""
+        _, positions, orientations = self._shape_places
+        return not positions.any() and bool((orientations == IDENTITY).all())
 
     @cached_property
     def _shape_places(self) -> tuple[Indices, Array, Array]:

@@ -69,10 +69,16 @@ class TickPlaces(ShapePlaces):
         with np.errstate(invalid="ignore"):  # a diverging simulation has infinite numbers
             return [group.place_shapes(poses) for group, poses in self._groups]
 
+    @property
+    def _are_placed(self) -> bool:
+        """Whether the arrays of all shapes are there."""
+        return "_of_groups" in self.__dict__
+
     def _in_order(self, part: int, axis: int) -> Array:
         """Returns a part of what is known of each group, of all shapes in their order."""
         parts = [of_group[part] for of_group in self._of_groups]
-        return np.concatenate(parts, axis=axis).take(self._layout.shape_order, axis=axis)
+        ordered: Array = np.concatenate(parts, axis=axis).take(self._layout.shape_order, axis=axis)
+        return ordered
 
     @cached_property
     def positions(self) -> Array:  # type: ignore[override]  # computed when asked for
@@ -91,12 +97,16 @@ class TickPlaces(ShapePlaces):
 
     def pose(self, shape: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape."""
+        if self._are_placed:
+            return super().pose(shape)
         number, place = self._layout.shape_groups[shape]
         group, poses = self._groups[number]
         return group.shape_pose(poses, place)
 
     def box(self, shape: int) -> list[float]:
         """Returns the box of a shape: lower corner, upper corner."""
+        if self._are_placed:
+            return super().box(shape)
         number, place = self._layout.shape_groups[shape]
         group, poses = self._groups[number]
         with np.errstate(invalid="ignore"):

@@ -231,10 +231,11 @@ class Proof:
 
     def _balanced(self, inner: SomeInteriors, outward: Array, local: Array) -> Array:
         """Returns points (3, 2 n); those of shapes that meet are about equally deep in both."""
-        depths, count = inner.depths(local), len(self.meet)
-        steps = 0.5 * (depths[:count] - depths[count:])
-        steps *= self.meet
-        local += np.concatenate((steps, -steps)) * outward
+        if self.meet.any():
+            depths, count = inner.depths(local), len(self.meet)
+            steps = 0.5 * (depths[:count] - depths[count:])
+            steps *= self.meet
+            local += np.concatenate((steps, -steps)) * outward
         local += _SHRINK * (inner.inscribed_offsets - local)
         return local
 
