@@ -115,6 +115,13 @@ class TableLayout:
         return groups
 
     @cached_property
+    def shape_order(self) -> Indices:
+        """The place of each shape among those of static bodies, followed by those of others."""
+        rows = np.concatenate((self.static_bodies.shape_rows, self.moving_bodies.shape_rows))
+        order: Indices = np.argsort(rows)
+        return order
+
+    @cached_property
     def sites(self) -> list[tuple[int, int, Geometry]]:
         """The entity, the number and the region of each site, by group and body."""
         ids = {body: id for id, body in self.bodies}
@@ -207,6 +214,7 @@ class BodyGroup:
         # The last link poses, with the boxes of the links and sensors, and of the entities.
         self._last_boxes: tuple[LinkPoses, Array] | None = None
         self._last_shape_boxes: tuple[LinkPoses, Array] | None = None
+        self._last_shapes: tuple[LinkPoses, tuple[Array, Array, Array]] | None = None
         self._last_entity_boxes: tuple[LinkPoses, Array] | None = None
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box.
@@ -287,13 +295,27 @@ class BodyGroup:
 
     def write_shapes(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the rows of the shapes; `block` is (13, shapes): pose, box."""
-        links, inner_positions, inner_orientations = self._shape_places
-        positions = link_poses.positions.take(links, axis=0)
-        positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
-        orientations = link_poses.orientations.take(links, axis=0)
-        orientations = multiply(orientations, inner_orientations)
-        boxes = self.shape_boxes(link_poses)
+        positions, orientations, boxes = self.place_shapes(link_poses)
         block[:, self.shape_rows] = np.concatenate((positions.T, orientations.T, boxes))
+
+    def place_shapes(self, link_poses: LinkPoses) -> tuple[Array, Array, Array]:
+        """Returns positions (n, 3), orientations (n, 4) and boxes (6, n) of the shapes.
+
+        Those of the last poses are kept: few bodies that cannot move ever have others.
+        """
+        if self._last_shapes is None or self._last_shapes[0] is not link_poses:
+            links, inner_positions, inner_orientations = self._shape_places
+            positions = link_poses.positions.take(links, axis=0)
+            orientations = link_poses.orientations.take(links, axis=0)
+            if self._are_shapes_at_links and link_poses.are_finite:
+                positions += 0.0  # as a sum, it has no negative zero
+                orientations += 0.0
+            else:
+                positions += rotate(link_poses.matrices.take(links, axis=0), inner_positions)
+                orientations = multiply(orientations, inner_orientations)
+            placed = positions, orientations, self.shape_boxes(link_poses)
+            self._last_shapes = link_poses, placed
+        return self._last_shapes[1]
 
     def shape_boxes(self, link_poses: LinkPoses) -> Array:
         """Returns the boxes of the shapes, (6, shapes)."""
@@ -327,6 +349,12 @@ class BodyGroup:
         """Whether each link has one shape, in the order of the links: then it has its box."""
         frames = [shape.frame for shape in self._shapes]
         return frames == list(range(len(self._link_rows)))
+
+    @cached_property
+    def _are_shapes_at_links(self) -> bool:
+        """Whether the pose of each shape is that of its link."""
+        _, positions, orientations = self._shape_places
+        return not positions.any() and bool((orientations == IDENTITY).all())
 
     @cached_property
     def _shape_places(self) -> tuple[Indices, Array, Array]:

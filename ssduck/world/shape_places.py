@@ -64,37 +64,49 @@ class TickPlaces(ShapePlaces):
         self._layout, self._groups = layout, list(groups)
 
     @cached_property
-    def _block(self) -> Array:
-        """The columns x to zmax of the table of shapes."""
-        block = np.zeros((13, len(self._layout.shape_groups)))
+    def _of_groups(self) -> list[tuple[Array, Array, Array]]:
+        """The positions, the orientations and the boxes of the shapes of each group."""
         with np.errstate(invalid="ignore"):  # a diverging simulation has infinite numbers
-            for group, poses in self._groups:
-                group.write_shapes(poses, block)
-        return block
+            return [group.place_shapes(poses) for group, poses in self._groups]
+
+    @property
+    def _are_placed(self) -> bool:
+        """Whether the arrays of all shapes are there."""
+        return "_of_groups" in self.__dict__
+
+    def _in_order(self, part: int, axis: int) -> Array:
+        """Returns a part of what is known of each group, of all shapes in their order."""
+        parts = [of_group[part] for of_group in self._of_groups]
+        ordered: Array = np.concatenate(parts, axis=axis).take(self._layout.shape_order, axis=axis)
+        return ordered
 
     @cached_property
     def positions(self) -> Array:  # type: ignore[override]  # computed when asked for
         """The positions, (n, 3)."""
-        return self._block[:3].T.copy()
+        return self._in_order(0, axis=0)
 
     @cached_property
     def orientations(self) -> Array:  # type: ignore[override]
         """The orientations, (n, 4)."""
-        return self._block[3:7].T.copy()
+        return self._in_order(1, axis=0)
 
     @cached_property
     def boxes(self) -> Array:  # type: ignore[override]
         """The boxes, (n, 6): lower corner, upper corner."""
-        return self._block[7:].T.copy()
+        return self._in_order(2, axis=1).T
 
     def pose(self, shape: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape."""
+        if self._are_placed:
+            return super().pose(shape)
         number, place = self._layout.shape_groups[shape]
         group, poses = self._groups[number]
         return group.shape_pose(poses, place)
 
     def box(self, shape: int) -> list[float]:
         """Returns the box of a shape: lower corner, upper corner."""
+        if self._are_placed:
+            return super().box(shape)
         number, place = self._layout.shape_groups[shape]
         group, poses = self._groups[number]
         with np.errstate(invalid="ignore"):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssduck.geometry.proofs import kept_proposals
+from ssduck.geometry.proofs import kept_proposals, proposals
 from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
 from ssduck.geometry.proofs.proposals import Proof, Proposer
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
@@ -121,8 +121,12 @@ def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far
         assert sum(asked[1:]) < 0.5 * (len(asked) - 1) * len(scene.first)
 
 
-def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept():
-    """A ball above a box goes down into it, and up again."""
+@pytest.mark.parametrize(("least", "expected"), [(1, 1), (2, 5)])
+def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept(
+    least, expected, monkeypatch
+):
+    """A ball above a box goes down into it, and up again; of fewer pairs, nothing is kept."""
+    monkeypatch.setattr(proposals, "_MIN_KEPT", least)
     random = np.random.default_rng(1)
     box, ball = (pairs.Shape(kind, pairs.geometry(kind, random, True), np.zeros(3),
                              np.array([1.0, 0.0, 0.0, 0.0])) for kind in ("box", "sphere"))  # fmt: skip
@@ -135,7 +139,7 @@ def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept():
         found = scene.proposer.decide(scene.cores, scene.poses, *scene.pairs, np.zeros(1))
         assert found.verdicts.tolist() == [ABOVE if height > 0.0 else BELOW]
         assert found.room[0] == pytest.approx(abs(height), abs=1e-6)
-    assert len(asked) == 1
+    assert len(asked) == expected
 
 
 def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):

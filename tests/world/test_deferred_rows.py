@@ -8,7 +8,9 @@ import pytest
 
 import ssduck
 from ssduck.geometry.bounds import BoundingBoxes
+from ssduck.geometry.poses import rotation_matrices, unit_quaternions
 from ssduck.simulators.mujoco import simulator
+from ssduck.simulators.scenes import find_scene
 from ssduck.world import contact_rows
 from ssduck.world.layout import BodyGroup
 from ssduck.world.shape_places import TickPlaces
@@ -222,13 +224,56 @@ def test_a_shape_is_where_the_table_has_it():
             assert arrays.tolist() == list(map(list, rows))
 
 
+@pytest.mark.parametrize("pose", ["", 'pos=".1 0 0"', 'quat=".6 .8 0 0"'])
+def test_shapes_are_where_their_poses_in_links_have_them(pose):
+    """Those that are where their links are take these poses as they are."""
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><geom name="fixed" type="box" size=".1 .1 .1" pos="2 0 0"/>
+        <body pos="0 0 1" quat=".5 .1 .7 .2"><freejoint/>
+        <geom type="box" size=".1 .2 .3" {pose}/></body>
+        </worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    data.qvel[3:6] = 1.0, 2.0, 3.0
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(model, data))
+        for _ in range(3):
+            mujoco.mj_step(model, data, 20)
+            mujoco.mj_kinematics(model, data)
+            world.tick()
+            places = TickPlaces(world.snapshot.layout, world.snapshot.body_groups)
+            assert places.positions == pytest.approx(data.geom_xpos, abs=1e-12)
+            matrices = rotation_matrices(unit_quaternions(places.orientations)).reshape(-1, 9)
+            assert matrices == pytest.approx(data.geom_xmat, abs=1e-12)
+
+
+def test_shapes_of_bodies_that_stay_are_placed_once(monkeypatch):
+    groups, boxes = [], BodyGroup.shape_boxes
+    monkeypatch.setattr(
+        BodyGroup, "shape_boxes", lambda group, poses: groups.append(group) or boxes(group, poses)
+    )
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("kitchen", ssduck.World.load(find_scene("kitchen")))
+        for _ in range(4):
+            world.run(0.01)
+            ss.sql("SELECT x FROM kitchen.shapes").fetchall()
+            rows = ss.sql("SELECT x, y, z FROM kitchen.shapes").fetchall()
+            places = TickPlaces(world.snapshot.layout, world.snapshot.body_groups)
+            assert list(map(tuple, places.positions.tolist())) == rows
+    layout = world.snapshot.layout
+    assert len(layout.static_bodies.shape_rows)
+    assert len(layout.moving_bodies.shape_rows)
+    assert groups.count(layout.static_bodies) == 1
+    assert groups.count(layout.moving_bodies) == 4
+
+
 def test_a_pair_of_shapes_places_no_others(monkeypatch):
     model = mujoco.MjModel.from_xml_string(SHAPES)
     data = mujoco.MjData(model)
     with ssduck.Interpreter(recording=None) as ss:
         world = ss.add_variable("lab", ssduck.World.attach(model, data))
         program = ss.compile("SELECT on(lab.world, lab.ball) FROM [0] AS list;")
-        calls, write = [], BodyGroup.write_shapes
+        calls, place = [], BodyGroup.place_shapes
         values = []
         for number in range(60):
             mujoco.mj_step(model, data, 10)
@@ -236,7 +281,7 @@ def test_a_pair_of_shapes_places_no_others(monkeypatch):
             values += ss.eval(program)
             if number == 5:  # it is planned, and its tables are read
                 monkeypatch.setattr(
-                    BodyGroup, "write_shapes", lambda *of: calls.append(1) or write(*of)
+                    BodyGroup, "place_shapes", lambda *of: calls.append(1) or place(*of)
                 )
         assert {True, False} == set(values)
         assert not calls

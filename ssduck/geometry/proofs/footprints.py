@@ -92,14 +92,14 @@ def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indice
     left = np.flatnonzero((verdicts == UNDECIDED) & ~has_plane)
     left = left[np.abs(centres[:, left]).max(axis=0, initial=0.0) <= _MAX_COORDINATE]
     firsts = np.array(starts)
-    over_ball = _are_over_balls(tick, firsts[a[left]], centres[:, left])
-    verdicts[left[over_ball]] = OVER
-    left = left[~over_ball]
-    is_box = _are_boxes(tick, firsts, a[left])
-    if is_box.any() and np.count_nonzero(is_box) >= min(_MIN_BOXES, len(left)):
-        boxes = left[is_box]
-        verdicts[boxes] = _over_boxes(tick, firsts[a[boxes]], centres[:, boxes])
-        left = left[verdicts[left] == UNDECIDED]
+    rules = [_over_balls, _over_boxes]
+    if np.count_nonzero(_are_boxes(tick, firsts, a[left])) >= _MIN_BOXES:
+        rules.reverse()  # it decides many boxes at once, those over balls too
+    for rule in rules:
+        if len(left):
+            found = rule(tick, firsts, a[left], centres[:, left])
+            verdicts[left] = found
+            left = left[found == UNDECIDED]
     for directions in _DIRECTIONS:
         if len(left):
             found = _over_bounded(tick, firsts, a[left], centres[:, left], directions)
@@ -118,15 +118,17 @@ def _have_steep_planes(tick: TickShapes, count: int) -> Flags:
     return have
 
 
-def _are_over_balls(tick: TickShapes, shapes: Indices, centres: Array) -> Flags:
-    """Checks whether points (2, n) of the ground are surely over the balls in shapes, (n,).
+def _over_balls(tick: TickShapes, starts: Indices, a: Indices, centres: Array) -> Verdicts:
+    """Returns which points (2, n) of the ground are surely over the balls in entities (n,).
 
     A ball has no footprint smaller than its own: whatever else its entity has only adds to it.
     """
+    shapes = starts[a]
     radii = tick.table.inscribed_radius.take(shapes) * (1.0 - _ROUND_ERROR) - _ROOM
     offsets = centres - tick.placed_cores.inscribed_centres[:2].take(shapes, axis=1)
-    is_over: Flags = np.hypot(offsets[0], offsets[1]) < radii
-    return is_over
+    verdicts = np.full(len(a), UNDECIDED, np.int8)
+    verdicts[np.hypot(offsets[0], offsets[1]) < radii] = OVER
+    return verdicts
 
 
 def _are_boxes(tick: TickShapes, starts: Indices, entities: Indices) -> Flags:
@@ -136,7 +138,19 @@ def _are_boxes(tick: TickShapes, starts: Indices, entities: Indices) -> Flags:
     return are
 
 
-def _over_boxes(tick: TickShapes, boxes: Indices, centres: Array) -> Verdicts:
+def _over_boxes(tick: TickShapes, starts: Indices, a: Indices, centres: Array) -> Verdicts:
+    """Returns whether points (2, n) of the ground are over entities (n,) that are a box.
+
+    A few among others are decided together with these.
+    """
+    verdicts = np.full(len(a), UNDECIDED, np.int8)
+    places = np.flatnonzero(_are_boxes(tick, starts, a))
+    if len(places) >= min(_MIN_BOXES, len(a)):
+        verdicts[places] = _over_footprints(tick, starts[a[places]], centres[:, places])
+    return verdicts
+
+
+def _over_footprints(tick: TickShapes, boxes: Indices, centres: Array) -> Verdicts:
     """Returns whether points (2, n) of the ground are over boxes (n,).
 
     The footprint of a box is a zonogon: it is between two lines along the projection of each edge.

@@ -32,6 +32,8 @@ from ssduck.geometry.proofs.kept_verdicts import pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 from ssduck.geometry.solids import Solid
 
+# What is kept of fewer pairs saves less time than a second proof takes, of what it leaves open.
+_MIN_KEPT = 8
 # Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
 _SHRINK = 1e-8
 # The number of pairs that are remembered to be apart.
@@ -73,6 +75,9 @@ class Proposer:
             second: (n,), the same.
             bounds: (n,), metres.
         """
+        if len(first) < _MIN_KEPT:
+            proposals = self.propose(poses, first, second)
+            return Proof(bodies, self.interiors, proposals, first, second).decisions(bounds)
         decisions, keys = Decisions.none(len(first)), pair_keys(first, second)
 
         def prove(places: Indices, proposals: Proposals) -> None:
@@ -226,10 +231,11 @@ class Proof:
 
     def _balanced(self, inner: SomeInteriors, outward: Array, local: Array) -> Array:
         """Returns points (3, 2 n); those of shapes that meet are about equally deep in both."""
-        depths, count = inner.depths(local), len(self.meet)
-        steps = 0.5 * (depths[:count] - depths[count:])
-        steps *= self.meet
-        local += np.concatenate((steps, -steps)) * outward
+        if self.meet.any():
+            depths, count = inner.depths(local), len(self.meet)
+            steps = 0.5 * (depths[:count] - depths[count:])
+            steps *= self.meet
+            local += np.concatenate((steps, -steps)) * outward
         local += _SHRINK * (inner.inscribed_offsets - local)
         return local
 
