@@ -45,11 +45,11 @@ def record(tmp_path: Path) -> Path:
     return place
 
 
-def asked(record: Path, program: str) -> list[tuple[str | None, str | None]]:
+def asked(record: Path, program: str) -> list[workers.Answer]:
     return workers.answer_episodes(ProgramQuestion(program, None), ssduck.lake(record).entries)
 
 
-def by_themselves(record: Path, program: str) -> list[tuple[str | None, str | None]]:
+def by_themselves(record: Path, program: str) -> list[workers.Answer]:
     answers = []
     for episode in range(EPISODES):
         with ssduck.open(record, "lab", episode) as ss:
@@ -175,10 +175,10 @@ def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
 )
 def test_what_rows_repeat_is_that_of_their_model(record, column, value, program) -> None:
     expected = asked(record, program)
-    assert [error for _, error in expected] == [None] * EPISODES
+    assert [answer.error for answer in expected] == [None] * EPISODES
     changed(record, column, value)
     found = asked(record, program)
     words = f"of the rows of entities, the column '{column}' has another value than its model"
-    assert words in str(found[CHANGED][1])
+    assert words in str(found[CHANGED].error)
     del expected[CHANGED], found[CHANGED]
     assert found == expected
