@@ -47,8 +47,9 @@ TOO_LARGE = [
     f"SELECT length({nested('[§]::VARCHAR', 60, 'name')}) FROM entities",
     f"SELECT {nested('list_transform(§, lambda x: x || x)', 30, '[name]')} FROM entities",
     f"SELECT {nested('list_transform(§, lambda x, i: [x, x])', 30, '[name]')} FROM entities",
-    f"SELECT {nested('list_filter(list_transform(§, x -> {a: x, b: x}), y -> true)', 25, '[z]')}"
-    " FROM entities",
+    "SELECT "
+    + nested("list_filter(list_transform(§, lambda x: {a: x, b: x}), lambda y: true)", 25, "[z]")
+    + " FROM entities",
     aliases("'a'", 30),
     f"{aliases('name', 30)} FROM entities",
     f"DESCRIBE {aliases('1', 30)}",

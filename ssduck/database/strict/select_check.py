@@ -290,7 +290,8 @@ class _Walk:
         """Checks that a path in JSON is known, or one without wildcards: that of a column."""
         text = (path.get("literal") or {}).get("text")
         if path["class"] not in ("CONSTANT", "COLUMN_REF", "PARAMETER"):
-            self._refuse(node, f"the path of {name} is a text or a column here")
+            hint = "; a function is written lambda x: …" if name == "->" else ""
+            self._refuse(node, f"the path of {name} is a text or a column here{hint}")
         if isinstance(text, str) and sum(map(text.count, WILDCARDS)) > 1:
             self._refuse(node, f"the path of {name} has at most one of * and .. here")
 

@@ -100,7 +100,7 @@ class PlacedCores:
     """Cores at poses.
 
     Attributes:
-        cores: the cores in their own frames.
+        cores: the cores in their own frames: the first n of them, of which there may be more.
         rotations: (9, n), their rotation matrices, row by row.
         centres: (3, n), the centres of the solids in the world, metres.
         inscribed_centres: (3, n), the centres of the balls in them, metres.
@@ -119,10 +119,10 @@ class PlacedCores:
         sizes and the distances from the origin.
         """
         largest = np.abs(self.centres).max(axis=0, initial=0.0)
-        size = self.cores.bounding_radius
+        size = self.cores.bounding_radius[: len(largest)]
         growing = 4e-12 * size + 4e-15 * largest
         growing[np.maximum(largest, 2.0 * size) > LARGE] = np.inf
-        return self.cores.least_error, growing
+        return self.cores.least_error[: len(largest)], growing
 
     def balls(self, first: Indices, second: Indices) -> tuple[Flags, Array, Array]:
         """Returns balls in differences of cores: if one is known, its centre (3, m), radius."""
