@@ -25,6 +25,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import ssduck
 from ssduck import Recording
@@ -60,14 +61,14 @@ def _record(path: Path, flushed: Report | None = None, seed: int = 1) -> None:
         flushed: a function that is told "stored" when the first ticks are stored, and "closing".
         seed: the seed of the bodies that come and go.
     """
-    vars(recorders).update(BUFFERED_TICKS=PART_TICKS, PART_TICKS=PART_TICKS)
-    vars(parquet).update(PART_TICKS=PART_TICKS)
     world, move = new_world(random.Random(seed))  # noqa: S311  # no secret
     recording = Recording(tables=TABLES, flush_every=None)
     with (
+        patch.multiple(recorders, BUFFERED_TICKS=PART_TICKS, PART_TICKS=PART_TICKS),
+        patch.object(parquet, "PART_TICKS", PART_TICKS),
         ssduck.Interpreter()
         if path.suffix == ""
-        else ssduck.Interpreter(path, recording=recording) as ss
+        else ssduck.Interpreter(path, recording=recording) as ss,
     ):
         ss.add_variable("lab", world)
         flush = ss.flush if path.suffix else ss.record_to(path, "lab", recording).flush
