@@ -85,12 +85,15 @@ class WriterConnection:
 
     def _run_on_rows(self, statement: str, rows: pa.Table) -> None:
         """Runs a statement that reads all rows of a table."""
-        with self._lock:
+        with self._lock, _storing_errors():
             self._connection.register(_INCOMING, rows)
             try:
                 self.run(f'{statement} SELECT * FROM "{_INCOMING}"')  # noqa: S608
-            finally:
-                self._connection.unregister(_INCOMING)
+            except BaseException:
+                with suppress(duckdb.Error):  # before the rollback of an aborted transaction
+                    self._connection.unregister(_INCOMING)
+                raise
+            self._connection.unregister(_INCOMING)
 
     def rows(
         self,
@@ -140,9 +143,11 @@ class WriterConnection:
 
 @contextmanager
 def _storing_errors() -> Iterator[None]:
-    """Turns DuckDB's errors while rows are stored into ssduck's."""
+    """Turns DuckDB's errors while rows are stored into ssduck's, or into KeyboardInterrupt."""
     try:
         yield
+    except (RuntimeError, duckdb.InterruptException) as error:  # DuckDB heard Ctrl-C
+        raise KeyboardInterrupt from error
     except duckdb.FatalException as error:
         raise SqlError(
             f"DuckDB closed the database: {error}; the rows stored before are in the file: close "
@@ -150,6 +155,9 @@ def _storing_errors() -> Iterator[None]:
             is_final=True,
         ) from error
     except duckdb.Error as error:
+        # DuckDB asks Arrow in Python for the types of a table, where Ctrl-C may come.
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from error
         raise SqlError(
             f"recorded ticks cannot be stored: {error}; the rows stored before are "
             "intact, and the others wait in memory until there is space"
