@@ -146,8 +146,10 @@ def _storing_errors() -> Iterator[None]:
     """Turns DuckDB's errors while rows are stored into ssduck's, or into KeyboardInterrupt."""
     try:
         yield
-    except (RuntimeError, duckdb.InterruptException) as error:  # DuckDB heard Ctrl-C
-        raise KeyboardInterrupt from error
+    except RuntimeError as error:
+        if str(error) == "Query interrupted":  # DuckDB heard Ctrl-C
+            raise KeyboardInterrupt from error
+        raise
     except duckdb.FatalException as error:
         raise SqlError(
             f"DuckDB closed the database: {error}; the rows stored before are in the file: close "
