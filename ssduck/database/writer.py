@@ -110,8 +110,7 @@ class WriterConnection:
             try:
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
             except duckdb.Error as error:
-                # DuckDB asks Arrow in Python for the types of a table, where Ctrl-C may come.
-                if tables and "KeyboardInterrupt" in str(error):
+                if tables and _is_ctrl_c(error):
                     raise KeyboardInterrupt from error
                 raise self._reading_error(error) from error
 
@@ -147,7 +146,7 @@ def _storing_errors() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        if str(error) == "Query interrupted":  # DuckDB heard Ctrl-C
+        if _is_ctrl_c(error):
             raise KeyboardInterrupt from error
         raise
     except duckdb.FatalException as error:
@@ -157,10 +156,19 @@ def _storing_errors() -> Iterator[None]:
             is_final=True,
         ) from error
     except duckdb.Error as error:
-        # DuckDB asks Arrow in Python for the types of a table, where Ctrl-C may come.
-        if "KeyboardInterrupt" in str(error):
+        if _is_ctrl_c(error):
             raise KeyboardInterrupt from error
         raise SqlError(
             f"recorded ticks cannot be stored: {error}; the rows stored before are "
             "intact, and the others wait in memory until there is space"
         ) from error
+
+
+def _is_ctrl_c(error: Exception) -> bool:
+    """Checks whether an error is what DuckDB makes of Ctrl-C.
+
+    It hears it by itself, or Python does while DuckDB asks Arrow for the types of a table.
+    """
+    if isinstance(error, duckdb.Error):
+        return "KeyboardInterrupt" in str(error)
+    return str(error) == "Query interrupted"
