@@ -16,6 +16,7 @@ from sqlglot import exp
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
+from ssduck.database.referenced_tables import token_spans
 from ssduck.database.schemas import Schemas
 from ssduck.database.statement import NAME_PREFIX
 from ssduck.database.worlds import WorldRegistry
@@ -173,12 +174,10 @@ def _words(text: str) -> list[str]:
 
     Words are in capital letters, but for names, which are as they are written.
     """
-    letters, tokens = text.encode(), duckdb.tokenize(text)
-    ends = [place for place, _ in tokens[1:]] + [len(letters)]
-    words = []
-    for (place, kind), end in zip(tokens, ends, strict=True):
+    letters, words = text.encode(), []
+    for kind, start, end in token_spans(duckdb.tokenize(text), len(letters)):
         if kind not in _NO_CODE:
-            word = letters[place:end].decode().strip()
+            word = letters[start:end].decode().strip()
             words.append(word.upper() if kind == duckdb.token_type.keyword else word)
     return words
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from functools import lru_cache
@@ -223,10 +223,23 @@ def check_length(sql: str) -> None:
             raise LimitError(message, text=sql, span=SourceSpan(start, start + 1))
 
 
+def token_spans(
+    tokens: Sequence[tuple[int, duckdb.token_type]], length: int
+) -> Iterator[tuple[duckdb.token_type, int, int]]:
+    """Yields the kind, the begin and the end of each token; what follows it belongs to it.
+
+    Args:
+        tokens: what `duckdb.tokenize` returns: places in the text in UTF-8, and kinds.
+        length: the length of that text, bytes.
+    """
+    ends = [*(start for start, _ in tokens[1:]), length]
+    for (start, kind), end in zip(tokens, ends, strict=True):
+        yield kind, start, end
+
+
 def _check_numbers(letters: bytes, words: Sequence[tuple[int, duckdb.token_type]]) -> None:
     """Checks that no number has so many digits that to read it takes long."""
-    ends = [*(offset for offset, _ in words[1:]), len(letters)]
-    for (start, kind), end in zip(words, ends, strict=True):
+    for kind, start, end in token_spans(words, len(letters)):
         if kind == duckdb.token_type.numeric_const and end - start > MAX_DIGITS:
             number = _NUMBER.match(letters, start, end)
             if number is not None and len(number.group()) > MAX_DIGITS:

@@ -282,7 +282,6 @@ class _Walk:
             self._check_path(node, name, node["arguments"][1]["expression"])
         if name == "map" and not all(map(_is_written_out, node["arguments"])):
             self._refuse(node, "map takes lists that are written out here: MAP {'a': 1}")
-
         if name in HASHING_SHORTER and not any(map(_is_written_out, node["arguments"])):
             self._refuse(node, f"one of the lists of {name} is written out here: ['a', 'b']")
 
