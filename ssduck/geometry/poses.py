@@ -11,6 +11,8 @@ product or of `einsum` would depend on the number of rows.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ssduck.geometry.arrays import Array
@@ -80,10 +82,7 @@ def placed_point(
         (2.0 * (xy + wz), ww - xx + yy - zz, 2.0 * (yz - wx)),
         (2.0 * (zx - wy), 2.0 * (yz + wx), ww - xx - yy + zz),
     )
-    i, j, k = point
-    return [
-        origin + (a * i + b * j + c * k) for origin, (a, b, c) in zip(position, rows, strict=True)
-    ]
+    return moved_point(position, rows, point)
 
 
 def cross(first: Array, second: Array) -> Array:
@@ -110,6 +109,30 @@ def multiply(first: Array, second: Array) -> Array:
     product += terms[8:12]
     product -= terms[12:]
     return np.ascontiguousarray(product.T)
+
+
+def product(first: Sequence[float], second: Sequence[float]) -> list[float]:
+    """Returns the Hamilton product of two quaternions, with the bits that `multiply` gives.
+
+    >>> product((0.0, 1.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0))
+    [-1.0, 0.0, 0.0, 0.0]
+    """
+    w, x, y, z = first
+    s, i, j, k = second
+    return [
+        w * s - x * i - y * j - z * k,
+        w * i + x * s + y * k - z * j,
+        w * j + y * s + z * i - x * k,
+        w * k + z * s + x * j - y * i,
+    ]
+
+
+def moved_point(
+    origin: Sequence[float], matrix: Sequence[Sequence[float]], point: Sequence[float]
+) -> list[float]:
+    """Returns a point of a frame where the frame is at an origin, turned by a matrix (3, 3)."""
+    x, y, z = point
+    return [at + (a * x + b * y + c * z) for at, (a, b, c) in zip(origin, matrix, strict=True)]
 
 
 # The first, the second, the third and the last term of w, x, y and z of a product.

@@ -16,7 +16,15 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.bounds import BoundingBoxes
-from ssduck.geometry.poses import IDENTITY, compose, multiply, rotate, rotation_matrices
+from ssduck.geometry.poses import (
+    IDENTITY,
+    compose,
+    moved_point,
+    multiply,
+    product,
+    rotate,
+    rotation_matrices,
+)
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.interface import Body, Kind, LinkPoses
 from ssduck.simulators.scenes import SensorSpec
@@ -329,20 +337,12 @@ class BodyGroup:
     def shape_pose(self, link_poses: LinkPoses, number: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape, those of `write_shapes`."""
         shape = self._shapes[number]
-        frame = link_poses.positions[shape.frame].tolist()
-        matrix, (x, y, z) = link_poses.matrices[shape.frame].tolist(), shape.position.tolist()
-        position = [
-            origin + (a * x + b * y + c * z)
-            for origin, (a, b, c) in zip(frame, matrix, strict=True)
-        ]
-        w, x, y, z = link_poses.orientations[shape.frame].tolist()
-        s, i, j, k = shape.orientation.tolist()
-        return position, [
-            w * s - x * i - y * j - z * k,
-            w * i + x * s + y * k - z * j,
-            w * j + y * s + z * i - x * k,
-            w * k + z * s + x * j - y * i,
-        ]
+        origin, matrix, turn = (
+            part[shape.frame].tolist()
+            for part in (link_poses.positions, link_poses.matrices, link_poses.orientations)
+        )
+        position = moved_point(origin, matrix, shape.position.tolist())
+        return position, product(turn, shape.orientation.tolist())
 
     @cached_property
     def _are_shapes_links(self) -> bool:

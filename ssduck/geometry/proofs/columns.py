@@ -25,3 +25,12 @@ def unit_columns(vectors: Array) -> Array:
     """
     units: Array = vectors / np.maximum(column_lengths(vectors), 1e-300)
     return units
+
+
+def padded_columns(rows: Array, count: int) -> Array:
+    """Returns rows as columns (k, count), with the last one repeated.
+
+    >>> padded_columns(np.array([[1.0, 2.0], [3.0, 4.0]]), 3).tolist()
+    [[1.0, 3.0, 3.0], [2.0, 4.0, 4.0]]
+    """
+    return np.ascontiguousarray(rows[np.minimum(np.arange(count), len(rows) - 1)].T)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.distance import CONTACT_TOLERANCE, CYLINDER_TOLERANCE
+from ssduck.geometry.proofs.columns import padded_columns
 from ssduck.geometry.solids import Solid
 
 # The number of points that are compared at a time.
@@ -62,14 +63,16 @@ class ConvexCores:
             .reshape(-1, 3)
             .T[:, solid_indices]
         )
-        hulls = {n: _corners(solid) for n, solid in enumerate(solids) if _has_corners(solid)}
+        hulls = {
+            n: corners_from_centre(solid) for n, solid in enumerate(solids) if _has_corners(solid)
+        }
         sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
         kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
         self.points: list[Array] = []
         for kind, size in enumerate(sorted(set(sizes.values()))):
             numbers = [n for n in hulls if sizes[n] == size]
             kinds[numbers], rows[numbers] = kind, np.arange(len(numbers))
-            self.points.append(np.array([_pad(hulls[n], size) for n in numbers]))
+            self.points.append(np.array([padded_columns(hulls[n], size) for n in numbers]))
         self.kind, self.row = kinds[solid_indices], rows[solid_indices]
 
 
@@ -84,15 +87,11 @@ def _has_corners(solid: Solid) -> bool:
     return solid.type in ("hull", "mesh") and len(solid.core) > 0
 
 
-def _corners(solid: Solid) -> Array:
+def corners_from_centre(solid: Solid) -> Array:
+    """Returns the corners of a hull or of a mesh's hull from the solid's centre, (n, 3)."""
     points = solid.hull_corners if solid.type == "mesh" else solid.core
     relative: Array = points - np.array(solid.centre)
     return relative
-
-
-def _pad(points: Array, count: int) -> Array:
-    """Returns points as (3, count), with the last point repeated."""
-    return np.ascontiguousarray(points[np.minimum(np.arange(count), len(points) - 1)].T)
 
 
 @dataclass(frozen=True, eq=False)

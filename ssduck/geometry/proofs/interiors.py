@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.proofs.columns import column_lengths
+from ssduck.geometry.proofs.columns import column_lengths, padded_columns
+from ssduck.geometry.proofs.cores import corners_from_centre
 from ssduck.geometry.solids import Solid
 
 
@@ -39,7 +40,9 @@ class ConvexInteriors:
         self._hull_rows = rows[solid_indices]
         # The corners and the planes of each hull, the last one repeated.
         count = max((len(solids[n].core) for n in hulls), default=0)
-        self._corners = np.array([_corners(solids[n], count) for n in hulls])
+        self._corners = np.array(
+            [padded_columns(corners_from_centre(solids[n]), count) for n in hulls]
+        )
         count = max((len(solids[n].normals) for n in hulls), default=0)
         self._planes = np.array([_planes(solids[n], count) for n in hulls])
 
@@ -151,17 +154,8 @@ def _scaled_numbers(solid: Solid) -> list[float]:
     return [*anywhere, *core, *([1 / solid.radius] * 3), solid.radius]
 
 
-def _corners(solid: Solid, count: int) -> Array:
-    """Returns the corners of a hull from its centre, (3, count)."""
-    points = solid.core - np.array(solid.centre)
-    padded: Array = points[np.minimum(np.arange(count), len(points) - 1)].T
-    return padded
-
-
 def _planes(solid: Solid, count: int) -> Array:
     """Returns the planes of a hull, (4, count): normals, and offsets from its centre."""
     assert solid.offsets is not None
     offsets = solid.offsets - solid.normals @ np.array(solid.centre)
-    planes = np.concatenate((solid.normals.T, offsets[None]))
-    padded: Array = planes[:, np.minimum(np.arange(count), len(offsets) - 1)]
-    return padded
+    return padded_columns(np.concatenate((solid.normals, offsets[:, None]), axis=1), count)
