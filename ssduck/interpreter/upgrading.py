@@ -45,22 +45,28 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
     listed = [episode for episode in episodes(source) if episode.ticks]
     if not listed:
         raise RecordError(f"{source} has no episode with ticks")
+    with_steps = set(recorded_steps(source) if source.is_dir() else ())
     with whole_record(folder) as runs:
         for episode in listed:
-            _upgrade(source, episode, folder, runs)
+            name = episode.world, episode.number
+            # Before the episode is written, as the file may be damaged.
+            steps = EpisodeSteps.read(source, *name) if name in with_steps else None
+            _upgrade(source, episode, steps, folder, runs)
     return episodes(folder)
 
 
-def _upgrade(source: Path, episode: Episode, folder: Path, runs: list[FolderRun]) -> None:
+def _upgrade(
+    source: Path,
+    episode: Episode,
+    steps: EpisodeSteps | None,
+    folder: Path,
+    runs: list[FolderRun],
+) -> None:
     """Writes an episode to the new folder, and adds it to `runs`."""
-    name = episode.world, episode.number
-    # Before the episode is written, as the file may be damaged.
-    has_steps = source.is_dir() and name in recorded_steps(source)
-    steps = EpisodeSteps.read(source, *name) if has_steps else None
     about = {"started": episode.started}
     if episode.id is not None:
         about["id"] = episode.id
-    with open_record(source, *name) as ss:
+    with open_record(source, episode.world, episode.number) as ss:
         database = ss._database  # noqa: SLF001  # it reads the record
         (world,) = database.worlds.values()
         ticks = database.export(world, folder, None, (None, None), about=about)

@@ -20,10 +20,16 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError
 from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import members_of, run_of
-from ssduck.recording.stores.batched_parts import BatchedFile, ReadPart, ReadParts
+from ssduck.recording.stores.batched_parts import (
+    BatchedFile,
+    ReadPart,
+    ReadParts,
+    ticks_of_parts,
+)
 from ssduck.recording.stores.checksums import (
     content_problem,
     footer_in,
@@ -178,11 +184,15 @@ class EpisodeGroup:
         self._members[entry.key] = entry.files, run.key
         return files
 
-    def check_rows(self, entry: EpisodeEntry, parts: ReadParts) -> None:
+    def check_rows(
+        self, files: EntryFiles, starts: Sequence[int], ticks: TickBuffer, parts: ReadParts
+    ) -> None:
         """Checks all rows of the entities of an episode of the group.
 
         Args:
-            entry: the episode.
+            files: the files of the episode.
+            starts: the first tick of each part.
+            ticks: its ticks.
             parts: reads its parts.
 
         Raises:
@@ -190,14 +200,10 @@ class EpisodeGroup:
                 name, kind or mass than their model has.
             OSError: a file cannot be read.
         """
-        run = FolderRun(expand_path(entry.path), entry.world, entry.episode)
-        starts, ticks = run.ticks()
-        ends = [*starts[1:], int(ticks.numbers[-1]) + 1]
-        assert run.key is not None  # its parts have labels
-        files = EntryFiles(entry, run.key).parts("entities")
-        for file, start, end in zip(files, starts, ends, strict=True):
+        between = ticks_of_parts(starts, int(ticks.numbers[-1]))
+        for file, first_and_last in zip(files.parts("entities"), between, strict=True):
             part = parts.read(file)
-            part.check(self._checks, ticks, (start, end - 1))
+            part.check(self._checks, ticks, first_and_last)
             part.check_repeated(self.models["entities"], repeated_columns("entities"))
 
     def _check_model(self, run: FolderRun, listed: EntryFiles, model: str) -> None:

@@ -25,10 +25,12 @@ from ssduck.formatting import short_repr
 from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.plans_over_ticks import SelectedSql, TickPlan, plan_over_ticks
 from ssduck.lakes.answers import ERROR, KEYS
+from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.workers import UNREADABLE
 from ssduck.limits import Limits
+from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.record import TIME_TOLERANCE
 from ssduck.recording.stores.batched_parts import ReadParts
@@ -117,12 +119,14 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
             )
         try:
-            own, parts = _with_ticks_of_files(entry), ReadParts()
+            run, parts = FolderRun(expand_path(entry.path), entry.world, entry.episode), ReadParts()
+            starts, ticks = run.ticks()
+            own = _with_ticks(entry, ticks)
             name = entry.group
             if name in groups and not _is_of(groups[name][0], own, parts):
                 name = f"{number}"
             group, members = groups.get(name) or (EpisodeGroup(own), {})
-            group.check_rows(own, parts)
+            group.check_rows(EntryFiles(own, run.key or ""), starts, ticks, parts)
         except UNREADABLE as error:
             failed[number] = replace(entry, error=str(error))
         else:
@@ -131,8 +135,8 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
     return [members for _, members in groups.values()], failed
 
 
-def _with_ticks_of_files(entry: EpisodeEntry) -> EpisodeEntry:
-    _, ticks = FolderRun(expand_path(entry.path), entry.world, entry.episode).ticks()
+def _with_ticks(entry: EpisodeEntry, ticks: TickBuffer) -> EpisodeEntry:
+    """Returns an episode with the ticks of its files, whatever its manifest says."""
     first, last = int(ticks.numbers[0]), int(ticks.numbers[-1])
     return replace(entry, first_tick=first, last_tick=last, end=float(ticks.times[-1]))
 

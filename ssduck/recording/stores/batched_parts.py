@@ -43,6 +43,16 @@ RUN = "run"
 Columns: TypeAlias = dict[str, pa.ChunkedArray]
 
 
+def ticks_of_parts(starts: Sequence[int], last: int) -> list[tuple[int, int]]:
+    """Returns the first and the last tick of each part.
+
+    Args:
+        starts: the first ticks.
+        last: the last tick of all.
+    """
+    return list(zip(starts, [*(start - 1 for start in starts[1:]), last], strict=True))
+
+
 @dataclass(frozen=True)
 class BatchedFile:
     """A file of a part.

@@ -28,6 +28,7 @@ from ssduck.recording.stores.batched_parts import (
     PartsDataset,
     ReadPart,
     ReadParts,
+    ticks_of_parts,
 )
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
@@ -70,10 +71,10 @@ class BatchedEpisode:
         """Its ticks, without the offset."""
         return TickBuffer.from_arrays(self.ticks["tick"].to_numpy(), self.times)
 
-    def ticks_of_part(self, number: int) -> tuple[int, int]:
-        """Returns the first and the last tick of a part, without the offset."""
-        ends = [*self.starts[1:], int(self.tick_buffer.numbers[-1]) + 1]
-        return self.starts[number], ends[number] - 1
+    @cached_property
+    def ticks_of_parts(self) -> list[tuple[int, int]]:
+        """The first and the last tick of each part, without the offset."""
+        return ticks_of_parts(self.starts, int(self.tick_buffer.numbers[-1]))
 
     @cached_property
     def times(self) -> Array:
@@ -182,7 +183,7 @@ class EpisodeBatch(TickArchive):
         try:
             part, key = self.parts.read(file), episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                part.check(self._checks, episode.tick_buffer, episode.ticks_of_part(number))
+                part.check(self._checks, episode.tick_buffer, episode.ticks_of_parts[number])
                 if table in TABLES_OF_BODIES:
                     bodies = self._part("entities", number, index).keys()
                     part.require(

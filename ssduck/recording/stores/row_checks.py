@@ -93,6 +93,8 @@ class RowChecks:
 
     def __init__(self, members: Mapping[int, EntityInfo]) -> None:
         self._members = members
+        # The number of parts of each member, by table.
+        self._counts: dict[str, Integers] = {}
 
     def problem(self, table: str, rows: pa.Table, ticks: TickBuffer) -> str | None:
         """Returns what is wrong with the rows of a table at some ticks; None for nothing.
@@ -184,12 +186,15 @@ class RowChecks:
 
     def _parts(self, table: str) -> Integers:
         """Returns the number of parts of each member: its links, joints or shapes."""
-        bodies = [self._members[id].body for id in sorted(self._members)]
-        if table == "entities":
-            return np.ones(len(bodies), dtype=np.int64)
-        attribute = table if table in ("joints", "shapes") else "links"
-        counts = [0 if body is None else len(getattr(body, attribute)) for body in bodies]
-        return np.array(counts, dtype=np.int64)
+        if table not in self._counts:
+            bodies = [self._members[id].body for id in sorted(self._members)]
+            attribute = table if table in ("joints", "shapes") else "links"
+            counts = [
+                1 if table == "entities" else 0 if body is None else len(getattr(body, attribute))
+                for body in bodies
+            ]
+            self._counts[table] = np.array(counts, dtype=np.int64)
+        return self._counts[table]
 
     def _problem_of_keys(self, table: str, rows: pa.Table) -> str | None:
         """Returns that a row is twice there, or that a part of a body is missing."""
