@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
@@ -18,6 +17,7 @@ from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
 from ssduck.recording.stores.checksums import write_parquet
 from tests.support.forged import with_column
 from tests.support.lake_questions import whole_answer_of
+from tests.support.rising_cups import write_rising_cups
 
 EPISODES, TICKS, CHANGED = 4, 6, 1
 # Programs that SQL answers for all episodes at once, for each by itself, and from rows in Python.
@@ -33,14 +33,7 @@ PROGRAMS = (
 
 @pytest.fixture
 def record(tmp_path: Path) -> Path:
-    """Records a cup that rises beside a pot, in each episode from another height."""
-    place = tmp_path / "r"
-    for episode in range(EPISODES):
-        poses = np.zeros((TICKS, 2, 3))
-        poses[:, 1, 0] = 5.0
-        poses[:, :, 2] = episode + np.arange(TICKS)[:, None] / 10
-        shapes = {name: {"box": [0.1] * 3} for name in ("cup", "pot")}
-        ssduck.write_record(place, shapes, poses, np.arange(TICKS) / 10, world="lab")
+    place = write_rising_cups(tmp_path / "r", EPISODES, TICKS)
     workers.forget_readers()
     return place
 

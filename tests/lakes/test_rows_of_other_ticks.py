@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import duckdb
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -21,6 +20,7 @@ from ssduck.lakes.questions import ProgramQuestion
 from ssduck.recording.stores.batched_parts import ReadPart
 from ssduck.recording.stores.checksums import write_parquet
 from tests.support.forged import with_column
+from tests.support.rising_cups import write_rising_cups
 
 EPISODES, TICKS, FORGED = 4, 6, 1
 # The tick and the time that the last row gets instead of its own.
@@ -39,17 +39,6 @@ PROGRAMS = (
     "max(SELECT z FROM lab{} AS list);",
     "least(clearance(lab.cup, lab.pot));",
 )
-
-
-def recorded(place: Path) -> Path:
-    """Records a cup that rises beside a pot, in each episode from another height."""
-    for episode in range(EPISODES):
-        poses = np.zeros((TICKS, 2, 3))
-        poses[:, 1, 0] = 5.0
-        poses[:, :, 2] = episode + np.arange(TICKS)[:, None] / 10
-        shapes = {name: {"box": [0.1] * 3} for name in ("cup", "pot")}
-        ssduck.write_record(place, shapes, poses, np.arange(TICKS) / 10, world="lab")
-    return place
 
 
 def forge(record: Path, tick: int, time: float) -> None:
@@ -108,7 +97,7 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_a_row_of_another_tick_changes_no_answer(
     tmp_path: Path, forgery: str, alone: list[int]
 ) -> None:
-    record = recorded(tmp_path / "r")
+    record = write_rising_cups(tmp_path / "r", EPISODES, TICKS)
     right = {program: answers_of(record, program) for program in PROGRAMS}
     assert alone == []
     assert all(one.error is None for answers in right.values() for one in answers)
@@ -133,7 +122,7 @@ def test_a_row_of_another_tick_changes_no_answer(
 def test_wrong_rows_are_an_error_of_their_episode(
     tmp_path: Path, change: Callable[[pa.Table], pa.Table], words: str
 ) -> None:
-    record = recorded(tmp_path / "r")
+    record = write_rising_cups(tmp_path / "r", EPISODES, TICKS)
     rewrite_rows(record, change)
     for program in PROGRAMS:
         errors = [one.error for one in answers_of(record, program)]
@@ -158,7 +147,7 @@ def test_the_ticks_of_a_file_are_checked_once(
         require(self, problem)
 
     monkeypatch.setattr(ReadPart, "require", counted)
-    record = recorded(tmp_path / "r")
+    record = write_rising_cups(tmp_path / "r", EPISODES, TICKS)
     answers_of(record, PROGRAMS[0])
     assert checked.count("entities") == EPISODES
     for program in PROGRAMS:
