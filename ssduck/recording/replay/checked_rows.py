@@ -21,7 +21,6 @@ from ssduck.recording.stores.row_checks import (
     TWICE,
     RowChecks,
     keys_of,
-    other_model,
 )
 from ssduck.world.layout import EntityInfo
 
@@ -118,8 +117,6 @@ class CheckedRows:
 
     def _check_block(self, table: str, block: RowBlock) -> None:
         self._require(table, self._checks.problem_of_block(table, block, self.ticks))
-        if block.repeated is not None:
-            self._require(table, other_model(table, *block.repeated))
 
     @cached_property
     def _ticks_at_once(self) -> int:

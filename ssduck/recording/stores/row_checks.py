@@ -7,6 +7,7 @@ a tick of the record.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import cache, cached_property
 from typing import Any
@@ -65,7 +66,7 @@ def model_columns(table: str) -> list[str]:
 
 
 def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
-    """Returns that rows have other values than their model; None if they have not.
+    """Returns that rows have other values than their model, and which; None if they have not.
 
     Args:
         table: a table with a model.
@@ -79,9 +80,38 @@ def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
     expected = join_model(table, distinct.select(keys), model, names)
     for name in names:
         pairs = zip(distinct[name].to_pylist(), expected[name].to_pylist(), strict=True)
-        if any(found != right and found == found for found, right in pairs):  # noqa: PLR0124  # NaN
+        if any(found != right and not (_is_nan(found) and _is_nan(right)) for found, right in pairs):
             return f"the column {name!r} has another value than its model"
     return None
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _equals_model(rows: pa.Table, model: pa.Table, places: pa.Array) -> bool:
+    """Checks whether rows have the values of their models; those with NaN are taken not to.
+
+    Args:
+        rows: the columns to compare; texts are numbered.
+        model: the rows of the model.
+        places: the number of the row of the model, of each row.
+    """
+    for name in rows.column_names:
+        found, right = rows[name], model[name]
+        if pa.types.is_dictionary(found.type):
+            found, right = _numbered(found, right)
+        if not found.equals(right.take(places)):
+            return False
+    return True
+
+
+def _numbered(found: pa.ChunkedArray, right: pa.ChunkedArray) -> tuple[Any, Any]:
+    """Returns the numbers of the texts of rows, and of those of the model; -1 for other ones."""
+    numbered = found.combine_chunks()
+    texts = {text: number for number, text in enumerate(numbered.dictionary.to_pylist())}
+    numbers = [None if text is None else texts.get(text, -1) for text in right.to_pylist()]
+    return numbered.indices, pa.array(numbers, numbered.indices.type)
 
 
 class RowChecks:
@@ -111,14 +141,10 @@ class RowChecks:
         if problem is not None:
             return problem
         for name in RECORDED[table].entity_columns:
-            ids = rows[name].to_numpy()
-            if (problem := self.stranger(ids)) is not None:
-                return problem
             link = _LINKS.get(table, {}).get(name)
-            if link is not None:
-                counts = self._parts("links").take(self._places(ids))
-                if not _are_below(rows[link].to_numpy(), counts):
-                    return "a link is unknown"
+            links = None if link is None else rows[link].to_numpy()
+            if (problem := self._unknown(rows[name].to_numpy(), links)) is not None:
+                return problem
         return self._problem_of_keys(table, rows) if RECORDED[table].key and len(rows) else None
 
     def problem_of_block(self, table: str, block: RowBlock, ticks: TickBuffer) -> str | None:
@@ -127,15 +153,47 @@ class RowChecks:
         if problem is not None:
             return problem
         numbers = block.rows["tick"].to_numpy()
-        is_other = (numbers < block.first) | (numbers > block.last)
-        if is_other.any():
+        if len(numbers) and (numbers.min() < block.first or numbers.max() > block.last):
+            is_other = (numbers < block.first) | (numbers > block.last)
             return f"one at the tick {numbers[is_other][0]} is among those of others"
-        return None
+        return self._other_model(table, block)
+
+    def _other_model(self, table: str, block: RowBlock) -> str | None:
+        """Returns that the rows of a part, which are right else, have other values than models."""
+        if block.repeated is None:
+            return None
+        rows, model = block.repeated
+        places = np.full(int(self._parts(table).sum()), -1, dtype=np.int64)
+        places[self._numbers(table, with_joint_numbers(table, model))] = np.arange(len(model))
+        of_rows = pa.array(places.take(self._numbers(table, block.rows)))
+        names = [name for name in repeated_columns(table) if name in rows.column_names]
+        compared = rows.select([name for name in names if name in model.column_names])
+        # To find the column takes longer than to find that there is none.
+        return None if _equals_model(compared, model, of_rows) else other_model(table, rows, model)
 
     def stranger(self, ids: Integers) -> str | None:
         """Returns that an id is that of no entity; None if there is none."""
         is_unknown = self._places(ids) < 0
         return f"the entity {ids[is_unknown][0]} is unknown" if is_unknown.any() else None
+
+    def _unknown(self, ids: Integers, links: Integers | None) -> str | None:
+        """Returns that an id is that of no entity, or that a link of the entity is unknown."""
+        # Unsigned, a negative number is larger than any limit.
+        if links is not None and len(ids) and int(ids.view(np.uint64).max()) < len(self._link_limits):
+            if (links.view(np.uint64) < self._link_limits.take(ids)).all():
+                return None
+        problem = self.stranger(ids)
+        if problem is None and links is not None:
+            counts = self._parts("links").take(self._places(ids))
+            problem = None if _are_below(links, counts) else "a link is unknown"
+        return problem
+
+    @cached_property
+    def _link_limits(self) -> npt.NDArray[np.uint64]:
+        """The number of links of each member by its id, from 0 on; 0 for ids of no member."""
+        limits = np.zeros(len(self._place_of_id), dtype=np.uint64)
+        limits[sorted(self._members)] = self._parts("links")
+        return limits
 
     def problem_of_bodies(
         self, table: str, rows: pa.Table, entities: pa.Table, *, single: bool
@@ -196,25 +254,38 @@ class RowChecks:
             self._counts[table] = np.array(counts, dtype=np.int64)
         return self._counts[table]
 
+    def _numbers(self, table: str, rows: pa.Table) -> Integers:
+        """Returns a number of each row in its tick: that of its part among those of all members."""
+        owner, *numbered = RECORDED[table].key
+        counts = self._parts(table)
+        starts: Integers = (np.cumsum(counts) - counts).take(self._places(rows[owner].to_numpy()))
+        return starts + rows[numbered[0]].to_numpy() if numbered else starts
+
     def _problem_of_keys(self, table: str, rows: pa.Table) -> str | None:
         """Returns that a row is twice there, or that a part of a body is missing."""
         owner, *numbered = RECORDED[table].key
-        places, counts = self._places(rows[owner].to_numpy()), self._parts(table)
+        counts = self._parts(table)
         numbers: Any = rows[numbered[0]].to_numpy() if numbered else 0
-        if not _are_below(numbers, counts.take(places)):
+        if not _are_below(numbers, counts.take(self._places(rows[owner].to_numpy()))):
             return "a link is unknown"
-        starts = np.cumsum(counts) - counts
-        keys = keys_of(rows["tick"].to_numpy(), starts.take(places) + numbers, int(counts.sum()))
-        keys = _ascending(keys)
-        if (np.diff(keys) == 0).any():
+        size = int(counts.sum())
+        keys = keys_of(rows["tick"].to_numpy(), self._numbers(table, rows), size)
+        steps = np.diff(keys)
+        if (steps < 0).any():  # most are ascending already
+            keys = np.sort(keys)
+            steps = np.diff(keys)
+        if not steps.all():
             return TWICE
-        if table in _COMPLETE:
-            size = int(counts.sum())
-            owners = np.repeat(np.arange(len(counts)), counts).take(keys % size)
-            begins = np.flatnonzero(np.diff(keys // size, prepend=-1) | np.diff(owners, prepend=-1))
-            if int(counts.take(owners.take(begins)).sum()) != len(keys):
-                return "a body lacks some of them"
+        if table in _COMPLETE and not self._are_complete(keys, counts):
+            return "a body lacks some of them"
         return None
+
+    def _are_complete(self, keys: Integers, counts: Integers) -> bool:
+        """Checks whether the parts of a body are all there or none, from ascending keys."""
+        size = int(counts.sum())
+        owners = np.repeat(np.arange(len(counts)), counts).take(keys % size)
+        begins = np.flatnonzero(np.diff(keys // size, prepend=-1) | np.diff(owners, prepend=-1))
+        return int(counts.take(owners.take(begins)).sum()) == len(keys)
 
 
 def keys_of(ticks: Integers, numbers: Integers, size: int) -> Integers:
