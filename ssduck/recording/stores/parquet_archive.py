@@ -38,13 +38,13 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
-from ssduck.recording.stores.row_checks import key_types, model_columns
+from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# So many rows of a table without a key are checked at once.
-_ROWS_AT_ONCE = 1 << 17
+# So many rows of a table without a key are checked at once: they fit the cache of a processor.
+_ROWS_AT_ONCE = 1 << 15
 _PATTERN = re.compile(r"[*?[]")
 
 
@@ -219,7 +219,7 @@ class ParquetArchive(TickArchive):
             self._check(table, part)
             file, ticks = self._files[table][number], self._ticks_of(part)
             if RECORDED[table].key:
-                rows, repeated = _rows_of_part(file, types, columns)
+                rows, repeated = _rows_of_part(file, types, columns, repeated_texts(table))
                 model = self._models.get(table)
                 yield RowBlock(*ticks, rows, None if model is None else (repeated, model))
             else:
@@ -293,20 +293,21 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
 
 
 def _rows_of_part(
-    file: Path, types: pa.Schema, repeated: Sequence[str] = ()
+    file: Path, types: pa.Schema, repeated: Sequence[str] = (), numbered: Sequence[str] = ()
 ) -> tuple[pa.Table, pa.Table]:
     """Returns some columns of the rows of a part, with NULL for missing ones; and others.
 
     Args:
         file: the part.
         types: the columns, and their types.
-        repeated: the others, which are returned as far as the part has them; texts are numbered.
+        repeated: the others, which are returned as far as the part has them.
+        numbered: those of them that have texts, which are returned by their numbers.
 
     Raises:
         RecordError: the file is damaged or missing.
     """
     try:
-        part = pq.ParquetFile(parquet_source(file), read_dictionary=repeated)
+        part = pq.ParquetFile(parquet_source(file), read_dictionary=numbered)
         present = set(part.schema_arrow.names)
         needed = {*types.names, *repeated} | ({"link"} if "joint" in types.names else set())
         names = [name for name in part.schema_arrow.names if name in needed]

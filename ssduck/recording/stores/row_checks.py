@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -20,7 +21,7 @@ from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.static_tables import join_model, with_joint_numbers
 from ssduck.recording.stores.base import RowBlock
 from ssduck.recording.stores.tick_checks import stray_row
-from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
+from ssduck.schema import FRAMES, LATER_COLUMNS, MODELS, RECORDED, TABLES
 from ssduck.world.layout import EntityInfo
 
 Integers = npt.NDArray[np.int64]
@@ -57,6 +58,14 @@ def repeated_columns(table: str) -> tuple[str, ...]:
     return tuple(name for name in TABLES[table].names if name not in stored)
 
 
+@cache
+def repeated_texts(table: str) -> tuple[str, ...]:
+    """Returns those of the repeated columns that have texts, and that records always had."""
+    types = {column.name: column.type for column in TABLES[table].columns}
+    names = set(repeated_columns(table)) - LATER_COLUMNS
+    return tuple(sorted(name for name in names if types[name] == "string"))
+
+
 def model_columns(table: str) -> list[str]:
     """Returns the columns that a folder repeats in each row, after the keys that they follow from.
 
@@ -80,7 +89,7 @@ def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
     expected = join_model(table, distinct.select(keys), model, names)
     for name in names:
         pairs = zip(distinct[name].to_pylist(), expected[name].to_pylist(), strict=True)
-        if any(found != right and not (_is_nan(found) and _is_nan(right)) for found, right in pairs):
+        if any(one != other and not (_is_nan(one) and _is_nan(other)) for one, other in pairs):
             return f"the column {name!r} has another value than its model"
     return None
 
@@ -89,29 +98,54 @@ def _is_nan(value: Any) -> bool:
     return isinstance(value, float) and math.isnan(value)
 
 
-def _equals_model(rows: pa.Table, model: pa.Table, places: pa.Array) -> bool:
-    """Checks whether rows have the values of their models; those with NaN are taken not to.
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The rows of a model, prepared to be compared with many parts.
 
-    Args:
-        rows: the columns to compare; texts are numbered.
-        model: the rows of the model.
-        places: the number of the row of the model, of each row.
+    Attributes:
+        rows: the rows.
+        places: the number of its row, by that of a part of a member in a tick; -1 for none.
     """
-    for name in rows.column_names:
-        found, right = rows[name], model[name]
-        if pa.types.is_dictionary(found.type):
-            found, right = _numbered(found, right)
-        if not found.equals(right.take(places)):
-            return False
-    return True
+
+    rows: pa.Table
+    places: Integers
+
+    @cached_property
+    def _columns(self) -> dict[str, pa.Array]:
+        """The columns by name; texts are numbered."""
+        columns = {}
+        for name in self.rows.column_names:
+            column = self.rows[name].combine_chunks()
+            is_text = pa.types.is_string(column.type)
+            columns[name] = column.dictionary_encode() if is_text else column
+        return columns
+
+    def is_repeated(self, rows: pa.Table, numbers: Integers) -> bool:
+        """Checks whether rows have the values of the model; those with NaN are taken not to.
+
+        Args:
+            rows: the columns to compare, which the model has, too.
+            numbers: the number of each row in its tick.
+        """
+        places = self.places.take(numbers)
+        return all(
+            _are_equal(rows[name].combine_chunks(), self._columns[name], places)
+            for name in rows.column_names
+        )
 
 
-def _numbered(found: pa.ChunkedArray, right: pa.ChunkedArray) -> tuple[Any, Any]:
-    """Returns the numbers of the texts of rows, and of those of the model; -1 for other ones."""
-    numbered = found.combine_chunks()
-    texts = {text: number for number, text in enumerate(numbered.dictionary.to_pylist())}
-    numbers = [None if text is None else texts.get(text, -1) for text in right.to_pylist()]
-    return numbered.indices, pa.array(numbers, numbered.indices.type)
+def _are_equal(found: pa.Array, model: pa.Array, places: Integers) -> bool:
+    """Checks whether a column has the values of the rows of its model at some places."""
+    if pa.types.is_string(found.type):
+        found = found.dictionary_encode()
+    if pa.types.is_dictionary(found.type):
+        texts = {text: number for number, text in enumerate(found.dictionary.to_pylist())}
+        numbers = [texts.get(text, -1) for text in model.dictionary.to_pylist()]
+        model = pa.array(numbers, found.indices.type).take(model.indices)
+        found = found.indices
+    if found.null_count or model.null_count or pa.types.is_boolean(found.type):
+        return bool(found.equals(model.take(pa.array(places))))
+    return np.array_equal(found.to_numpy(), model.to_numpy().take(places))
 
 
 class RowChecks:
@@ -125,6 +159,7 @@ class RowChecks:
         self._members = members
         # The number of parts of each member, by table.
         self._counts: dict[str, Integers] = {}
+        self._models: dict[str, _Model] = {}
 
     def problem(self, table: str, rows: pa.Table, ticks: TickBuffer) -> str | None:
         """Returns what is wrong with the rows of a table at some ticks; None for nothing.
@@ -163,13 +198,21 @@ class RowChecks:
         if block.repeated is None:
             return None
         rows, model = block.repeated
-        places = np.full(int(self._parts(table).sum()), -1, dtype=np.int64)
-        places[self._numbers(table, with_joint_numbers(table, model))] = np.arange(len(model))
-        of_rows = pa.array(places.take(self._numbers(table, block.rows)))
+        prepared = self._model(table, model)
         names = [name for name in repeated_columns(table) if name in rows.column_names]
         compared = rows.select([name for name in names if name in model.column_names])
-        # To find the column takes longer than to find that there is none.
-        return None if _equals_model(compared, model, of_rows) else other_model(table, rows, model)
+        if prepared.is_repeated(compared, self._numbers(table, block.rows)):
+            return None
+        return other_model(table, rows, model)  # finds the column, which takes longer
+
+    def _model(self, table: str, rows: pa.Table) -> _Model:
+        """Returns the model of a table, which is the same for all parts."""
+        if table not in self._models or self._models[table].rows is not rows:
+            places = np.full(int(self._parts(table).sum()), -1, dtype=np.int64)
+            numbers = self._numbers(table, with_joint_numbers(table, rows))
+            places[numbers] = np.arange(len(rows))
+            self._models[table] = _Model(rows, places)
+        return self._models[table]
 
     def stranger(self, ids: Integers) -> str | None:
         """Returns that an id is that of no entity; None if there is none."""
@@ -178,15 +221,20 @@ class RowChecks:
 
     def _unknown(self, ids: Integers, links: Integers | None) -> str | None:
         """Returns that an id is that of no entity, or that a link of the entity is unknown."""
-        # Unsigned, a negative number is larger than any limit.
-        if links is not None and len(ids) and int(ids.view(np.uint64).max()) < len(self._link_limits):
-            if (links.view(np.uint64) < self._link_limits.take(ids)).all():
-                return None
+        if links is not None and self._are_links(ids, links):
+            return None
         problem = self.stranger(ids)
         if problem is None and links is not None:
             counts = self._parts("links").take(self._places(ids))
             problem = None if _are_below(links, counts) else "a link is unknown"
         return problem
+
+    def _are_links(self, ids: Integers, links: Integers) -> bool:
+        """Checks whether all links are known, quickly: of many rows, as those of contacts."""
+        # Unsigned, a negative number is larger than any limit.
+        if not len(ids) or int(ids.view(np.uint64).max()) >= len(self._link_limits):
+            return False
+        return bool((links.view(np.uint64) < self._link_limits.take(ids)).all())
 
     @cached_property
     def _link_limits(self) -> npt.NDArray[np.uint64]:
