@@ -61,9 +61,9 @@ def repeated_columns(table: str) -> tuple[str, ...]:
 @cache
 def repeated_texts(table: str) -> tuple[str, ...]:
     """Returns those of the repeated columns that have texts, and that records always had."""
-    types = {column.name: column.type for column in TABLES[table].columns}
     names = set(repeated_columns(table)) - LATER_COLUMNS
-    return tuple(sorted(name for name in names if types[name] == "string"))
+    columns = RECORDED[table].columns
+    return tuple(one.name for one in columns if one.name in names and one.type == "string")
 
 
 def model_columns(table: str) -> list[str]:
