@@ -438,7 +438,10 @@ class Connection:
         return [(name, type) for name, type, *_ in described]
 
     def statements(self, sql: str) -> list[tuple[str, str]] | None:
-        """Returns the type (WITH if that may change rows) and text of each; None: no SQL."""
+        """Returns the type and the text of each statement in a text; None if it is no SQL.
+
+        A type is the name of one of `duckdb.StatementType`, or WITH: see `type_and_text`.
+        """
         try:
             return [type_and_text(one) for one in self._connection.extract_statements(sql)]
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8

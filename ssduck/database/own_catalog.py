@@ -33,6 +33,8 @@ _ENDS = {
     "CREATE": frozenset(("AS", "SELECT", "FROM")),
     "COPY": frozenset(("SELECT", "FROM", "TO")),
 }
+# The word of these that says that COPY reads what it names before.
+_READS = "TO"
 # The words of statements that change rows, in a query of WITH or behind EXPLAIN ANALYZE, too.
 _CHANGING = frozenset(("INSERT", "UPDATE", "DELETE", "TRUNCATE", "MERGE", "COPY"))
 _DEFINING = frozenset(("CREATE", "DROP", "ALTER", "EXECUTE", "CALL"))
@@ -193,15 +195,19 @@ def _kind_run(kind: str, text: str) -> str:
 
 def _written(kind: str, text: str) -> str:
     """Returns the part of a statement that names what it changes, or all of it."""
-    if kind not in ("INSERT", *_ENDS):
+    if kind not in ("INSERT", "WITH", *_ENDS):
         return text
     words = _words(text)
+    if kind == "WITH":  # if it changes nothing, the words were those of a text or a comment
+        return "" if (_CHANGING | _DEFINING).isdisjoint(words) else text
     changes = [word for word in words if word in _CHANGING and word != kind]
     may_change = kind == "CREATE" or "WITH" in words  # a trigger; a query of WITH
     if may_change and (changes or words.count(kind) > 1):
         return text
     if kind in _ENDS:
         end = next((place for place, word in enumerate(words) if word in _ENDS[kind]), None)
+        if kind == "COPY" and end is not None and words[end] == _READS:
+            return ""
         return " ".join(words[:end])
     start = words.index("INTO") + 1
     end = start + 1

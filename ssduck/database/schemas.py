@@ -120,11 +120,10 @@ class Schemas:
         stored = None if history is None else history.record.stored
         if history is None or stored is None or table.view_columns:
             return False
-        tables = _tables_of(table, history)
-        if not all(stored.archive.part_groups(name) for name in tables):
-            return False
-        for name in tables:
-            stored.check_groups(name, first, last)
+        if table.source in history.store.tables:
+            if not stored.archive.part_groups(table.source):
+                return False
+            stored.check_groups(table.source, first, last)
         if (schema, view) not in self._partly_made:
             try:
                 _define_history_view(schema, bound, table, self._connection)
@@ -292,23 +291,18 @@ def _make_history_view(
     schema: str, bound: BoundWorld, table: Table, connection: Connection
 ) -> None:
     """Creates the view of a table at all recorded ticks, whose rows it checks."""
+    _check_history(bound, table, connection)  # the rows of entities that it compares, too
     if table.view_columns:
         connection.on_demand.make((schema, TABLES["entities"].history_view), connection)
-    _check_history(bound, table, connection)
     _define_history_view(schema, bound, table, connection)
 
 
 def _check_history(bound: BoundWorld, table: Table, connection: Connection) -> None:  # noqa: ARG001
     """Checks all rows of a view of a history."""
     history = bound.history
-    if history is not None and history.record.stored is not None:
-        for name in _tables_of(table, history):
-            history.record.stored.check_rows(name)
-
-
-def _tables_of(table: Table, history: WorldHistory) -> list[str]:
-    """Returns the stored tables that the view of a table reads."""
-    return sorted({table.source, "entities"} & set(history.store.tables))
+    stored = None if history is None else history.record.stored
+    if history is not None and stored is not None and table.source in history.store.tables:
+        stored.check_rows(table.source)
 
 
 def _define_history_view(
@@ -318,7 +312,7 @@ def _define_history_view(
     history, rows = bound.history, None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
-        tables = _tables_of(table, history)
+        tables = {table.source, "entities"} & set(history.store.tables)
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)
         rows = history.store.select(table.source, waiting)

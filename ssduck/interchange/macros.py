@@ -23,7 +23,7 @@ from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
 from ssduck.sql.relations.registry import RELATIONS
-from ssduck.sql.relations.relation import TEXT_FUNCTIONS, Relation
+from ssduck.sql.relations.relation import Relation, overloads_of_others
 
 # The tables whose rows do not differ from tick to tick.
 _OF_MODELS = frozenset(("shapes", "geometries"))
@@ -172,25 +172,15 @@ class _Source:
             if lookups:
                 body, names = _renamed(body, names)
             overloads.append(f"({', '.join(names)}) AS ({body.sql('duckdb')})")
-        overloads = [*_overloads_of_others(relation), *overloads]
+        overloads = [*overloads_of_others(relation), *overloads]
         yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(overloads)}"
 
 
 def _macros_of_lists(relation: Relation) -> Iterator[str]:
     """Yields the statement of a relation of intervals that has the name of one of entities."""
     if relation.list_formula:
-        lists = _overloads_of_others(relation)
+        lists = overloads_of_others(relation)
         yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(lists)}"
-
-
-def _overloads_of_others(relation: Relation) -> list[str]:
-    """Returns the parameters and bodies of a macro for lists, and for texts."""
-    result = []
-    if relation.name in TEXT_FUNCTIONS:
-        result.append(f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
-    if relation.list_formula:
-        result.append(f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
-    return result
 
 
 def _without_lookups(tree: exp.Expr, name: str, entity: str) -> tuple[exp.Expr, list[str]]:

@@ -10,6 +10,7 @@ from ssduck.interpreter.opening import open_record
 from ssduck.recording.episode import Episode
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
 from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.atomic_files import finish_folder, unfinished_folder
 from ssduck.recording.stores.parquet import whole_record
 from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
 
@@ -20,7 +21,8 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
     All rows, the times of the starts, ids, tags and steps stay as they are. The files get the
     labels and checksums, episodes the ids, and tables the columns that older releases did not
     write; what was not recorded is NULL. The record itself stays. Episodes without ticks are left
-    out.
+    out. On a disk, the new folder is there when it is complete: until then it has another name,
+    which begins with a dot, beside it. A process that is killed leaves that one.
 
     Args:
         path: the folder or the DuckDB file of the record.
@@ -46,12 +48,14 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
     if not listed:
         raise RecordError(f"{source} has no episode with ticks")
     with_steps = set(recorded_steps(source) if source.is_dir() else ())
-    with whole_record(folder) as runs:
+    place = unfinished_folder(folder)
+    with whole_record(place) as runs:
         for episode in listed:
             name = episode.world, episode.number
             # Before the episode is written, as the file may be damaged.
             steps = EpisodeSteps.read(source, *name) if name in with_steps else None
-            _upgrade(source, episode, steps, folder, runs)
+            _upgrade(source, episode, steps, place, runs)
+        finish_folder(place, folder)
     return episodes(folder)
 
 

@@ -373,6 +373,7 @@ class Lake:
             UnknownNameError: there is no such dialect, or the program names nothing.
             ArgumentError: the condition is none, or no episode is without an error.
         """
+        validation.text(program, "a program for a lake is a text of SelectScript")
         entries = [self._entries[place] for place in self._places(where)]
         return statement(entries, program, dialect, limits)
 
@@ -405,6 +406,7 @@ class Lake:
             RecordError: the description of an episode cannot be written, or it is in a DuckDB file.
         """
         checked_tags({name: True}, "tag")
+        validation.text(program, "tag takes a program (set_tags takes tags)")
         strict = validation.boolean(arguments.pop("strict", False), "tag: strict")
         question = ProgramQuestion(program, arguments.pop("limits", None), strict)
         question.check()

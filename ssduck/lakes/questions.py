@@ -24,6 +24,7 @@ from ssduck.language.tree import Call, Name, Node, Program, QualifiedName
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.paths import expand_path
+from ssduck.validation import text
 from ssduck.world.handles import Handle
 
 # Answers an entry with the interpreter that has its world at the last tick.
@@ -63,6 +64,9 @@ class Question(ABC):
 class ProgramQuestion(Question):
     """A program, whose value is the answer.
 
+    Raises:
+        ArgumentError: it is no text.
+
     Attributes:
         text: the program.
         limits: the limits of the program.
@@ -72,6 +76,9 @@ class ProgramQuestion(Question):
     text: str
     limits: Limits | None = None
     is_strict: bool = False
+
+    def __post_init__(self) -> None:
+        text(self.text, "a program for a lake is a text of SelectScript")
 
     @property
     def key(self) -> str:

@@ -17,6 +17,7 @@ from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
 from ssduck.recording.paths import expand_path
+from ssduck.recording.stores.atomic_files import is_temporary
 from ssduck.recording.stores.checksums import checksum_of, content_problem
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system
@@ -75,7 +76,7 @@ def records_below(place: Path) -> Iterator[Path]:
         yield place
         return
     for folder, folders, files in os.walk(place):
-        folders.sort()
+        folders[:] = sorted(name for name in folders if not is_temporary(Path(name)))
         if ABOUT in files or {"episodes", "ticks"} <= set(folders):
             folders.clear()
             yield Path(folder)

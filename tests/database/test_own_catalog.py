@@ -134,6 +134,33 @@ def test_what_users_create_is_theirs(ss, tmp_path):
     ss.sql("DROP TABLE mine")
 
 
+READING = [
+    "COPY room_record_0.\"entities model\" TO '{}'",
+    "COPY room_record_0.\"entities model\" (id, name) TO '{}' (FORMAT csv)",
+    "COPY (FROM room_record_0.\"entities model\") TO '{}'",
+]
+
+
+@pytest.mark.parametrize("text", READING)
+def test_copies_of_a_record_may_be_written(lasting, tmp_path, text):
+    ss, before = lasting
+    ss.sql(text.format(tmp_path / "rows.csv"))
+    assert len((tmp_path / "rows.csv").read_text().splitlines()) > 1
+    assert answers(ss) == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT 'WITH x AS (DELETE FROM room_record_0.\"entities model\")'",
+        "WITH x AS (SELECT 1) SELECT '(UPDATE room_record_0.a' FROM x -- (INSERT INTO room_record_0",
+    ],
+)
+def test_a_text_that_looks_like_a_change_is_a_text(lasting, text):
+    ss, _ = lasting
+    assert len(ss.sql(text).fetchall()) == 1
+
+
 def test_a_failing_transaction_is_undone(ss):
     with pytest.raises(SqlError, match="no"):
         ss.sql("BEGIN; CREATE TABLE mine (a INTEGER); SELECT error('no'); COMMIT")

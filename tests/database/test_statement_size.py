@@ -72,6 +72,9 @@ TOO_LARGE = [
     chain("SELECT 1 AS s", "SELECT *, * FROM §", 40),
     chain("SELECT 1 AS s", "SELECT p.s FROM § p, § q", 40, is_inlined=True),
     chain("SELECT 1 AS s", "SELECT p.s FROM § p WHERE s IN (FROM §)", 40, is_inlined=True),
+    f"SELECT {nested('list_transform([1], lambda x: §)', 20, '1')}",
+    f"SELECT {nested('list_filter([1], lambda x: len(§) > 0)', 24, '[1]')}",
+    f"SELECT {nested('[§ for x in [1] if x > 0]', 20, '1')}",
     "WITH RECURSIVE r AS (SELECT 1 AS s UNION ALL SELECT s FROM "
     f"{nested('(SELECT [s, s] AS s FROM §)', 32, 'r')}) SELECT 1 FROM r",
 ]
@@ -80,7 +83,7 @@ TOO_LARGE = [
 @pytest.mark.parametrize("text", TOO_LARGE)
 def test_what_would_grow_beyond_bounds_is_refused_before_it_is_planned(strict, text):
     started = time.process_time()
-    with pytest.raises(LimitError, match=r"would be too large|nested deeper than 100"):
+    with pytest.raises(LimitError, match=r"would be too large|nested deeper|joins at most"):
         strict.sql(text)
     assert time.process_time() - started < 5
 
@@ -105,6 +108,12 @@ HARMLESS = [
     (f"SELECT {nested('(SELECT max(z) + § FROM entities)', 40, '1')} > 1", True),
     ("SELECT sum(" + " + ".join(f"z * {n}" for n in range(300)) + ") > 0 FROM entities", True),
     ("SELECT count(*) FROM (SELECT a.*, b.* FROM entities a, entities b)", 37 * 37),
+    (f"SELECT {nested('list_transform([1], lambda x: §)', 5, '1')}", [[[[[1]]]]]),
+    (
+        f"SELECT count(*) FROM entities {''.join(f' JOIN entities e{n} USING (id)' for n in range(20))}",
+        37,
+    ),
+    ("SELECT count(*) FROM (FROM entities" + " UNION ALL FROM entities" * 200 + ")", 201 * 37),
 ]
 
 
@@ -130,6 +139,22 @@ def test_the_bound_of_tables(strict, monkeypatch):
     assert strict.sql(query + ", ".join(f"q q{n}" for n in range(20))).fetchall() == [(1,)]
     with pytest.raises(LimitError, match="too large"):
         strict.sql(query + ", ".join(f"q q{n}" for n in range(21)))
+
+
+MANY = range(101)
+JOINS = {
+    "commas": f"SELECT 1 FROM {', '.join(f'entities t{n}' for n in MANY)}",
+    "USING": f"FROM entities {' '.join(f'JOIN entities t{n} USING (id)' for n in MANY)}",
+    "values": f"SELECT {', '.join(['(SELECT max(id) FROM entities)'] * 101)}",
+    "conditions": f"FROM entities WHERE {' AND '.join(['id IN (SELECT id FROM entities)'] * 101)}",
+}
+
+
+@pytest.mark.parametrize("text", JOINS.values(), ids=JOINS)
+def test_the_bound_of_a_join(strict, text):
+    """DuckDB looks for the order of 600 tables for half a minute, and nothing interrupts it."""
+    with pytest.raises(LimitError, match="joins at most 100 tables and nested queries"):
+        strict.sql(text)
 
 
 def test_many_relations_are_not_rewritten():

@@ -193,12 +193,20 @@ def test_mistakes_are_errors_at_once(recorded):
     for ask in (lake.ask, lake.stream):  # a stream tells of them before its first table
         with pytest.raises(ParseError):
             ask("SELECT FROM;")
+        with pytest.raises(ArgumentError, match="is a text of SelectScript, not 5"):
+            ask(5)
         with pytest.raises(ArgumentError, match="there is no engine 'dusk'"):
             ask("1;", engine="dusk")
         with pytest.raises(ArgumentError, match="batch"):
             ask("1;", batch=0)
         with pytest.raises(ArgumentError, match="where"):
             ask("1;", where="SELECT")
+    with pytest.raises(
+        ArgumentError, match=r"tag takes a program \(set_tags takes tags\), not {'a'"
+    ):
+        lake.tag("task", {"a": 1})
+    with pytest.raises(ArgumentError, match=r"is a text of SelectScript, not {'a': 1}"):
+        lake.sql({"a": 1})
 
 
 def row(text, error=None):

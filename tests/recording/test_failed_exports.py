@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pytest
@@ -10,7 +11,7 @@ import pytest
 import ssduck
 from ssduck.database import database
 from ssduck.errors import RecordError
-from ssduck.interpreter import recording
+from ssduck.interpreter import recording, upgrading
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.forged import rewrite, without_checksums
@@ -35,6 +36,25 @@ def damaged(tmp_path: Path) -> Path:
 
 def files_in(place: Path) -> dict[Path, bytes]:
     return {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
+
+
+def test_an_upgraded_record_appears_when_it_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that is killed meanwhile leaves no record, and nothing that a lake finds."""
+    record, new = recorded(tmp_path / "record", 2), tmp_path / "new"
+    real, seen = upgrading._upgrade, []
+
+    def watched(*args: Any) -> None:
+        real(*args)
+        seen.append((list(new.iterdir()), len(ssduck.lake(tmp_path).episodes)))
+
+    monkeypatch.setattr(upgrading, "_upgrade", watched)
+    new.mkdir()  # an empty folder may be there
+    assert len(ssduck.upgrade(record, new)) == 2
+    assert seen == [([], 2), ([], 2)]
+    assert {place.name for place in tmp_path.iterdir() if place.is_dir()} == {"new", "record"}
+    assert len(ssduck.lake(tmp_path).episodes) == 4
 
 
 def test_an_upgrade_that_fails_leaves_nothing(damaged: Path, tmp_path: Path) -> None:

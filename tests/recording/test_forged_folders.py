@@ -159,6 +159,14 @@ ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
         ]
     ),
     ("a column twice", rows("entities", lambda t: t.append_column("x", t["x"])), "has two columns 'x'"),
+    *(
+        (f"{table}: {name} before its own", rows(table, lambda t, n=name: t.add_column(0, n, t[n.lower()])),
+         f"{table}/.*it has a column '{name}', which SQL takes for '{name.lower()}'")
+        for table, name in [
+            ("entities", "Z"), ("entities", "NAME"), ("entities", "Tick"), ("ticks", "Time"),
+            ("models/entities", "Name"), ("links", "Region"), ("joints", "JOINT"),
+        ]
+    ),
     ("an unknown entity", column("entities", "id", lambda v: [v[0] + 90, *v[1:]]), "entity 9. is unknown"),
     ("an entity twice", column("entities", "id", lambda v: [1] * len(v)), "a row is twice there"),
     ("NULL as a flag", column("entities", "enabled", lambda v: [None] * len(v)), "'enabled' lacks a value"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import pyarrow as pa
@@ -13,6 +14,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.replay import checked_rows
+from ssduck.recording.stores import parquet_archive
 from tests.support.forged import make_records, part, rewrite, without_checksums
 
 FIRST = "tick = (SELECT min(tick) FROM rows)"
@@ -129,6 +131,11 @@ REPEATED = [
     ("links", "name", "'another'"),
     ("joints", "type", "'another'"),
     ("joints", "upper", "7.5"),
+    ("joints", "upper", "'nan'::DOUBLE"),
+    ("links", "region", "'sphere'"),
+    ("links", "parent", "NULL"),
+    ("links", "parent", "coalesce(parent, 0)"),
+    ("shapes", "exact", "NOT exact"),
     ("shapes", "margin", "0.25"),
 ]
 
@@ -146,6 +153,34 @@ def test_what_rows_repeat_is_that_of_their_model(
     assert words in ssduck.check(record)[0].problem
     with ssduck.open(record) as ss, pytest.raises(RecordError, match=words):
         ss.sql(f"SELECT count(*) FROM {table}_history")
+
+
+@pytest.mark.parametrize(
+    ("table", "read"),
+    [
+        ("contacts", ["contacts"]),
+        ("entities", ["entities"]),
+        ("joints", ["entities", "joints"]),
+        ("links", ["entities", "links"]),
+    ],
+)
+def test_each_part_is_read_once(
+    made: Path, table: str, read: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For the check of a first question, with the rows of bodies where they are compared."""
+    files = []
+    for name in ("_rows_of_part", "_rows_in"):
+        real = getattr(parquet_archive, name)
+
+        def reading(file: Path, *args: Any, real: Any = real) -> Any:
+            files.append(file)
+            return real(file, *args)
+
+        monkeypatch.setattr(parquet_archive, name, reading)
+    with ssduck.open(made / "folder") as ss:
+        for _ in range(2):
+            ss.sql(f"SELECT count(*) FROM {table}_history")
+    assert sorted(files) == [part(made / "folder", name) for name in read]
 
 
 def test_links_that_no_replay_reads(made: Path, tmp_path: Path) -> None:

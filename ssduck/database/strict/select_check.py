@@ -228,8 +228,8 @@ class _Walk:
         if isinstance(kind, str) and kind not in (_CLASSES if is_expression else _KINDS):
             words = kind.removesuffix("_NODE").removesuffix("_QUERY").replace("_", " ")
             self._refuse(node, f"SQL is one SELECT here, without {words}")
-        if kind == "TYPE" and folded(node["type_name"]) in UNBOUNDED_TYPES:
-            self._refuse(node, f"there is no type {node['type_name']} here: use DOUBLE or HUGEINT")
+        if kind == "TYPE" and (instead := UNBOUNDED_TYPES.get(folded(node["type_name"]))):
+            self._refuse(node, f"there is no type {node['type_name']} here: use {instead}")
 
     def _check_table(self, node: Node, queries: AbstractSet[str]) -> None:
         name, schema = folded(node["table_name"]), folded(node["schema_name"])

@@ -9,7 +9,7 @@ the check comes first. It takes every name for the largest column of that name.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from ssduck.database.folding import folded
@@ -17,8 +17,11 @@ from ssduck.errors import LimitError
 
 Node: TypeAlias = Mapping[str, Any]
 
-# The largest size of the columns of a query, in parts of expressions, and of tables in its plan.
-MAX_SIZE, MAX_TABLES = 200_000, 1_000
+# The largest size of the columns of a query, in parts of expressions.
+MAX_SIZE = 200_000
+# The largest number of tables in its plan, and of those that one SELECT joins, nested queries among
+# them: the time to find their order grows with the cube of their number.
+MAX_TABLES, MAX_JOINED = 300, 100
 # The largest number of columns that the stars of a SELECT stand for.
 MAX_COLUMNS = 10_000
 # The number of columns of a table; none has more. The number of letters that count as a part.
@@ -28,6 +31,8 @@ _FACTORS = {"bin": 8, "to_binary": 8} | dict.fromkeys(
     ("hex", "to_hex", "base64", "to_base64", "regexp_escape", "encode", "strftime"), 2
 )
 _JSON_FACTOR, _CAST_FACTOR = 2, 2
+# DuckDB binds a lambda twice, and those in it four times, as copies.
+_LAMBDA_FACTOR = 3
 # Types whose values do not grow with those that they are made of.
 _FIXED_TYPES = frozenset(
     ("bigint", "boolean", "date", "decimal", "double", "float", "hugeint", "integer", "interval")
@@ -57,12 +62,14 @@ class _Columns:
         sizes: the size of each by name, in small letters, as far as it is more than 1.
         total: the size of all together.
         tables: the number of tables in the plan.
+        joined: the largest number of them that are joined.
         is_inlined: whether each mention of the query repeats its plan.
     """
 
     sizes: dict[str, int] = field(default_factory=dict)
     total: int = 1
     tables: int = 1
+    joined: int = 1
     is_inlined: bool = False
 
 
@@ -70,6 +77,11 @@ _Queries: TypeAlias = Mapping[str, _Columns]
 
 
 def _checked(columns: _Columns) -> _Columns:
+    if columns.joined > MAX_JOINED:
+        raise LimitError(
+            f"a SELECT joins at most {MAX_JOINED} tables and nested queries here "
+            "(Limits: select_only)"
+        )
     if columns.total > MAX_SIZE or columns.tables > MAX_TABLES:
         raise _too_large()
     return columns
@@ -94,7 +106,7 @@ def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Column
     for item in node["cte_map"]["map"] if node.get("cte_map") else ():
         inner = _columns(item["value"]["query_node"], queries, outer)
         is_inlined = item["value"].get("materialized") == "CTE_MATERIALIZE_NEVER"
-        inner = _Columns(inner.sizes, inner.total, inner.tables, is_inlined)
+        inner = replace(inner, is_inlined=is_inlined)
         queries[folded(item["key"])] = _renamed(inner, item["value"].get("aliases") or ())
     match node["type"]:
         case "SELECT_NODE":
@@ -110,7 +122,8 @@ def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Column
     largest = max((part.total for part in parts), default=1)
     names = parts[0].sizes if parts else {}
     tables = sum(part.tables for part in parts)
-    return _checked(_Columns(dict.fromkeys(names, largest), largest, tables))
+    joined = max((part.joined for part in parts), default=1)
+    return _checked(_Columns(dict.fromkeys(names, largest), largest, tables, joined))
 
 
 def _queries_in(node: Node) -> list[Node]:
@@ -144,7 +157,8 @@ def _selected(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Colum
         part for key, part in node.items() if key not in ("select_list", "from_table", "cte_map")
     ]
     _checked(_Columns(total=walk.size(rest)))
-    return _checked(_Columns(sizes, max(total, 1), source.tables + walk.tables))
+    tables, joined = source.tables + walk.tables, source.joined + walk.joined
+    return _checked(_Columns(sizes, max(total, 1), tables, joined))
 
 
 def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns:
@@ -155,7 +169,7 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
         columns = _Columns(total=_COLUMNS)
         if not node.get("schema_name") and name in queries:
             query = queries[name]
-            columns = _Columns(query.sizes, query.total, query.tables if query.is_inlined else 1)
+            columns = query if query.is_inlined else _Columns(query.sizes, query.total)
         alias = node.get("alias") or name
     elif kind == "SUBQUERY":
         columns = _columns(node["subquery"]["node"], queries, outer)
@@ -166,7 +180,9 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
         sizes = {**left.sizes}
         for name, size in right.sizes.items():
             sizes[name] = max(size, sizes.get(name, 1))
-        columns = _Columns(sizes, left.total + right.total, left.tables + right.tables)
+        columns = _Columns(
+            sizes, left.total + right.total, left.tables + right.tables, left.joined + right.joined
+        )
         condition = _Expressions({**outer, **sizes}, columns.total, queries)
         condition.size([part for key, part in node.items() if key not in ("left", "right")])
         return _checked(columns)
@@ -175,19 +191,23 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
         inner = node.get("source")
         columns = _source(inner, queries, outer) if isinstance(inner, dict) else _Columns()
         size = walk.size([part for key, part in node.items() if key != "source"])
-        columns = _Columns(columns.sizes, columns.total + size, columns.tables + walk.tables)
+        columns = _Columns(
+            columns.sizes,
+            columns.total + size,
+            columns.tables + walk.tables,
+            columns.joined + walk.joined,
+        )
         alias = node.get("alias") or ""
     columns = _renamed(columns, node.get("column_name_alias") or ())
     # The name of a table stands for all of its columns.
-    return _checked(
-        _Columns({folded(alias): columns.total, **columns.sizes}, columns.total, columns.tables)
-    )
+    sizes = {folded(alias): columns.total, **columns.sizes}
+    return _checked(replace(columns, sizes=sizes, is_inlined=False))
 
 
 def _renamed(columns: _Columns, names: Iterable[str]) -> _Columns:
     """Returns the columns of a table that has a list of their names."""
     sizes = columns.sizes | dict.fromkeys(map(folded, names), columns.total)
-    return _Columns(sizes, columns.total, columns.tables, columns.is_inlined)
+    return replace(columns, sizes=sizes)
 
 
 def _last_name(item: Node) -> str:
@@ -205,13 +225,14 @@ class _Expressions:
 
     Attributes:
         tables: the number of tables in nested queries.
+        joined: how many of them are joined with those around them.
     """
 
     def __init__(self, names: Mapping[str, int], total: int, queries: _Queries) -> None:
         self._names = names
         self._total = total
         self._queries = queries
-        self.tables = 0
+        self.tables = self.joined = 0
 
     def size(self, part: Any) -> int:
         """Returns the size of an expression, or of several."""
@@ -221,7 +242,7 @@ class _Expressions:
             return 0
         if str(part.get("type")).endswith("_NODE"):  # the query of DESCRIBE
             columns = _columns(part, self._queries, self._names)
-            self.tables += columns.tables
+            self._count(columns.tables, columns.joined)
             return columns.total
         match part.get("class"):
             case "COLUMN_REF":
@@ -252,13 +273,17 @@ class _Expressions:
             if function.get("class") == "LAMBDA":  # a parameter stands for an element
                 inner = dict.fromkeys(_parameters(function["lhs"]), size)
                 walk = _Expressions({**self._names, **inner}, self._total, self._queries)
-                size = max(size, walk.size(function["expr"]))
-                self.tables += walk.tables
+                size = self._checked(max(size, _LAMBDA_FACTOR * walk.size(function["expr"])))
+                self._count(walk.tables, walk.joined)
         rest = [part for key, part in call.items() if key != "arguments"]
         name = folded(call["function_name"])
         is_json = "json" in name
         factor = _JSON_FACTOR if is_json else _FACTORS.get(name, 1)
         return factor * size + self.size(rest) + (not call.get("is_operator"))
+
+    def _count(self, tables: int, joined: int) -> None:
+        self.tables += tables
+        self.joined += joined
 
     @staticmethod
     def _checked(size: int) -> int:

@@ -21,7 +21,6 @@ from ssduck.recording.stores.row_checks import (
     TWICE,
     RowChecks,
     keys_of,
-    other_model,
 )
 from ssduck.world.layout import EntityInfo
 
@@ -47,7 +46,7 @@ class CheckedRows:
     ticks: TickBuffer
     source: str
     _checked: set[str] = field(default_factory=set)
-    _checked_groups: set[tuple[str, PartGroup]] = field(default_factory=set)
+    _checked_groups: dict[PartGroup, set[str]] = field(default_factory=dict)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last, both included.
@@ -65,14 +64,13 @@ class CheckedRows:
         Args:
             table: the table.
             bodies: whether to check that the bodies with parts are those of the table of entities,
-                whose rows must be right.
+                whose rows are checked, too.
 
         Raises:
             RecordError: they are of unknown ticks, entities or links, twice there, or incomplete.
         """
         if table not in self._checked:
-            self._check_blocks(table, self._blocks, bodies=bodies)
-            self._checked.add(table)
+            self._check_blocks(table, self._blocks, self._checked, bodies=bodies)
 
     def check_groups(self, table: str, first: int, last: int) -> None:
         """Checks the rows that SQL reads of a table for the ticks from first to last, each once.
@@ -91,26 +89,40 @@ class CheckedRows:
         if table in self._checked:
             return
         for group in found:
-            if (table, group) not in self._checked_groups:
-                blocks = partial(self.archive.group_rows, group)
-                self._check_blocks(table, blocks, bodies=True)
-                self._checked_groups.add((table, group))
+            checked = self._checked_groups.setdefault(group, set())
+            if table not in checked:
+                self._check_blocks(table, partial(self.archive.group_rows, group), checked)
 
     def _check_blocks(
-        self, table: str, blocks_of: Callable[[str], Iterator[RowBlock]], *, bodies: bool
+        self,
+        table: str,
+        blocks_of: Callable[[str], Iterator[RowBlock]],
+        checked: set[str],
+        *,
+        bodies: bool = True,
     ) -> None:
-        """Checks the blocks that a function returns of a table."""
-        blocks = blocks_of(table)
+        """Checks the blocks that a function returns of a table, and those that these depend on.
+
+        Args:
+            table: the table.
+            blocks_of: returns the blocks of a table.
+            checked: the tables whose blocks were checked, to which the table is added.
+            bodies: as for `check_rows`.
+        """
         if bodies and table in TABLES_OF_BODIES and "entities" in self.archive.tables:
-            for block, entities in zip(blocks, blocks_of("entities"), strict=True):
+            for block, entities in zip(blocks_of(table), blocks_of("entities"), strict=True):
+                if "entities" not in checked | self._checked:
+                    self._check_block("entities", entities)
                 self._check_block(table, block)
                 problem = self._checks.problem_of_bodies(
                     table, block.rows, entities.rows, single=self.archive.has_single_links
                 )
                 self._require(table, problem)
+            checked.add("entities")
         else:
-            for block in blocks:
+            for block in blocks_of(table):
                 self._check_block(table, block)
+        checked.add(table)
 
     def _blocks(self, table: str) -> Iterator[RowBlock]:
         starts = self.ticks.numbers[:: self._ticks_at_once]
@@ -118,8 +130,6 @@ class CheckedRows:
 
     def _check_block(self, table: str, block: RowBlock) -> None:
         self._require(table, self._checks.problem_of_block(table, block, self.ticks))
-        if block.repeated is not None:
-            self._require(table, other_model(table, *block.repeated))
 
     @cached_property
     def _ticks_at_once(self) -> int:

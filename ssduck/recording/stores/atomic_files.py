@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ssduck.errors import RecordError
 from ssduck.recording.stores.conditional_objects import create_object
 from ssduck.recording.stores.object_store import ObjectPath, written
 
@@ -56,7 +57,7 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 
 def is_temporary(file: Path) -> bool:
-    """Checks whether a file is one that is not complete yet."""
+    """Checks whether a file or a folder is one that is not complete yet."""
     return file.name.startswith(".") and file.name.endswith(".unfinished")
 
 
@@ -88,6 +89,34 @@ def create_file(place: Path, text: str) -> bool:
             temporary.unlink()
     sync_folder(place.parent)
     return True
+
+
+def unfinished_folder(folder: Path) -> Path:
+    """Returns the path of a new folder until it is complete; the same in an object store."""
+    if isinstance(folder, ObjectPath):
+        return folder
+    return folder.with_name(f".{secrets.token_hex(8)}.unfinished")
+
+
+def finish_folder(place: Path, folder: Path) -> None:
+    """Gives a folder that is complete its own name.
+
+    Args:
+        place: where it is, by `unfinished_folder`.
+        folder: its path, where an empty folder may be.
+
+    Raises:
+        RecordError: there are files, or it cannot be renamed.
+    """
+    if place == folder:
+        return
+    try:
+        if folder.exists():
+            folder.rmdir()
+        place.rename(folder)
+        sync_folder(folder.parent)
+    except OSError as error:
+        raise RecordError(f"{folder} cannot be written: {error.strerror}") from error
 
 
 def sync_folder(folder: Path) -> None:

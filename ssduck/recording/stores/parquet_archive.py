@@ -38,13 +38,13 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
-from ssduck.recording.stores.row_checks import key_types, model_columns
+from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# So many rows of a table without a key are checked at once.
-_ROWS_AT_ONCE = 1 << 17
+# So many rows of a table without a key are checked at once: they fit the cache of a processor.
+_ROWS_AT_ONCE = 1 << 15
 _PATTERN = re.compile(r"[*?[]")
 
 
@@ -213,16 +213,18 @@ class ParquetArchive(TickArchive):
         return self._rows_of(table, group.parts) if group.parts else self._rows_of_log(table)
 
     def _rows_of(self, table: str, parts: range) -> Iterator[RowBlock]:
-        types = key_types(table)
+        types, columns = key_types(table), model_columns(table)
         for number in parts:
             part = range(number, number + 1)
             self._check(table, part)
-            file = self._files[table][number]
-            blocks = [_rows_of_part(file, types)] if RECORDED[table].key else _rows_in(file, types)
-            columns = model_columns(table)
-            repeated = (_model_columns_in(file, columns), self._models[table]) if columns else None
-            for rows in blocks:
-                yield RowBlock(*self._ticks_of(part), rows, repeated)
+            file, ticks = self._files[table][number], self._ticks_of(part)
+            if RECORDED[table].key:
+                rows, repeated = _rows_of_part(file, types, columns, repeated_texts(table))
+                model = self._models.get(table)
+                yield RowBlock(*ticks, rows, None if model is None else (repeated, model))
+            else:
+                for rows in _rows_in(file, types):
+                    yield RowBlock(*ticks, rows)
 
     def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
         if self._log:
@@ -287,41 +289,38 @@ def _rows_of_ticks(file: Path, types: pa.Schema, first: int, last: int) -> pa.Ta
     Raises:
         RecordError: the file is damaged or missing.
     """
-    return _between(_rows_of_part(file, types), first, last)
+    return _between(_rows_of_part(file, types)[0], first, last)
 
 
-def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
-    """Returns some columns of the rows of a part, with NULL for missing ones.
+def _rows_of_part(
+    file: Path, types: pa.Schema, repeated: Sequence[str] = (), numbered: Sequence[str] = ()
+) -> tuple[pa.Table, pa.Table]:
+    """Returns some columns of the rows of a part, with NULL for missing ones; and others.
+
+    Args:
+        file: the part.
+        types: the columns, and their types.
+        repeated: the others, which are returned as far as the part has them.
+        numbered: those of them that have texts, which are returned by their numbers.
 
     Raises:
         RecordError: the file is damaged or missing.
     """
     try:
-        part = pq.ParquetFile(parquet_source(file))
+        part = pq.ParquetFile(parquet_source(file), read_dictionary=numbered)
         present = set(part.schema_arrow.names)
-        needed = {*types.names, "link"} if "joint" in types.names else set(types.names)
+        needed = {*types.names, *repeated} | ({"link"} if "joint" in types.names else set())
         names = [name for name in part.schema_arrow.names if name in needed]
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+    others = rows.select([name for name in repeated if name in present])
     if "joint" in types.names:
         rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
     for field in missing:
         rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
-    return rows.select(types.names).cast(types)
-
-
-def _model_columns_in(file: Path, names: Sequence[str]) -> pa.Table:
-    """Returns some columns of the rows of a part, as far as it has them; texts are numbered."""
-    try:
-        found = pq.read_schema(parquet_source(file)).names
-        present = [name for name in names if name in found]
-        part = pq.ParquetFile(parquet_source(file), read_dictionary=present)
-        rows = part.read(columns=present, use_threads=False).select(present)
-    except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-    return rows.unify_dictionaries()
+    return rows.select(types.names).cast(types), others
 
 
 def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:

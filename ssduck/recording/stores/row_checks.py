@@ -7,7 +7,9 @@ a tick of the record.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -19,7 +21,7 @@ from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.static_tables import join_model, with_joint_numbers
 from ssduck.recording.stores.base import RowBlock
 from ssduck.recording.stores.tick_checks import stray_row
-from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES
+from ssduck.schema import FRAMES, LATER_COLUMNS, MODELS, RECORDED, TABLES
 from ssduck.world.layout import EntityInfo
 
 Integers = npt.NDArray[np.int64]
@@ -56,6 +58,14 @@ def repeated_columns(table: str) -> tuple[str, ...]:
     return tuple(name for name in TABLES[table].names if name not in stored)
 
 
+@cache
+def repeated_texts(table: str) -> tuple[str, ...]:
+    """Returns those of the repeated columns that have texts, and that records always had."""
+    names = set(repeated_columns(table)) - LATER_COLUMNS
+    columns = RECORDED[table].columns
+    return tuple(one.name for one in columns if one.name in names and one.type == "string")
+
+
 def model_columns(table: str) -> list[str]:
     """Returns the columns that a folder repeats in each row, after the keys that they follow from.
 
@@ -65,7 +75,7 @@ def model_columns(table: str) -> list[str]:
 
 
 def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
-    """Returns that rows have other values than their model; None if they have not.
+    """Returns that rows have other values than their model, and which; None if they have not.
 
     Args:
         table: a table with a model.
@@ -79,9 +89,63 @@ def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
     expected = join_model(table, distinct.select(keys), model, names)
     for name in names:
         pairs = zip(distinct[name].to_pylist(), expected[name].to_pylist(), strict=True)
-        if any(found != right and found == found for found, right in pairs):  # noqa: PLR0124  # NaN
+        if any(one != other and not (_is_nan(one) and _is_nan(other)) for one, other in pairs):
             return f"the column {name!r} has another value than its model"
     return None
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """The rows of a model, prepared to be compared with many parts.
+
+    Attributes:
+        rows: the rows.
+        places: the number of its row, by that of a part of a member in a tick; -1 for none.
+    """
+
+    rows: pa.Table
+    places: Integers
+
+    @cached_property
+    def _columns(self) -> dict[str, pa.Array]:
+        """The columns by name; texts are numbered."""
+        columns = {}
+        for name in self.rows.column_names:
+            column = self.rows[name].combine_chunks()
+            is_text = pa.types.is_string(column.type)
+            columns[name] = column.dictionary_encode() if is_text else column
+        return columns
+
+    def is_repeated(self, rows: pa.Table, numbers: Integers) -> bool:
+        """Checks whether rows have the values of the model; those with NaN are taken not to.
+
+        Args:
+            rows: the columns to compare, which the model has, too.
+            numbers: the number of each row in its tick.
+        """
+        places = self.places.take(numbers)
+        return all(
+            _are_equal(rows[name].combine_chunks(), self._columns[name], places)
+            for name in rows.column_names
+        )
+
+
+def _are_equal(found: pa.Array, model: pa.Array, places: Integers) -> bool:
+    """Checks whether a column has the values of the rows of its model at some places."""
+    if pa.types.is_string(found.type):
+        found = found.dictionary_encode()
+    if pa.types.is_dictionary(found.type):
+        texts = {text: number for number, text in enumerate(found.dictionary.to_pylist())}
+        numbers = [texts.get(text, -1) for text in model.dictionary.to_pylist()]
+        model = pa.array(numbers, found.indices.type).take(model.indices)
+        found = found.indices
+    if found.null_count or model.null_count or pa.types.is_boolean(found.type):
+        return bool(found.equals(model.take(pa.array(places))))
+    return np.array_equal(found.to_numpy(), model.to_numpy().take(places))
 
 
 class RowChecks:
@@ -95,6 +159,7 @@ class RowChecks:
         self._members = members
         # The number of parts of each member, by table.
         self._counts: dict[str, Integers] = {}
+        self._models: dict[str, _Model] = {}
 
     def problem(self, table: str, rows: pa.Table, ticks: TickBuffer) -> str | None:
         """Returns what is wrong with the rows of a table at some ticks; None for nothing.
@@ -111,14 +176,10 @@ class RowChecks:
         if problem is not None:
             return problem
         for name in RECORDED[table].entity_columns:
-            ids = rows[name].to_numpy()
-            if (problem := self.stranger(ids)) is not None:
-                return problem
             link = _LINKS.get(table, {}).get(name)
-            if link is not None:
-                counts = self._parts("links").take(self._places(ids))
-                if not _are_below(rows[link].to_numpy(), counts):
-                    return "a link is unknown"
+            links = None if link is None else rows[link].to_numpy()
+            if (problem := self._unknown(rows[name].to_numpy(), links)) is not None:
+                return problem
         return self._problem_of_keys(table, rows) if RECORDED[table].key and len(rows) else None
 
     def problem_of_block(self, table: str, block: RowBlock, ticks: TickBuffer) -> str | None:
@@ -127,15 +188,60 @@ class RowChecks:
         if problem is not None:
             return problem
         numbers = block.rows["tick"].to_numpy()
-        is_other = (numbers < block.first) | (numbers > block.last)
-        if is_other.any():
+        if len(numbers) and (numbers.min() < block.first or numbers.max() > block.last):
+            is_other = (numbers < block.first) | (numbers > block.last)
             return f"one at the tick {numbers[is_other][0]} is among those of others"
-        return None
+        return self._other_model(table, block)
+
+    def _other_model(self, table: str, block: RowBlock) -> str | None:
+        """Returns that the rows of a part, which are right else, have other values than models."""
+        if block.repeated is None:
+            return None
+        rows, model = block.repeated
+        prepared = self._model(table, model)
+        names = [name for name in repeated_columns(table) if name in rows.column_names]
+        compared = rows.select([name for name in names if name in model.column_names])
+        if prepared.is_repeated(compared, self._numbers(table, block.rows)):
+            return None
+        return other_model(table, rows, model)  # finds the column, which takes longer
+
+    def _model(self, table: str, rows: pa.Table) -> _Model:
+        """Returns the model of a table, which is the same for all parts."""
+        if table not in self._models or self._models[table].rows is not rows:
+            places = np.full(int(self._parts(table).sum()), -1, dtype=np.int64)
+            numbers = self._numbers(table, with_joint_numbers(table, rows))
+            places[numbers] = np.arange(len(rows))
+            self._models[table] = _Model(rows, places)
+        return self._models[table]
 
     def stranger(self, ids: Integers) -> str | None:
         """Returns that an id is that of no entity; None if there is none."""
         is_unknown = self._places(ids) < 0
         return f"the entity {ids[is_unknown][0]} is unknown" if is_unknown.any() else None
+
+    def _unknown(self, ids: Integers, links: Integers | None) -> str | None:
+        """Returns that an id is that of no entity, or that a link of the entity is unknown."""
+        if links is not None and self._are_links(ids, links):
+            return None
+        problem = self.stranger(ids)
+        if problem is None and links is not None:
+            counts = self._parts("links").take(self._places(ids))
+            problem = None if _are_below(links, counts) else "a link is unknown"
+        return problem
+
+    def _are_links(self, ids: Integers, links: Integers) -> bool:
+        """Checks whether all links are known, quickly: of many rows, as those of contacts."""
+        # Unsigned, a negative number is larger than any limit.
+        if not len(ids) or int(ids.view(np.uint64).max()) >= len(self._link_limits):
+            return False
+        return bool((links.view(np.uint64) < self._link_limits.take(ids)).all())
+
+    @cached_property
+    def _link_limits(self) -> npt.NDArray[np.uint64]:
+        """The number of links of each member by its id, from 0 on; 0 for ids of no member."""
+        limits = np.zeros(len(self._place_of_id), dtype=np.uint64)
+        limits[sorted(self._members)] = self._parts("links")
+        return limits
 
     def problem_of_bodies(
         self, table: str, rows: pa.Table, entities: pa.Table, *, single: bool
@@ -196,25 +302,38 @@ class RowChecks:
             self._counts[table] = np.array(counts, dtype=np.int64)
         return self._counts[table]
 
+    def _numbers(self, table: str, rows: pa.Table) -> Integers:
+        """Returns a number of each row in its tick: that of its part among those of all members."""
+        owner, *numbered = RECORDED[table].key
+        counts = self._parts(table)
+        starts: Integers = (np.cumsum(counts) - counts).take(self._places(rows[owner].to_numpy()))
+        return starts + rows[numbered[0]].to_numpy() if numbered else starts
+
     def _problem_of_keys(self, table: str, rows: pa.Table) -> str | None:
         """Returns that a row is twice there, or that a part of a body is missing."""
         owner, *numbered = RECORDED[table].key
-        places, counts = self._places(rows[owner].to_numpy()), self._parts(table)
+        counts = self._parts(table)
         numbers: Any = rows[numbered[0]].to_numpy() if numbered else 0
-        if not _are_below(numbers, counts.take(places)):
+        if not _are_below(numbers, counts.take(self._places(rows[owner].to_numpy()))):
             return "a link is unknown"
-        starts = np.cumsum(counts) - counts
-        keys = keys_of(rows["tick"].to_numpy(), starts.take(places) + numbers, int(counts.sum()))
-        keys = _ascending(keys)
-        if (np.diff(keys) == 0).any():
+        size = int(counts.sum())
+        keys = keys_of(rows["tick"].to_numpy(), self._numbers(table, rows), size)
+        steps = np.diff(keys)
+        if (steps < 0).any():  # most are ascending already
+            keys = np.sort(keys)
+            steps = np.diff(keys)
+        if not steps.all():
             return TWICE
-        if table in _COMPLETE:
-            size = int(counts.sum())
-            owners = np.repeat(np.arange(len(counts)), counts).take(keys % size)
-            begins = np.flatnonzero(np.diff(keys // size, prepend=-1) | np.diff(owners, prepend=-1))
-            if int(counts.take(owners.take(begins)).sum()) != len(keys):
-                return "a body lacks some of them"
+        if table in _COMPLETE and not self._are_complete(keys, counts):
+            return "a body lacks some of them"
         return None
+
+    def _are_complete(self, keys: Integers, counts: Integers) -> bool:
+        """Checks whether the parts of a body are all there or none, from ascending keys."""
+        size = int(counts.sum())
+        owners = np.repeat(np.arange(len(counts)), counts).take(keys % size)
+        begins = np.flatnonzero(np.diff(keys // size, prepend=-1) | np.diff(owners, prepend=-1))
+        return int(counts.take(owners.take(begins)).sum()) == len(keys)
 
 
 def keys_of(ticks: Integers, numbers: Integers, size: int) -> Integers:

@@ -45,16 +45,23 @@ def check_columns(
 ) -> None:
     """Checks the columns of a stored table; further columns do not matter.
 
+    DuckDB takes names that differ in case only for the same one, and reads the first.
+
     Args:
         source: the file, and the table if the file has several, to begin the message.
         present: the names of its columns, and their types: of `ColumnType`, or any other text.
         expected: the types of the columns that it is to have, by name.
 
     Raises:
-        RecordError: a column is missing, twice there, or of another type.
+        RecordError: a column is missing, twice there, in another case, or of another type.
     """
     found: dict[str, str] = {}
     for name, type in present:
+        if name not in expected and name.lower() in expected:
+            raise RecordError(
+                f"{source} is damaged: it has a column {name!r}, which SQL takes for "
+                f"{name.lower()!r}"
+            )
         if name in found and name in expected:
             raise RecordError(f"{source} is damaged: it has two columns {name!r}")
         found[name] = type

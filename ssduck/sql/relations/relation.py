@@ -344,7 +344,28 @@ def _lenient_joints(tree: exp.Expr) -> exp.Expr:
 
 
 # DuckDB has functions of texts that are called so; they go on being there.
-TEXT_FUNCTIONS = ("contains", "position")
+_TEXT_FUNCTIONS = ("contains", "position")
+# What DuckDB makes of `x IN list`; the lists that it goes on being there for are of these types.
+_LIST_FUNCTION = "contains"
+_LISTED = (
+    *("BOOLEAN", "TINYINT", "SMALLINT", "INTEGER", "BIGINT", "HUGEINT"),
+    *("UTINYINT", "USMALLINT", "UINTEGER", "UBIGINT", "FLOAT", "DOUBLE"),
+    *("VARCHAR", "BLOB", "UUID", "DATE", "TIME", "TIMESTAMP", "INTERVAL"),
+)
+
+
+def overloads_of_others(relation: Relation) -> list[str]:
+    """Returns the parameters and bodies of the macro of a relation for texts and for lists."""
+    result = []
+    if relation.list_formula:
+        result.append(f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
+    body = f"(system.main.{relation.name}(a, b))"
+    if relation.name in _TEXT_FUNCTIONS:
+        result.append(f"(a VARCHAR, b VARCHAR) AS {body}")
+    if relation.name == _LIST_FUNCTION:
+        result.append('(a "NULL", b) AS (NULL)')
+        result += [f"(a {type}[], b) AS {body}" for type in _LISTED]
+    return result
 
 
 @cache
@@ -355,11 +376,7 @@ def _overloads(relation: Relation, schema: str | None) -> str:
         f"AS ({relation.macro_body(tree, schema).sql('duckdb')})"
         for count, tree in relation.link_expressions.items()
     ]
-    if relation.list_formula:
-        result.insert(0, f"(a DOUBLE[], b DOUBLE[]) AS ({relation.list_formula})")
-    if relation.name in TEXT_FUNCTIONS:
-        result.insert(0, f"(a VARCHAR, b VARCHAR) AS (system.main.{relation.name}(a, b))")
-    return ", ".join(result)
+    return ", ".join([*overloads_of_others(relation), *result])
 
 
 _RESULT_WORDS: dict[ValueType, str] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 
+import duckdb
 import numpy as np
 import pybullet
 import pytest
@@ -102,6 +103,33 @@ def test_functions_of_texts_are_as_they_were(row):
     for interpreter in (ss, slow):
         assert interpreter.eval("SELECT id FROM sim WHERE 'oo' IN id(this) AS list;") == ["floor"]
     assert ss.sql("SELECT contains('abc', 'b'), position('b' IN 'abc')").fetchall() == [(True, 2)]
+
+
+@pytest.mark.parametrize(
+    ("values", "one", "other"),
+    [
+        ("[1, 2]", "2", "3"),
+        ("[1, 2]::BIGINT[]", "2", "3"),
+        ("[1, 2]::UTINYINT[2]", "2", "3"),
+        ("[0.5, 1.5]", "1.5", "2.5"),
+        ("[0.5, 1.5]::DOUBLE[]", "1.5", "2"),
+        ("['a', 'b']", "'b'", "'c'"),
+        ("[true]", "true", "false"),
+        ("[DATE '2026-01-01']", "DATE '2026-01-01'", "DATE '2026-01-02'"),
+        ("[TIMESTAMP '2026-01-01']", "TIMESTAMP '2026-01-01'", "TIMESTAMP '2026-01-02'"),
+        ("[INTERVAL 1 HOUR]", "INTERVAL 60 MINUTE", "INTERVAL 1 DAY"),
+    ],
+)
+def test_lists_keep_what_they_contain(row, values, one, other):
+    """DuckDB makes `contains` of IN, which is a relation, too."""
+    ss, _, _ = row
+    ss.sql("SELECT count(*) FROM entities a, entities b WHERE contains(a, b)")
+    for call in ("contains(l, {})", "{} IN l"):
+        tests = ", ".join(call.format(value) for value in (one, other, "NULL"))
+        rows = ss.sql(f"SELECT {tests} FROM (SELECT {values} AS l)").fetchall()
+        with duckdb.connect() as plain:
+            assert rows == plain.sql(f"SELECT {tests} FROM (SELECT {values} AS l)").fetchall()
+        assert rows == [(True, False, None)]
 
 
 # -- worlds --------------------------------------------------------------------------------------
