@@ -20,12 +20,18 @@ from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.model_checks import check_models
 from ssduck.recording.paths import expand_path
 from ssduck.recording.static_tables import members_of, run_of
-from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts, ticks_of_parts
+from ssduck.recording.stores.batched_parts import (
+    BatchedFile,
+    ReadParts,
+    RepeatedColumns,
+    ticks_of_parts,
+)
 from ssduck.recording.stores.checksums import content_problem
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.row_checks import RowChecks, repeated_columns
 from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
+
 
 class EpisodeGroup:
     """The episodes with the models, tables and entities of one of them.
@@ -52,6 +58,7 @@ class EpisodeGroup:
             raise RecordError(f"{self.run.about_file} is of a record without the number of its run")
         self.number = number
         self._checks = RowChecks(members_of(self.models))
+        self._repeated = RepeatedColumns(self.models)
         assert self.run.key is not None  # its parts have labels
         files = EntryFiles(entry, self.run.key)
         self._parts = _model_parts(files)
@@ -105,7 +112,7 @@ class EpisodeGroup:
         for file, first_and_last in zip(files.parts("entities"), between, strict=True):
             part = parts.read(file)
             part.check(self._checks, ticks, first_and_last)
-            part.check_repeated(self.models["entities"], repeated_columns("entities"))
+            self._repeated.check(part, repeated_columns("entities"))
 
     def _check_model(self, run: FolderRun, listed: EntryFiles, model: str) -> None:
         """Checks that a model of an episode is that of the group.

@@ -53,7 +53,8 @@ class ModelPart:
         if self._run is None:
             return False
         other = self._run.number_in(content)
-        changed, footer = self._run.with_number(data, other), footer.replace(self._run.number, other)
+        changed = self._run.with_number(data, other)
+        footer = footer.replace(self._run.number, other)
         return content == changed + with_footer_sums(footer, zlib.crc32(changed))
 
     def is_like(self, other: ModelPart) -> bool:

@@ -78,7 +78,9 @@ def test_other_rows_with_right_checksums(folder, first):
         {"run": [RUN, *[RUN + 1] * (len(names) - 1)]},
     )
     for change in changes:
-        other = rewritten(part, **{"run": [RUN] * len(names), "name": names, "mass": masses} | change)
+        other = rewritten(
+            part, **{"run": [RUN] * len(names), "name": names, "mass": masses} | change
+        )
         assert not first.is_copied_in(other.content, other.file.label)
 
 

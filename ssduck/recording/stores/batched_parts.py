@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -172,30 +172,47 @@ class ReadPart:
         block = RowBlock(*between, self.keys())
         self.require(checks.problem_of_block(self.file.table, block, ticks))
 
-    def check_repeated(self, model: pa.Table, names: Sequence[str]) -> None:
-        """Checks what the rows repeat of their model, but for the number of the run.
-
-        Args:
-            model: the rows of the model.
-            names: the columns to check; others than those are passed over.
-
-        Raises:
-            RecordError: a column has another value.
-        """
-        table = self.file.table
-        chosen = [name for name in repeated_columns(table) if name in names and name != RUN]
-        if not chosen:
-            return
-        rows = self.rows([*TABLES[table].key, *chosen])
-        expected = join_model(table, rows.select(TABLES[table].key), model, chosen)
-        if not rows.select(chosen).equals(expected):  # or a number is NaN, which equals nothing
-            self.require(other_model(table, rows, model))
-
     def require(self, problem: str | None) -> None:
         """Raises a RecordError if there is a problem with the rows."""
         if problem is not None:
             about = f"of the rows of {self.file.table}, {problem}"
             raise RecordError(f"{self.file.path} is damaged: {about}")
+
+
+class RepeatedColumns:
+    """Checks what the rows of parts repeat of the models of their group.
+
+    Args:
+        models: the rows of the models.
+    """
+
+    def __init__(self, models: Mapping[str, pa.Table]) -> None:
+        self._models = models
+        # The last rows that were right, by table and columns: most episodes have equal ones.
+        self._right: dict[tuple[str, tuple[str, ...]], pa.Table] = {}
+
+    def check(self, part: ReadPart, names: Sequence[str]) -> None:
+        """Checks what the rows of a part repeat, but for the number of the run.
+
+        Args:
+            part: the part.
+            names: the columns to check; others than those that repeat something are passed over.
+
+        Raises:
+            RecordError: a column has another value.
+        """
+        table = part.file.table
+        chosen = tuple(name for name in repeated_columns(table) if name in names and name != RUN)
+        if not chosen:
+            return
+        model, rows = self._models[table], part.rows([*TABLES[table].key, *chosen])
+        right = self._right.get((table, chosen))
+        if right is not None and rows.equals(right):
+            return
+        expected = join_model(table, rows.select(TABLES[table].key), model, chosen)
+        if not rows.select(chosen).equals(expected):  # or a number is NaN, which equals nothing
+            part.require(other_model(table, rows, model))
+        self._right[table, chosen] = rows
 
 
 class ReadParts:
