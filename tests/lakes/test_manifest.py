@@ -1,5 +1,6 @@
 """The manifest tells of each episode, and damage is one row of errors."""
 
+import io
 import json
 import os
 import shutil
@@ -193,6 +194,19 @@ def test_records_in_the_folder_of_a_record(recorded, folder):
     assert not any(row["error"] for row in rows)
     sizes = [row["size"] for row in rows if row["path"] == str(folder)]
     assert sizes == ssduck.lake(folder / "night/late").episodes["size"].to_pylist()
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("patience", [0.0, 60.0])
+def test_a_terminal_shows_how_many_episodes_a_long_listing_has_read(folder, monkeypatch, patience):
+    monkeypatch.setattr("ssduck.lakes.progress.PATIENCE", patience)
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
+    assert len(ssduck.lake(folder)) == EPISODES
+    assert (f"{EPISODES}/?" in terminal.getvalue()) == (patience == 0)
 
 
 def test_tags_are_for_all_episodes_or_none(tmp_path):
