@@ -96,11 +96,13 @@ class ReadPart:
         file: the file.
         content: its bytes.
         columns: those that were decoded.
+        sizes: the numbers of bytes of some of those.
     """
 
     file: BatchedFile
     content: bytes
     columns: Columns = field(default_factory=dict)
+    sizes: dict[str, int] = field(default_factory=dict)
 
     @cached_property
     def parquet(self) -> pq.ParquetFile:
@@ -145,6 +147,12 @@ class ReadPart:
             read = self.parquet.read(missing, use_threads=False)
             self.columns.update(zip(read.column_names, read.columns, strict=True))
         return pa.table({name: self.columns[name] for name in names if name in self.columns})
+
+    def decoded_size(self) -> int:
+        """Returns the number of bytes of the columns that were decoded."""
+        for name in self.columns.keys() - self.sizes.keys():
+            self.sizes[name] = self.columns[name].nbytes
+        return sum(self.sizes.values())
 
     def keys(self) -> pa.Table:
         """Returns the columns of the rows that are checked.
@@ -222,7 +230,7 @@ class ReadParts:
         self._parts: dict[BatchedFile, ReadPart] = {}
         self._size = 0
         # The columns of earlier batches, those that were read last at the end, and their sizes.
-        self._kept: OrderedDict[BatchedFile, tuple[Columns, int]] = OrderedDict()
+        self._kept: OrderedDict[BatchedFile, tuple[Columns, dict[str, int]]] = OrderedDict()
         self._kept_size = 0
 
     def read(self, file: BatchedFile) -> ReadPart:
@@ -235,9 +243,9 @@ class ReadParts:
         part = self._parts.get(file)
         if part is None:
             content = file.content()
-            columns, kept_size = self._kept.pop(file, ({}, 0))
-            self._kept_size -= kept_size
-            part = ReadPart(file, content, columns)
+            columns, sizes = self._kept.pop(file, ({}, {}))
+            self._kept_size -= sum(sizes.values())
+            part = ReadPart(file, content, columns, sizes)
             size = self._size + part.size
             if size <= MOST_READ:
                 self._parts[file], self._size = part, size
@@ -250,11 +258,11 @@ class ReadParts:
     def clear(self) -> None:
         """Forgets the batch, and keeps the last columns that were decoded."""
         for file, part in self._parts.items():
-            size = sum(column.nbytes for column in part.columns.values())
-            self._kept[file] = part.columns, size
-            self._kept_size += size
+            self._kept_size += part.decoded_size()
+            self._kept[file] = part.columns, part.sizes
         while self._kept_size > MOST_KEPT:
-            self._kept_size -= self._kept.popitem(last=False)[1][1]
+            _, sizes = self._kept.popitem(last=False)[1]
+            self._kept_size -= sum(sizes.values())
         self._parts.clear()
         self._size = 0
 
