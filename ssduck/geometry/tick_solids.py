@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from typing import TypeVar
@@ -16,8 +17,10 @@ from ssduck.geometry.solids import Solid
 
 T = TypeVar("T")
 
-# After this number of shapes, what belongs to each is computed for all at once.
+# After this number of shapes, or one in so many, what belongs to each is computed for all at once:
+# those of some pairs among the thousands of a batch of ticks are computed alone.
 MAX_SINGLE = 16
+SINGLE_IN = 16
 
 
 class ShapePlaces:
@@ -74,11 +77,13 @@ class TickSolids:
         self.places = places
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
-        self._poses = _OfShapes(self._pose, self._all_poses)
-        self.are_known = _OfShapes(self._is_known, self._all_known)
-        self.corners = _OfShapes(places.box, self._all_corners)
-        self.centres = self._points_of(lambda solid: solid.centre)
-        self.inscribed_centres = self._points_of(lambda solid: solid.inscribed_centre)
+        own, most = weakref.ref(self), max(MAX_SINGLE, len(self._indices) // SINGLE_IN)
+        self._poses = _OfShapes(own, most, TickSolids._pose, TickSolids._all_poses)
+        self.are_known = _OfShapes(own, most, TickSolids._is_known, TickSolids._all_known)
+        self.corners = _OfShapes(own, most, TickSolids._corners_of, TickSolids._all_corners)
+        self.centres = _OfShapes(own, most, TickSolids._centre, TickSolids._all_centres)
+        inscribed = TickSolids._inscribed_centre, TickSolids._all_inscribed_centres
+        self.inscribed_centres = _OfShapes(own, most, *inscribed)
 
     def placed(self, shape: int) -> PlacedSolid:
         """Returns a shape in the world."""
@@ -183,24 +188,31 @@ class TickSolids:
         position, orientation = self._poses[shape]
         return self.solids[shape].is_known and all(map(math.isfinite, position + orientation))
 
+    def _corners_of(self, shape: int) -> list[float]:
+        return self.places.box(shape)
+
     def _all_corners(self) -> list[list[float]]:
         corners: list[list[float]] = self.boxes.tolist()
         return corners
 
-    def _points_of(self, point_of: Callable[[Solid], Point]) -> _OfShapes[list[float]]:
-        """Returns a point of each shape, which is a point of its solid, in the world."""
+    def _centre(self, shape: int) -> list[float]:
+        return placed_point(*self._poses[shape], self.solids[shape].centre)
 
-        def of_one(shape: int) -> list[float]:
-            return placed_point(*self._poses[shape], point_of(self.solids[shape]))
+    def _all_centres(self) -> list[list[float]]:
+        return self._all_placed([solid.centre for solid in self._distinct])
 
-        def of_all() -> list[list[float]]:
-            points = list(map(point_of, self._distinct))
-            local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
-            with np.errstate(invalid="ignore"):
-                moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
-            return moved
+    def _inscribed_centre(self, shape: int) -> list[float]:
+        return placed_point(*self._poses[shape], self.solids[shape].inscribed_centre)
 
-        return _OfShapes(of_one, of_all)
+    def _all_inscribed_centres(self) -> list[list[float]]:
+        return self._all_placed([solid.inscribed_centre for solid in self._distinct])
+
+    def _all_placed(self, points: Sequence[Point]) -> list[list[float]]:
+        """Returns the point of each shape, given the point of each distinct solid."""
+        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
+        with np.errstate(invalid="ignore"):
+            moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
+        return moved
 
     @cached_property
     def matrices(self) -> Array:
@@ -215,17 +227,29 @@ class _OfShapes(dict[int, T]):
     Both give the same, to the last bit.
 
     Args:
+        tick: the solids of the tick, which own this. In a cycle of references, they would stay in
+            memory until Python collects garbage.
+        most_single: the largest number of shapes that are asked one by one.
         of_one: a function that returns what belongs to a shape.
         of_all: a function that returns what belongs to each shape.
     """
 
-    def __init__(self, of_one: Callable[[int], T], of_all: Callable[[], Sequence[T]]) -> None:
+    def __init__(
+        self,
+        tick: weakref.ref[TickSolids],
+        most_single: int,
+        of_one: Callable[[TickSolids, int], T],
+        of_all: Callable[[TickSolids], Sequence[T]],
+    ) -> None:
+        self._tick, self._most_single = tick, most_single
         self._of_one, self._of_all = of_one, of_all
 
     def __missing__(self, shape: int) -> T:
         """Returns what belongs to a shape that nobody asked for yet."""
-        if len(self) < MAX_SINGLE:
-            self[shape] = found = self._of_one(shape)
+        tick = self._tick()
+        assert tick is not None  # what owns this is being asked
+        if len(self) < self._most_single:
+            self[shape] = found = self._of_one(tick, shape)
             return found
-        self.update(enumerate(self._of_all()))
+        self.update(enumerate(self._of_all(tick)))
         return self[shape]

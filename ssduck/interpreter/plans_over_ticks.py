@@ -161,6 +161,9 @@ def _over_all_ticks(source: Source) -> Source:
 def _of_expression(execution: Execution, node: Node, frame: Frame) -> TickPlan:
     function: str | None = None
     age: float | None = 0.0
+    for part in node.walk():
+        if isinstance(part, Query):
+            raise _unsupported("a query inside of another expression", part)
     call = Call(node.span, "the last value", (node,), node.span)
     if isinstance(node, Call) and node.name in TEMPORAL_FUNCTIONS:
         if TEMPORAL_FUNCTIONS[node.name].expansion is not None:
@@ -190,7 +193,14 @@ def _planned(execution: Execution, query: Query, frame: Frame) -> tuple[Plan, ex
     plan, values = execution.planner.sql_plan(query, frame)
     if plan is not None:
         _check_parts(plan.query)
-    select = select_for(query, plan, values, _LEAST)
+        for node in plan.python_parts:
+            what = node.name if isinstance(node, Call) else "a part"
+            raise _unsupported(f"{what}, which Python computes,", node)
+    try:
+        select = select_for(query, plan, values, _LEAST)
+    except UnsupportedError as error:
+        reason = f"this is not written as SQL, since {error.message}: {_ADVICE}"
+        raise UnsupportedError(reason, span=error.span) from error
     assert plan is not None  # or else `select_for` fails
     if any(source.past_kind != "window" for source in plan.source_types):
         raise _unsupported("a source other than a world, as in sim, sim{} and sim{-2.0},", query)

@@ -23,7 +23,7 @@ from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
 from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
 from ssduck.lakes.pool import pools
-from ssduck.lakes.progress import shown_progress
+from ssduck.lakes.progress import counted, shown_progress
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
 from ssduck.lakes.scan import (
     DUCKDB_SUFFIX,
@@ -101,7 +101,7 @@ class Lake:
         forget_missing = validation.boolean(forget_missing, "refresh: forget_missing")
         before = read_manifest(self.manifest)
         known = {entry.key: entry for entry in before}
-        entries = list(entries_of_records(records_of(self.path), known))
+        entries = list(counted(entries_of_records(records_of(self.path), known)))
         found = {entry.key for entry in entries}
         if not forget_missing:
             gone = [entry for entry in before if entry.key not in found and entry.ticks is not None]

@@ -16,6 +16,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.atomic_files import is_temporary
 from ssduck.recording.stores.checksums import checksum_of, content_problem
@@ -23,6 +24,8 @@ from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
+    LOG,
+    PAIRS,
     VERSION,
     FolderRun,
     check_about,
@@ -38,9 +41,12 @@ from ssduck.recording.stores.summaries import (
     size_and_time,
     summary_of,
 )
-from ssduck.schema import MODELS
+from ssduck.recording.stores.tick_index import INDEX
+from ssduck.schema import MODELS, RECORDED
 
 DUCKDB_SUFFIX = ".duckdb"
+# The folders that a record has of its own.
+OF_RECORD = frozenset((*RECORDED, "episodes", STEPS, INDEX, LOG, "models", PAIRS))
 # The names of the objects of an episode.
 _OF_EPISODE = re.compile(
     r"(?:.+/world=(?P<world>[^/]+)/episode=(?P<part_of>0|[1-9][0-9]{0,8})/[^/.][^/]*"
@@ -71,16 +77,18 @@ class FoundEpisode:
 
 
 def records_below(place: Path) -> Iterator[Path]:
-    """Yields the records in a folder and its folders, or the path itself if it is a record."""
+    """Yields the records in a folder and its folders, or the path itself if it is a record.
+
+    A record may have others in its folder, beside its own files.
+    """
     if place.is_file():
         yield place
         return
     for folder, folders, files in os.walk(place):
-        folders[:] = sorted(name for name in folders if not is_temporary(Path(name)))
         if ABOUT in files or {"episodes", "ticks"} <= set(folders):
-            folders.clear()
             yield Path(folder)
-            continue
+            folders[:] = set(folders) - OF_RECORD
+        folders[:] = sorted(name for name in folders if not is_temporary(Path(name)))
         yield from (Path(folder, file) for file in sorted(files) if file.endswith(DUCKDB_SUFFIX))
 
 
@@ -157,10 +165,11 @@ def _unreadable(record: Path, world: str, number: int, error: Exception) -> Foun
 def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
     """Returns the episodes of a record in an object store, of one listing."""
     objects = objects_below(record)
+    others = {name[: -len(ABOUT)] for name in objects if name.endswith(f"/{ABOUT}")}
     listings: dict[tuple[str, int], dict[str, tuple[int, int]]] = {}
     for name, about in objects.items():
         match = _OF_EPISODE.fullmatch(name)
-        if match is not None:
+        if match is not None and not name.startswith(tuple(others)):
             world, number = (match["world"] or match["described"]), match["part_of"]
             key = world, int(number or match["number"])
             listings.setdefault(key, {ABOUT: objects.get(ABOUT, (0, 0))})[name] = about

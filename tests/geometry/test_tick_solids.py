@@ -1,13 +1,15 @@
 """What belongs to one shape of a tick is the same whether it is computed alone or with all."""
 
+import gc
 import math
+import weakref
 
 import numpy as np
 import pytest
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.geometry.tick_solids import MAX_SINGLE, ShapePlaces, TickSolids
+from ssduck.geometry.tick_solids import MAX_SINGLE, SINGLE_IN, ShapePlaces, TickSolids
 
 COUNT = 5 * MAX_SINGLE
 SOLIDS = [
@@ -62,3 +64,29 @@ def test_many_are_computed_at_once(make_tick, monkeypatch):
     assert tick.corners[MAX_SINGLE] == tick.boxes[MAX_SINGLE].tolist()
     assert tick.corners[COUNT - 1] == tick.boxes[COUNT - 1].tolist()
     assert len(calls) == 1
+
+
+def test_a_few_of_many_ticks_are_computed_alone(monkeypatch):
+    count, calls = 100 * SINGLE_IN, []
+    of_all = TickSolids._all_poses
+    monkeypatch.setattr(TickSolids, "_all_poses", lambda tick: calls.append(tick) or of_all(tick))
+    places = ShapePlaces(np.zeros((count, 3)), np.ones((count, 4)), np.zeros((count, 6)))
+    tick = TickSolids(SOLIDS, np.zeros(count), places)
+    for shape in range(100):
+        tick.rank(shape)
+    assert not calls
+    tick.rank(100)
+    assert len(calls) == 1
+
+
+def test_no_cycle_of_references_keeps_a_tick(make_tick):
+    tick = make_tick()
+    for part in PARTS.values():
+        part(tick, 0)
+    kept = weakref.ref(tick)
+    gc.disable()
+    try:
+        del tick
+        assert kept() is None
+    finally:
+        gc.enable()

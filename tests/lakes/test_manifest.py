@@ -1,6 +1,8 @@
 """The manifest tells of each episode, and damage is one row of errors."""
 
+import io
 import json
+import os
 import shutil
 
 import pyarrow.parquet as pq
@@ -177,6 +179,34 @@ def test_patterns_files_and_folders(recorded, tmp_path):
         ssduck.lake(tmp_path / "d*")
     with pytest.raises(RecordError, match="there is no record"):
         ssduck.lake(tmp_path / "nothing")
+
+
+def test_records_in_the_folder_of_a_record(recorded, folder):
+    for name in ("night", "night/late/again"):
+        shutil.copytree(recorded, folder / name)
+    with ssduck.open(folder, "sim", 0) as ss:
+        ss.export(folder / "day.duckdb")
+    rows = ssduck.lake(folder).episodes.to_pylist()
+    places = [os.path.relpath(row["path"], folder) for row in rows]
+    assert places == [
+        *["."] * EPISODES, "day.duckdb", *["night"] * EPISODES, *["night/late/again"] * EPISODES
+    ]  # fmt: skip
+    assert not any(row["error"] for row in rows)
+    sizes = [row["size"] for row in rows if row["path"] == str(folder)]
+    assert sizes == ssduck.lake(folder / "night/late").episodes["size"].to_pylist()
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+@pytest.mark.parametrize("patience", [0.0, 60.0])
+def test_a_terminal_shows_how_many_episodes_a_long_listing_has_read(folder, monkeypatch, patience):
+    monkeypatch.setattr("ssduck.lakes.progress.PATIENCE", patience)
+    monkeypatch.setattr("sys.stderr", terminal := Terminal())
+    assert len(ssduck.lake(folder)) == EPISODES
+    assert (f"{EPISODES}/?" in terminal.getvalue()) == (patience == 0)
 
 
 def test_tags_are_for_all_episodes_or_none(tmp_path):

@@ -136,6 +136,21 @@ def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
         assert found == {place: (json.loads(t), e) for place, (t, e) in texts.items()}
 
 
+def test_records_below_a_record(address, recorded):
+    for number, name in enumerate(("outer", "outer/night")):
+        with ssduck.open(recorded, "sim", number) as ss:
+            ss.export(f"s3://runs/nested/{name}")
+    lake = ssduck.lake("s3://runs/nested")
+    assert lake.episodes["path"].to_pylist() == [
+        f"s3://runs/nested/{name}" for name in ("outer", "outer/night")
+    ]
+    for entry in lake.entries:
+        assert not any(file.name.startswith("night/") for file in entry.files)
+    program = PROGRAMS["last tick"]
+    answers = lake.ask(program, processes=1)["answer"].to_pylist()
+    assert answers == [by_itself(recorded, number, program)[0] for number in range(2)]
+
+
 def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatch):
     from ssduck.recording.stores.duckdb_objects import ArrowFSWrapper
 

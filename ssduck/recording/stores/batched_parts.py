@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -96,11 +96,13 @@ class ReadPart:
         file: the file.
         content: its bytes.
         columns: those that were decoded.
+        sizes: the numbers of bytes of some of those.
     """
 
     file: BatchedFile
     content: bytes
     columns: Columns = field(default_factory=dict)
+    sizes: dict[str, int] = field(default_factory=dict)
 
     @cached_property
     def parquet(self) -> pq.ParquetFile:
@@ -146,6 +148,12 @@ class ReadPart:
             self.columns.update(zip(read.column_names, read.columns, strict=True))
         return pa.table({name: self.columns[name] for name in names if name in self.columns})
 
+    def decoded_size(self) -> int:
+        """Returns the number of bytes of the columns that were decoded."""
+        for name in self.columns.keys() - self.sizes.keys():
+            self.sizes[name] = self.columns[name].nbytes
+        return sum(self.sizes.values())
+
     def keys(self) -> pa.Table:
         """Returns the columns of the rows that are checked.
 
@@ -172,30 +180,47 @@ class ReadPart:
         block = RowBlock(*between, self.keys())
         self.require(checks.problem_of_block(self.file.table, block, ticks))
 
-    def check_repeated(self, model: pa.Table, names: Sequence[str]) -> None:
-        """Checks what the rows repeat of their model, but for the number of the run.
-
-        Args:
-            model: the rows of the model.
-            names: the columns to check; others than those are passed over.
-
-        Raises:
-            RecordError: a column has another value.
-        """
-        table = self.file.table
-        chosen = [name for name in repeated_columns(table) if name in names and name != RUN]
-        if not chosen:
-            return
-        rows = self.rows([*TABLES[table].key, *chosen])
-        expected = join_model(table, rows.select(TABLES[table].key), model, chosen)
-        if not rows.select(chosen).equals(expected):  # or a number is NaN, which equals nothing
-            self.require(other_model(table, rows, model))
-
     def require(self, problem: str | None) -> None:
         """Raises a RecordError if there is a problem with the rows."""
         if problem is not None:
             about = f"of the rows of {self.file.table}, {problem}"
             raise RecordError(f"{self.file.path} is damaged: {about}")
+
+
+class RepeatedColumns:
+    """Checks what the rows of parts repeat of the models of their group.
+
+    Args:
+        models: the rows of the models.
+    """
+
+    def __init__(self, models: Mapping[str, pa.Table]) -> None:
+        self._models = models
+        # The last rows that were right, by table and columns: most episodes have equal ones.
+        self._right: dict[tuple[str, tuple[str, ...]], pa.Table] = {}
+
+    def check(self, part: ReadPart, names: Sequence[str]) -> None:
+        """Checks what the rows of a part repeat, but for the number of the run.
+
+        Args:
+            part: the part.
+            names: the columns to check; others than those that repeat something are passed over.
+
+        Raises:
+            RecordError: a column has another value.
+        """
+        table = part.file.table
+        chosen = tuple(name for name in repeated_columns(table) if name in names and name != RUN)
+        if not chosen:
+            return
+        model, rows = self._models[table], part.rows([*TABLES[table].key, *chosen])
+        right = self._right.get((table, chosen))
+        if right is not None and rows.equals(right):
+            return
+        expected = join_model(table, rows.select(TABLES[table].key), model, chosen)
+        if not rows.select(chosen).equals(expected):  # or a number is NaN, which equals nothing
+            part.require(other_model(table, rows, model))
+        self._right[table, chosen] = rows
 
 
 class ReadParts:
@@ -205,7 +230,7 @@ class ReadParts:
         self._parts: dict[BatchedFile, ReadPart] = {}
         self._size = 0
         # The columns of earlier batches, those that were read last at the end, and their sizes.
-        self._kept: OrderedDict[BatchedFile, tuple[Columns, int]] = OrderedDict()
+        self._kept: OrderedDict[BatchedFile, tuple[Columns, dict[str, int]]] = OrderedDict()
         self._kept_size = 0
 
     def read(self, file: BatchedFile) -> ReadPart:
@@ -218,9 +243,9 @@ class ReadParts:
         part = self._parts.get(file)
         if part is None:
             content = file.content()
-            columns, kept_size = self._kept.pop(file, ({}, 0))
-            self._kept_size -= kept_size
-            part = ReadPart(file, content, columns)
+            columns, sizes = self._kept.pop(file, ({}, {}))
+            self._kept_size -= sum(sizes.values())
+            part = ReadPart(file, content, columns, sizes)
             size = self._size + part.size
             if size <= MOST_READ:
                 self._parts[file], self._size = part, size
@@ -233,11 +258,11 @@ class ReadParts:
     def clear(self) -> None:
         """Forgets the batch, and keeps the last columns that were decoded."""
         for file, part in self._parts.items():
-            size = sum(column.nbytes for column in part.columns.values())
-            self._kept[file] = part.columns, size
-            self._kept_size += size
+            self._kept_size += part.decoded_size()
+            self._kept[file] = part.columns, part.sizes
         while self._kept_size > MOST_KEPT:
-            self._kept_size -= self._kept.popitem(last=False)[1][1]
+            _, sizes = self._kept.popitem(last=False)[1]
+            self._kept_size -= sum(sizes.values())
         self._parts.clear()
         self._size = 0
 

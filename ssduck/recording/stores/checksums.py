@@ -191,11 +191,18 @@ def footer_in(content: bytes) -> bytes:
     return content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :]
 
 
-def with_footer_sum(footer: bytes) -> bytes:
-    """Returns a footer with the checksum that it is to have."""
+def with_footer_sums(footer: bytes, data_sum: int) -> bytes:
+    """Returns a footer with the checksums that it is to have.
+
+    Args:
+        footer: the footer, with any checksums.
+        data_sum: the CRC-32 of the bytes before it.
+    """
     match = _last(_FOOTER_SUMS, footer)
     assert match is not None
+    first, last = match.span(1)
     start, end = match.span(2)
+    footer = footer[:first] + _hex(data_sum) + footer[last:]
     return footer[:start] + _hex(_footer_sum(footer, start, end)) + footer[end:]
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,7 @@ from ssduck.recording.stores.batched_parts import (
     PartsDataset,
     ReadPart,
     ReadParts,
+    RepeatedColumns,
     ticks_of_parts,
 )
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
@@ -126,6 +128,9 @@ class EpisodeBatch(TickArchive):
         self._models = models
         self._linked = multi_link_bodies(models["entities"])
         self._checks = RowChecks(members_of(models))
+        self._repeated = RepeatedColumns(models)
+        # What decided that the last rows of each table were right: that of most episodes is equal.
+        self._right: dict[str, list[npt.NDArray[Any]]] = {}
         self._connection, self._register = connection, register
         self._episodes: Sequence[BatchedEpisode] = ()
         self._starts = np.zeros(0, dtype=np.int64)
@@ -183,12 +188,9 @@ class EpisodeBatch(TickArchive):
         try:
             part, key = self.parts.read(file), episode.key_of(file)
             if table != "ticks" and key not in self._checked:
-                part.check(self._checks, episode.tick_buffer, episode.ticks_of_parts[number])
-                if table in TABLES_OF_BODIES:
-                    bodies = self._part("entities", number, index).keys()
-                    part.require(
-                        self._checks.problem_of_bodies(table, part.keys(), bodies, single=True)
-                    )
+                has_bodies = table in TABLES_OF_BODIES
+                bodies = self._part("entities", number, index).keys() if has_bodies else None
+                self._check_rows(part, episode, number, bodies)
                 self._checked.add(key)
         except DamagedEpisodeError:
             raise
@@ -197,6 +199,30 @@ class EpisodeBatch(TickArchive):
         except (OSError, pa.ArrowException) as error:
             raise DamagedEpisodeError(f"{file.path} cannot be read: {error}", index) from error
         return part
+
+    def _check_rows(
+        self, part: ReadPart, episode: BatchedEpisode, number: int, bodies: pa.Table | None
+    ) -> None:
+        """Checks the rows of a part of an episode.
+
+        Args:
+            part: the part.
+            episode: the episode.
+            number: the number of the part.
+            bodies: the entities of the part; None unless the rows are of parts of bodies.
+
+        Raises:
+            RecordError: a row is wrong.
+        """
+        table, between = part.file.table, episode.ticks_of_parts[number]
+        deciding = _deciding(episode, between, (part.keys(), bodies))
+        right = self._right.get(table, [])
+        if len(right) == len(deciding) and all(map(np.array_equal, right, deciding)):
+            return
+        part.check(self._checks, episode.tick_buffer, between)
+        if bodies is not None:
+            part.require(self._checks.problem_of_bodies(table, part.keys(), bodies, single=True))
+        self._right[table] = deciding
 
     def forget(self) -> None:
         """Forgets the rows of the batch, which is not asked any more."""
@@ -254,7 +280,7 @@ class EpisodeBatch(TickArchive):
                 if rows.column_names != stored:
                     raise RecordError(OLDER)
                 if table in self._models:
-                    part.check_repeated(self._models[table], stored)
+                    self._repeated.check(part, stored)
                 yield self._in_batch(rows, self._episodes[index].offset, columns)
 
     def _in_batch(self, rows: pa.Table, offset: int, columns: Sequence[str]) -> pa.Table:
@@ -314,6 +340,26 @@ class EpisodeBatch(TickArchive):
     def close(self, *, forget: bool) -> None:  # noqa: ARG002
         """Closes the connection; keeps the files."""
         self._connection.close()
+
+
+def _deciding(
+    episode: BatchedEpisode, between: tuple[int, int], tables: Sequence[pa.Table | None]
+) -> list[npt.NDArray[Any]]:
+    """Returns what decides whether rows are right, given the models; ticks count from the first.
+
+    Args:
+        episode: the episode.
+        between: the first and the last tick of the rows.
+        tables: the columns of the rows that are checked, and of the entities at their ticks.
+    """
+    first, numbers = episode.starts[0], episode.tick_buffer.numbers
+    deciding = [np.array(between) - first, numbers - first, episode.times]
+    for rows in tables:
+        if rows is not None:
+            columns = {name: rows[name].to_numpy() for name in rows.column_names}
+            ticks = columns.pop("tick") - first
+            deciding += [ticks, *columns.values()]
+    return deciding
 
 
 def model_table(table: str) -> str:

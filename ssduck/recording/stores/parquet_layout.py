@@ -29,7 +29,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -491,7 +491,12 @@ def episode_number(place: Path) -> int:
 
 def label_of(key: str, table: str, number: int | str) -> bytes:
     """Returns the label of a part of a table, of the episode with a key."""
-    return json.dumps({"episode": key, "table": table, "part": number}).encode()
+    return b'{"episode": %s, %s' % (json.dumps(key).encode(), _end_of_label(table, number))
+
+
+@lru_cache(maxsize=1024)
+def _end_of_label(table: str, number: int | str) -> bytes:
+    return json.dumps({"table": table, "part": number}).encode()[1:]
 
 
 def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:

@@ -18,6 +18,8 @@ from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, Colum
 # The largest number of values that a file is read with: 1 GiB of doubles. A part that ssduck writes
 # has at most a few million of them, unless a mesh has more.
 MAX_VALUES = 1 << 27
+# The columns of the last part of each table that were found to be right.
+_known_schemas: dict[str, pa.Schema] = {}
 
 
 @cache
@@ -109,7 +111,10 @@ def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
         schema = part.schema_arrow
     except (pa.ArrowException, OSError) as error:
         raise RecordError(f"{source} cannot be read: it is damaged: {error}") from error
-    check_columns(source, arrow_columns(schema), part_columns(table))
+    known = _known_schemas.get(table)
+    if known is None or not schema.equals(known):
+        check_columns(source, arrow_columns(schema), part_columns(table))
+        _known_schemas[table] = schema.remove_metadata()
     rows = part.metadata.num_rows
     if _value_count(part.metadata, table) > MAX_VALUES:
         raise RecordError(f"{source} is damaged: it claims {rows:,} rows, more than a part has")
