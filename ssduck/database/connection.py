@@ -441,11 +441,16 @@ class Connection:
         """Returns the type and the text of each statement in a text; None if it is no SQL.
 
         A type is the name of one of `duckdb.StatementType`, or WITH: see `type_and_text`.
+
+        Raises:
+            SqlError: a statement is of a kind that DuckDB's Python does not know.
         """
         try:
             return [type_and_text(one) for one in self._connection.extract_statements(sql)]
         except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
             return None
+        except ValueError as error:  # UPDATE EXTENSIONS
+            raise SqlError(f"SQL has no such statement here: {error}") from error
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""
