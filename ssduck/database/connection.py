@@ -36,7 +36,7 @@ from ssduck.database.limited_fetch import (
     whole_table,
 )
 from ssduck.database.on_demand import OnDemand
-from ssduck.database.referenced_tables import type_and_text
+from ssduck.database.referenced_tables import types_and_texts
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     EvaluationError,
@@ -438,14 +438,8 @@ class Connection:
         return [(name, type) for name, type, *_ in described]
 
     def statements(self, sql: str) -> list[tuple[str, str]] | None:
-        """Returns the type and the text of each statement in a text; None if it is no SQL.
-
-        A type is the name of one of `duckdb.StatementType`, or WITH: see `type_and_text`.
-        """
-        try:
-            return [type_and_text(one) for one in self._connection.extract_statements(sql)]
-        except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
-            return None
+        """Returns the types and texts of the statements in a text; see `types_and_texts`."""
+        return types_and_texts(self._connection, sql)
 
     def is_query(self, sql: str) -> bool:
         """Checks whether a text is one statement that only reads."""

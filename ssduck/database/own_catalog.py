@@ -40,6 +40,9 @@ _CHANGING = frozenset(("INSERT", "UPDATE", "DELETE", "TRUNCATE", "MERGE", "COPY"
 _DEFINING = frozenset(("CREATE", "DROP", "ALTER", "EXECUTE", "CALL"))
 _NO_CODE = frozenset((duckdb.token_type.comment, duckdb.token_type.string_const))
 _RECORDS = "SELECT schema_name FROM duckdb_schemas() WHERE contains(schema_name, $1)"
+# The settings of the schemas that may be omitted, and their values that are what is written.
+_SEARCH_PATH = ("schema", "search_path")
+_WRITTEN_OUT = re.compile(r"""'[^']*'|"[^"]*"|\w+""")
 _BEGINS = re.compile(r"\s*(BEGIN|START)\b", re.IGNORECASE)
 # The views and macros in worlds' schemas, and the views of their rows.
 _CATALOG = """
@@ -77,6 +80,7 @@ class OwnCatalog:
         statements = [(_kind_run(kind, text), text) for kind, text in statements]
         kinds = [kind for kind, _ in statements]
         self._check_names(statements)
+        _check_search_path(statements)
         _check_transactions(statements)
         if _HARMLESS.issuperset(kinds):
             yield
@@ -176,12 +180,23 @@ def _words(text: str) -> list[str]:
 
     Words are in capital letters, but for names, which are as they are written.
     """
-    letters, words = text.encode(), []
+    return [
+        word.upper() if kind == duckdb.token_type.keyword else word
+        for kind, word in _kinds_and_tokens(text)
+        if kind not in _NO_CODE
+    ]
+
+
+def _tokens(text: str) -> list[str]:
+    """Returns the words, signs and texts of a statement, without comments."""
+    comment = duckdb.token_type.comment
+    return [word for kind, word in _kinds_and_tokens(text) if kind != comment]
+
+
+def _kinds_and_tokens(text: str) -> Iterator[tuple[duckdb.token_type, str]]:
+    letters = text.encode()
     for kind, start, end in token_spans(duckdb.tokenize(text), len(letters)):
-        if kind not in _NO_CODE:
-            word = letters[start:end].decode().strip()
-            words.append(word.upper() if kind == duckdb.token_type.keyword else word)
-    return words
+        yield kind, letters[start:end].decode().strip()
 
 
 def _kind_run(kind: str, text: str) -> str:
@@ -214,6 +229,22 @@ def _written(kind: str, text: str) -> str:
     while words[end : end + 1] == ["."]:
         end += 2
     return " ".join(words[start:end])
+
+
+def _check_search_path(statements: Sequence[tuple[str, str]]) -> None:
+    """Checks that a schema that may be omitted is written out: `_check_names` looks for it."""
+    for text in (text for kind, text in statements if kind == "SET"):
+        parts = [part for part in _tokens(text) if part not in ("=", ";")]
+        folded = [part.strip('"').casefold() for part in parts]
+        place = next((folded.index(name) for name in _SEARCH_PATH if name in folded), None)
+        if place is None or folded[0] == "use" or "variable" in folded[:place]:
+            continue
+        value = parts[place + 1 + (folded[place + 1 : place + 2] == ["to"]) :]
+        if len(value) > 1 or not all(map(_WRITTEN_OUT.fullmatch, value)):
+            raise SqlError(
+                f"SET {folded[place]} takes a name that is written out here, as in "
+                f"SET {folded[place]} = 'main'"
+            )
 
 
 def _check_transactions(statements: Sequence[tuple[str, str]]) -> None:

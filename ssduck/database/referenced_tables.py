@@ -12,7 +12,7 @@ import duckdb
 
 from ssduck.database.binding import BoundWorld
 from ssduck.database.macros import TABLE_MACROS
-from ssduck.errors import LimitError, SourceSpan
+from ssduck.errors import LimitError, SourceSpan, SqlError
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -109,11 +109,26 @@ class StatementWords:
     folded: str
 
 
-def type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
-    """Returns the type and the text of a statement.
+def types_and_texts(
+    connection: duckdb.DuckDBPyConnection, sql: str
+) -> list[tuple[str, str]] | None:
+    """Returns the type and the text of each statement in a text; None if it is no SQL.
 
-    The type of a SELECT is WITH if a query of WITH may change rows or write a file.
+    A type is the name of one of `duckdb.StatementType`. That of a SELECT is WITH if a query of WITH
+    may change rows or write a file.
+
+    Raises:
+        SqlError: a statement is of a kind that DuckDB's Python does not know.
     """
+    try:
+        return [_type_and_text(statement) for statement in connection.extract_statements(sql)]
+    except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
+        return None
+    except ValueError as error:  # UPDATE EXTENSIONS
+        raise SqlError(f"SQL has no such statement here: {error}") from error
+
+
+def _type_and_text(statement: duckdb.Statement) -> tuple[str, str]:
     name, text = statement.type.name, statement.query
     if name == "SELECT" and "with" in text.casefold() and _CHANGING.search(text) is not None:
         name = "WITH"

@@ -90,6 +90,18 @@ MISTAKES = [
     ),
     ("CREATE TABLE room_record_0.mine AS SELECT 1", RECORD),
     ("USE room_record_0", RECORD),
+    ("SET schema = 'ROOM_record_0'; DELETE FROM \"ssduck record\"", RECORD),
+    ("SET search_path TO $$room_record_0$$", RECORD),
+    (
+        "SET schema = concat('room_', 'record_0'); DELETE FROM \"ssduck record\"",
+        "SET schema takes a name that is written out",
+    ),
+    ("SELECT 1; SET SESSION search_path TO 'room' || '_record_0'", "SET search_path takes a name"),
+    ("SET schema = E'room\\x5frecord_0'", "SET schema takes a name"),
+    ("SET \"Schema\" /* = 'main' */ = lower('ROOM_') || 'record_0'", "SET schema takes a name"),
+    ("PRAGMA search_path = concat('room_', 'record_0')", "SET search_path takes a name"),
+    ("SET VARIABLE x = 'room_'; SET schema = getvariable('x')", "SET schema takes a name"),
+    ("UPDATE EXTENSIONS", "SQL has no such statement here"),
     ("ATTACH IF NOT EXISTS ':memory:' AS other; USE other", "name its tables in full"),
     ('PREPARE mine AS DELETE FROM room_record_0."entities model"', RECORD),
     ('PREPARE "ssduck statement 1 entities" AS SELECT 1', "are ssduck's own"),
@@ -159,6 +171,16 @@ def test_copies_of_a_record_may_be_written(lasting, tmp_path, text):
 def test_a_text_that_looks_like_a_change_is_a_text(lasting, text):
     ss, _ = lasting
     assert len(ss.sql(text).fetchall()) == 1
+
+
+def test_the_schemas_that_may_be_omitted(ss):
+    ss.sql("CREATE SCHEMA other; CREATE TABLE other.mine AS SELECT 7 AS a")
+    for text in ("SET schema = other", "SET search_path TO 'room,other'", "SET SCHEMA 'other';"):
+        ss.sql(text)
+        assert ss.sql("FROM mine").fetchall() == [(7,)]
+    ss.sql("SET VARIABLE schema = concat('a', 'b')")
+    with pytest.raises(SqlError, match="SET schema takes a name"):
+        ss.sql("SET schema = $1", ["room_record_0"])
 
 
 def test_a_failing_transaction_is_undone(ss):
