@@ -19,6 +19,7 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.values import Converter, converter, is_exactly
 from ssduck.errors import EvaluationError, UnknownNameError, UnsupportedError, nearest
+from ssduck.geometry.id_pairs import IdPairs
 from ssduck.geometry.pair_batch import PairQuestion, QuestionKind
 from ssduck.geometry.queries import depth
 from ssduck.language.builtins import Function
@@ -235,8 +236,8 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
         if world not in worlds:
             raise UnknownNameError(f"there is no world {world!r} here any more")
         if udf.of_boxes:
-            boxes = worlds[world].world.snapshot.boxes()
-            return boxes.numbers(udf.function(boxes))
+            of_boxes: IdPairs = udf.function(worlds[world].world.snapshot.boxes())
+            return of_boxes.numbers
         shapes = worlds[world].shapes(None, None)
         if udf.uses_margins:
             worlds[world].warn_of_changed_margins(None)
@@ -244,8 +245,8 @@ def _pair_search(udf: GeometryUdf, worlds: Mapping[str, BoundWorld]) -> Callable
             shapes = shapes.links
         elif kind == "links and entities":
             shapes = shapes.links_and_entities
-        pairs: list[int] = udf.function(shapes, *values)
-        return pairs
+        found: IdPairs | list[int] = udf.function(shapes, *values)
+        return found.numbers if isinstance(found, IdPairs) else found
 
     return call
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ssduck.database.binding import BoundWorld
 from ssduck.geometry.arrays import Flags, Indices
-from ssduck.schema import ID_FACTOR
+from ssduck.geometry.id_pairs import IdPairs
 from ssduck.sql.pair_lookup import PairColumn, PairLookup
 from ssduck.world.live_tables import LiveTable
 
@@ -57,17 +57,15 @@ def _found(
     lookup: PairLookup, bound: BoundWorld, parameters: Mapping[str, Any]
 ) -> tuple[Indices, Indices]:
     """Returns the rows of the two entities of each pair that the search of a look-up finds."""
-    snapshot, search, distance = bound.world.snapshot, lookup.search, lookup.distance
+    search, distance = lookup.search, lookup.distance
     if search.of_boxes:
-        return search.function(snapshot.boxes())  # type: ignore[no-any-return]
-    value = float(parameters[distance]) if isinstance(distance, str) else distance
-    shapes = bound.shapes(None, None)
-    numbers = search.function(shapes, value) if search.takes_distance else search.function(shapes)
-    pairs = np.array(numbers, np.int64)
-    ids = snapshot.tables["entities"]["id"]
-    order = np.argsort(ids, kind="stable")
-    first, second = np.searchsorted(ids, [pairs // ID_FACTOR, pairs % ID_FACTOR], sorter=order)
-    return order[first], order[second]
+        found: IdPairs = search.function(bound.world.snapshot.boxes())
+    elif search.takes_distance:
+        value = float(parameters[distance]) if isinstance(distance, str) else distance
+        found = search.function(bound.shapes(None, None), value)
+    else:
+        found = search.function(bound.shapes(None, None))
+    return found.first, found.second
 
 
 def _ranks(entities: LiveTable) -> Indices:

@@ -11,12 +11,10 @@ from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.schema import ID_FACTOR
+from ssduck.geometry.id_pairs import IdPairs, Ids
 
-Ids: TypeAlias = npt.NDArray[np.int64]
 # The places of the first and of the second entity of each pair.
 Pairs: TypeAlias = tuple[Indices, Indices]
 # Takes the boxes, (6, n), the positions, (3, n), and pairs.
@@ -41,9 +39,9 @@ class BoxQueries:
         self._boxes = boxes
         self._positions = positions
         self._ids = ids
-        self._pairs: dict[PairCondition, Pairs] = {}
+        self._pairs: dict[PairCondition, IdPairs] = {}
 
-    def all_above(self) -> Pairs:
+    def all_above(self) -> IdPairs:
         """Returns the pairs of which the second's position is above the first's box.
 
         They are in the order of the first entities, then of the second ones. So it is in the other
@@ -51,23 +49,17 @@ class BoxQueries:
         """
         return self._all(_is_above)
 
-    def all_below(self) -> Pairs:
+    def all_below(self) -> IdPairs:
         """Returns the pairs of which the second's position is below the first's box's centre."""
         return self._all(_is_below)
 
-    def all_inside(self) -> Pairs:
+    def all_inside(self) -> IdPairs:
         """Returns the pairs of which the second's position is inside the first's box."""
         return self._all(_is_inside)
 
-    def numbers(self, pairs: Pairs) -> list[int]:
-        """Returns pairs as numbers: `first * ID_FACTOR + second` of the ids."""
-        first, second = pairs
-        numbers: list[int] = (self._ids[first] * ID_FACTOR + self._ids[second]).tolist()
-        return numbers
-
-    def _all(self, condition: PairCondition) -> Pairs:
+    def _all(self, condition: PairCondition) -> IdPairs:
         if condition not in self._pairs:
-            self._pairs[condition] = self._found(condition)
+            self._pairs[condition] = IdPairs(self._ids, *self._found(condition))
         return self._pairs[condition]
 
     def _found(self, condition: PairCondition) -> Pairs:

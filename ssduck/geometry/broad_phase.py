@@ -63,11 +63,13 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
         max_distance: the greatest distance of two boxes along each axis, metres; inclusive.
 
     Returns:
-        The first and the second box of each pair, in no order; each pair once.
+        The lower and the higher number of each pair, in no order; each pair once.
     """
-    pad = 0.5 * max_distance
-    with np.errstate(over="ignore", invalid="ignore"):  # unbounded, or no box
-        low, high = boxes[:3] - pad, boxes[3:] + pad
+    low, high = boxes[:3], boxes[3:]
+    if max_distance != 0.0:
+        pad = 0.5 * max_distance
+        with np.errstate(over="ignore", invalid="ignore"):  # unbounded, or no box
+            low, high = low - pad, high + pad
     if low.shape[1] <= _MAX_COMPARED:
         return _compared_pairs(low, high)
     is_box: Flags = np.asarray((low <= high).all(axis=0))
@@ -83,8 +85,8 @@ def overlapping_pairs(boxes: Array, max_distance: float = 0.0) -> Pairs:
         parts += [(bounded[i], bounded[j]) for i, j in pairs]
     if not parts:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    first, second = zip(*parts, strict=True)
-    return np.concatenate(first), np.concatenate(second)
+    first, second = map(np.concatenate, zip(*parts, strict=True))
+    return np.minimum(first, second), np.maximum(first, second)
 
 
 def _compared_pairs(low: Array, high: Array) -> Pairs:
@@ -96,9 +98,9 @@ def _compared_pairs(low: Array, high: Array) -> Pairs:
     is_box = begins_before.diagonal()
     if not is_box.all():
         overlaps &= is_box & is_box[:, None]
-    first, second = overlaps.nonzero()
-    is_first = first < second
-    return first[is_first], second[is_first]
+    first, second = np.divmod(overlaps.ravel().nonzero()[0], len(overlaps))
+    is_first = (first < second).nonzero()[0]
+    return first.take(is_first), second.take(is_first)
 
 
 def _pairs_of_unbounded(

@@ -8,7 +8,6 @@ rounding errors need. The narrow phase decides what is left, one pair of shapes 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -69,11 +68,12 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
         b: (n,), the upper entities.
     """
     result = np.zeros(len(a), dtype=bool)
-    over = over_verdicts(tick, narrow.starts, a, b)
+    starts = np.array(narrow.starts)
+    over = over_verdicts(tick, starts, a, b)
     rows = np.flatnonzero(over != OUTSIDE)
     if not len(rows):
         return result
-    shapes = _touching_shapes(tick, narrow.starts, rows, a, b)
+    shapes = _touching_shapes(tick, starts, rows, a, b)
     ordered = shapes.first, shapes.second
     upward = kept_verdicts(
         tick,
@@ -100,12 +100,12 @@ def _is_upward(narrow: NarrowPhase, s: int, t: int) -> bool:
 
 
 def _touching_shapes(
-    tick: TickShapes, starts: Sequence[int], rows: Indices, a: Indices, b: Indices
+    tick: TickShapes, starts: Indices, rows: Indices, a: Indices, b: Indices
 ) -> _ShapePairs:
     """Returns the pairs of shapes that may touch, of pairs of entities that touch."""
     if tick.table.has_single_shapes:
-        firsts = np.array(starts)
-        return _ShapePairs(rows, firsts[a[rows]], firsts[b[rows]], np.ones(len(rows), dtype=bool))
+        firsts, seconds = starts.take(a.take(rows)), starts.take(b.take(rows))
+        return _ShapePairs(rows, firsts, seconds, np.ones(len(rows), dtype=bool))
     touching = PairPredicate("touching", TOUCHING_DISTANCE)
     first, second = _of_rows(tick, touching.candidates(tick), a[rows], b[rows])
     verdicts = touching_verdicts(tick, (first, second), touching)

@@ -8,14 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from threading import RLock
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from ssduck.errors import ArgumentError
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import overlapping_pairs
+from ssduck.geometry.id_pairs import IdPairs, Ids, places_by_number
 from ssduck.geometry.narrow_phase import MIN_DEPTH, NarrowPhase
 from ssduck.geometry.neighbour_relations import NeighbourRelations, Orientation
 from ssduck.geometry.on_pairs import are_on
@@ -23,7 +22,7 @@ from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import PlacedSolids
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, pair_number
-from ssduck.schema import ID_FACTOR, LINK_FACTOR, entity_of
+from ssduck.schema import LINK_FACTOR, entity_of
 
 # After this number of pairs, or a quarter of the entities, all pairs are compared at once.
 MIN_PAIRS_AT_ONCE = 64
@@ -35,8 +34,6 @@ MAX_LINK_QUERIES = 64
 _TOUCHING = PairPredicate("touching", TOUCHING_DISTANCE)
 # The rounding error of distances between boxes, m.
 BOX_TOLERANCE = 1e-9
-
-Ids: TypeAlias = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -70,6 +67,7 @@ class ShapeQueries:
         links: (shapes,), the number of each shape's link; None if links are not queried.
         are_regions: (shapes,), whether each shape is the region of a site, which does not belong to
             its entity; None if none is.
+        places: what `places_by_number` returns, which is the same at each tick; None if unknown.
     """
 
     def __init__(
@@ -81,8 +79,9 @@ class ShapeQueries:
         ids: Ids,
         links: Indices | None = None,
         are_regions: Flags | None = None,
+        places: Indices | None = None,
     ) -> None:
-        self._are_regions = are_regions
+        self._are_regions, self._places = are_regions, places
         self._narrow = narrow
         self._numbers = numbers
         self._table = table
@@ -94,14 +93,14 @@ class ShapeQueries:
         self._whole: ShapeQueries | None = None
         self._loaded: dict[tuple[int, bool], bool] = {}
         self._lock = RLock()
-        self._overlapping: dict[float, list[int]] = {}
-        self._overlapping_with_margins: dict[float, list[int]] = {}
+        self._overlapping: dict[float, IdPairs] = {}
+        self._overlapping_with_margins: dict[float, IdPairs] = {}
         # The number of pairs that were compared one by one, by predicate.
         self._pair_counts: Counter[PairPredicate] = Counter()
         self._own_pair_count = 0
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
-        self._numbers_by_predicate: dict[PairPredicate, list[int]] = {}
-        self._on: list[int] | None = None
+        self._pairs_by_predicate: dict[PairPredicate, IdPairs] = {}
+        self._on: IdPairs | None = None
 
     @cached_property
     def _neighbours(self) -> NeighbourRelations:
@@ -216,35 +215,41 @@ class ShapeQueries:
         narrow = self._narrow.extended(table, poses)
         all_links = np.concatenate((self._links, links))
         return ShapeQueries(
-            narrow, self._numbers, table, self._boxes, self._ids, all_links, are_regions
+            narrow,
+            self._numbers,
+            table,
+            self._boxes,
+            self._ids,
+            all_links,
+            are_regions,
+            self._places,
         )
 
-    def all_colliding(self, min_depth: float) -> list[int]:
-        """Returns the pairs that are deeper in each other than a depth, m, as numbers.
+    def all_colliding(self, min_depth: float) -> IdPairs:
+        """Returns the pairs that are deeper in each other than a depth, m.
 
-        A number is `first * ID_FACTOR + second`; each pair is there in both orders. So it is in the
-        other methods.
+        Each pair is there in both orders. So it is in the other methods.
 
         Raises:
             ArgumentError: the depth is negative or NaN.
         """
         return self._pairs(PairPredicate("colliding", depth(min_depth)))
 
-    def all_within(self, max_distance: float) -> list[int]:
+    def all_within(self, max_distance: float) -> IdPairs:
         """Returns the pairs of two entities whose clearance is at most a distance, m."""
         return self._pairs(PairPredicate("within", max_distance))
 
-    def all_touching(self, max_distance: float) -> list[int]:
+    def all_touching(self, max_distance: float) -> IdPairs:
         """Returns the pairs with shapes that are at most a distance, m, plus both margins apart."""
         return self._pairs(PairPredicate("touching", max_distance))
 
-    def _pairs(self, predicate: PairPredicate) -> list[int]:
+    def _pairs(self, predicate: PairPredicate) -> IdPairs:
         """Returns the pairs for which a predicate holds."""
-        if predicate not in self._numbers_by_predicate:
-            ids = self._ids_by_number
-            first, second = self._all_pairs(predicate)
-            self._numbers_by_predicate[predicate] = _both_orders(ids[first], ids[second])
-        return self._numbers_by_predicate[predicate]
+        if predicate not in self._pairs_by_predicate:
+            places = self._places_by_number
+            first, second = (places.take(side) for side in self._all_pairs(predicate))
+            self._pairs_by_predicate[predicate] = IdPairs.in_both_orders(self._ids, first, second)
+        return self._pairs_by_predicate[predicate]
 
     def _all_pairs(self, predicate: PairPredicate) -> tuple[Indices, Indices]:
         """Returns the numbers of the pairs for which a predicate holds, the lower ones first."""
@@ -270,27 +275,34 @@ class ShapeQueries:
         ids[list(self._numbers.values())] = list(self._numbers)
         return ids
 
+    @cached_property
+    def _places_by_number(self) -> Indices:
+        """The place of each number in the narrow phase among the ids."""
+        if self._places is None:
+            return places_by_number(self._numbers, self._ids)
+        return self._places
+
     @property
     def _is_of_both(self) -> bool:
         """Whether these are the queries of links beside their entities."""
         return self._whole is not None and self._whole.links is not self
 
-    def all_meeting(self, max_distance: float) -> list[int]:
+    def all_meeting(self, max_distance: float) -> IdPairs:
         """Returns the pairs whose boxes are at most a distance apart along every axis, m."""
         if max_distance not in self._overlapping:
             self._overlapping[max_distance] = self._overlapping_boxes(self._boxes, max_distance)
         return self._overlapping[max_distance]
 
-    def _overlapping_boxes(self, boxes: Array, max_distance: float) -> list[int]:
+    def _overlapping_boxes(self, boxes: Array, max_distance: float) -> IdPairs:
         first, second = overlapping_pairs(boxes, max_distance + BOX_TOLERANCE)
-        a, b = self._ids[first], self._ids[second]
         if self._is_of_both:
+            a, b = self._ids[first], self._ids[second]
             is_of_both = (a < LINK_FACTOR) != (b < LINK_FACTOR)
-            is_of_two = a % LINK_FACTOR != b % LINK_FACTOR
-            a, b = a[is_of_both & is_of_two], b[is_of_both & is_of_two]
-        return _both_orders(a, b)
+            wanted = is_of_both & (a % LINK_FACTOR != b % LINK_FACTOR)
+            first, second = first[wanted], second[wanted]
+        return IdPairs.in_both_orders(self._ids, first, second)
 
-    def all_reaching(self, max_distance: float) -> list[int]:
+    def all_reaching(self, max_distance: float) -> IdPairs:
         """Returns the pairs whose boxes, grown by their largest margins, are that near."""
         if max_distance not in self._overlapping_with_margins:
             self._overlapping_with_margins[max_distance] = self._overlapping_boxes(
@@ -298,15 +310,14 @@ class ShapeQueries:
             )
         return self._overlapping_with_margins[max_distance]
 
-    def all_on(self) -> list[int]:
+    def all_on(self) -> IdPairs:
         """Returns the pairs of which the second is on the first."""
         with self._lock:
             if self._on is None:
+                places = self._places_by_number
                 a, b = self._on_among(self._all_pairs(_TOUCHING))
-                ids = self._ids_by_number
-                self._on = np.sort(ids[a] * ID_FACTOR + ids[b]).tolist()
-            on_numbers: list[int] = self._on
-        return on_numbers
+                self._on = IdPairs.sorted(self._ids, places.take(a), places.take(b))
+            return self._on
 
     def _on_among(self, touching: tuple[Indices, Indices]) -> tuple[Indices, Indices]:
         """Returns the entities and what is on them, of pairs that touch, in either order."""
@@ -319,11 +330,11 @@ class ShapeQueries:
         a, b = self._on_among(self._narrow.all_pairs(_TOUCHING, self._table).sides)
         return zip(a.tolist(), b.tolist(), strict=True)
 
-    def all_resting(self) -> list[int]:
+    def all_resting(self) -> IdPairs:
         """Returns the pairs of which the second rests on the first, directly or through others."""
-        ids = {number: id for id, number in self._numbers.items()}
-        pairs = self._neighbours.all_resting()
-        return sorted(ids[a] * ID_FACTOR + ids[b] for a, b in pairs)
+        pairs = np.array(self._neighbours.all_resting(), np.intp).reshape(-1, 2)
+        first, second = self._places_by_number.take(pairs).T
+        return IdPairs.sorted(self._ids, first, second)
 
     def all_unknown(self) -> list[int]:
         """Returns the entities whose poses are not finite, or whose shapes are not valid."""
@@ -587,10 +598,3 @@ def depth(min_depth: float) -> float:
 def _orientation(numbers: tuple[float, ...]) -> Orientation:
     w, x, y, z = numbers
     return w, x, y, z
-
-
-def _both_orders(a: Ids, b: Ids) -> list[int]:
-    """Returns pairs of ids as sorted numbers, each pair in both orders."""
-    numbers = np.concatenate((a * ID_FACTOR + b, b * ID_FACTOR + a))
-    sorted_numbers: list[int] = np.sort(numbers).tolist()
-    return sorted_numbers

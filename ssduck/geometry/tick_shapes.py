@@ -221,7 +221,8 @@ class TickShapes:
     @cached_property
     def poses(self) -> ShapePoses:
         """The poses, from which the motion between two ticks is bounded."""
-        return ShapePoses(self.centres, self.matrices, self.table.bounding_radius)
+        cores = self.placed_cores
+        return ShapePoses(cores.centres, cores.rotations, self.table.bounding_radius)
 
     @cached_property
     def placed_cores(self) -> PlacedCores:
@@ -268,9 +269,8 @@ def _candidates(tick: TickShapes, boxes: Array, max_distance: float) -> Pairs:
     if max_distance == np.inf:
         first, second = np.triu_indices(boxes.shape[1], 1)
     else:
+        # The lower number first: in the same order at each tick, for the witnesses.
         first, second = overlapping_pairs(boxes, max_distance)
-    # In the same order at each tick, for the witnesses.
-    first, second = np.minimum(first, second), np.maximum(first, second)
     if known is not None:
         first, second = known[first], known[second]
     if table.has_single_shapes:

@@ -176,7 +176,12 @@ class TickSolids:
     @cached_property
     def are_finite(self) -> Flags:
         """Whether the pose of each shape is finite."""
-        poses = np.concatenate((self.positions, self._unit_orientations), axis=1)
+        positions, orientations = self.positions, self._unit_orientations
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = float(positions.sum()) + float(orientations.sum())
+        if math.isfinite(total):  # then all of them are
+            return np.ones(len(positions), dtype=bool)
+        poses = np.concatenate((positions, orientations), axis=1)
         return np.asarray(np.isfinite(poses).all(axis=1))
 
     def _all_known(self) -> list[bool]:

@@ -123,11 +123,14 @@ class TableLayout:
         return groups
 
     @cached_property
-    def shape_order(self) -> Indices:
-        """The place of each shape among those of static bodies, followed by those of others."""
+    def shape_order(self) -> Indices | None:
+        """The place of each shape among those of static bodies, followed by those of others.
+
+        None if they are in this order.
+        """
         rows = np.concatenate((self.static_bodies.shape_rows, self.moving_bodies.shape_rows))
         order: Indices = np.argsort(rows)
-        return order
+        return None if (order == np.arange(len(order))).all() else order
 
     @cached_property
     def sites(self) -> list[tuple[int, int, Geometry]]:

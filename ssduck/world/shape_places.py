@@ -10,7 +10,8 @@ from typing import Self
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array
+from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.id_pairs import Ids, places_by_number
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
 from ssduck.geometry.tick_solids import ShapePlaces
@@ -25,11 +26,15 @@ class ComparableShapes:
     Attributes:
         starts: the first shape of each entity, and the number of all.
         numbers: the number of each entity by its id.
+        ids: (n,), the ids in the order of the table of entities.
+        places: what `places_by_number` returns of them.
         table: the solids of the shapes, their entities, and what else they have.
     """
 
     starts: Sequence[int]
     numbers: Mapping[int, int]
+    ids: Ids
+    places: Indices
     table: ShapeTable
 
     @classmethod
@@ -49,7 +54,8 @@ class ComparableShapes:
         numbers |= dict.fromkeys(sensor_ids, len(bodies))
         owners = np.repeat(np.arange(len(bodies)), counts)
         table = ShapeTable(solids, solid_indices, owners, margins)
-        return cls([*starts, starts[-1]], numbers, table)
+        ids = np.array([info.id for info in layout.entities], np.int64)
+        return cls([*starts, starts[-1]], numbers, ids, places_by_number(numbers, ids), table)
 
 
 class TickPlaces(ShapePlaces):
@@ -76,8 +82,12 @@ class TickPlaces(ShapePlaces):
 
     def _in_order(self, part: int, axis: int) -> Array:
         """Returns a part of what is known of each group, of all shapes in their order."""
+        order = self._layout.shape_order
         parts = [of_group[part] for of_group in self._of_groups]
-        ordered: Array = np.concatenate(parts, axis=axis).take(self._layout.shape_order, axis=axis)
+        some = [values for values in parts if values.shape[axis]]
+        if len(some) != 1:
+            some = [np.concatenate(parts, axis=axis)]
+        ordered: Array = some[0] if order is None else some[0].take(order, axis=axis)
         return ordered
 
     @cached_property

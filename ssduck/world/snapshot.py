@@ -289,7 +289,7 @@ class Snapshot:
         if self._shapes is None:
             shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
             table, entities = shapes.table, self._tables["entities"]
-            boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
+            boxes = entities.doubles("xmin", "zmax").copy()
             self._shapes = ShapeQueries(
                 NarrowPhase(
                     table.solids,
@@ -302,8 +302,9 @@ class Snapshot:
                 shapes.numbers,
                 table,
                 boxes,
-                ids,
+                shapes.ids,
                 self._tables["shapes"]["link"],
+                places=shapes.places,
             )
         return self._shapes
 

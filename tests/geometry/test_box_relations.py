@@ -56,9 +56,9 @@ def test_the_pairs_are_those_of_all_comparisons(monkeypatch, at_once):
         ids = 7 * np.arange(1, boxes.shape[1] + 1, dtype=np.int64)[::-1]
         queries = BoxQueries(boxes, positions, ids)
         for numbers, holds in (
-            (queries.numbers(queries.all_above()), above),
-            (queries.numbers(queries.all_below()), below),
-            (queries.numbers(queries.all_inside()), inside),
+            (queries.all_above().numbers, above),
+            (queries.all_below().numbers, below),
+            (queries.all_inside().numbers, inside),
         ):
             expected = [
                 int(a) * ID_FACTOR + int(b)
@@ -84,5 +84,5 @@ def test_candidates_are_few_beside_large_boxes(monkeypatch):
     pairs = BoxQueries(boxes, positions, np.arange(1, count + 1)).all_above()
     searched, compared = candidates
     assert searched < 5 * count
-    assert len(pairs[0]) > 2 * count
+    assert len(pairs.first) > 2 * count
     assert compared < 30 * count

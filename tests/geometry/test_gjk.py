@@ -357,12 +357,15 @@ def test_many_questions_are_answered_together():
 def test_ids_of_all_that_are_near():
     tick = narrow(*([(box(), (1.5 * n, 0, 0))] for n in range(3)))
     shapes = ShapeQueries(
-        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.zeros(0, np.int64)
+        tick, {7: 0, 3: 1, 5: 2, 9: 3}, sorts_of(tick), BOXES, np.array([9, 7, 5, 3])
     )
-    assert shapes.all_within(0.4) == []
-    pairs = [divmod(number, ID_FACTOR) for number in shapes.all_within(0.5)]
+    assert shapes.all_within(0.4).numbers == []
+    found = shapes.all_within(0.5)
+    pairs = [divmod(number, ID_FACTOR) for number in found.numbers]
     assert pairs == [(3, 5), (3, 7), (5, 3), (7, 3)]
-    assert shapes.all_colliding(MIN_DEPTH) == []
+    places = np.stack((found.first, found.second), axis=1)
+    assert found.ids[places].tolist() == [list(pair) for pair in pairs]
+    assert shapes.all_colliding(MIN_DEPTH).numbers == []
 
 
 def test_shapes_of_two_entities_that_collide_are_left_out():

@@ -160,9 +160,9 @@ def test_parts_that_mostly_have_to_be_divided_again_are_given_up_for_a_while():
         judge(0.7)
         tries += 1
     assert tries == math.ceil(_CREDIT / (0.3 * _COST - 0.7))
-    keep()
-    absent = 1
+    absent = 0
     while kept.find(key) is None:
+        kept.proofs(key)  # once a tick
         keep()
         absent += 1
     assert absent == _PAUSE
@@ -191,5 +191,47 @@ def test_shapes_that_move_far_are_divided_anew(monkeypatch):
             counts.clear()
             decided(jumped, MIN_UP, kept=known)
             sums.append(sum(counts))
-    assert with_parts[1] != without[1]
-    assert with_parts[-3:] == without[-3:]
+    assert with_parts[1] > without[1] + 2 * len(two)
+    # Two directions of each pair are tried all the same.
+    for known, anew in zip(with_parts[-3:], without[-3:], strict=True):
+        assert known - 2 * len(two) <= anew
+
+
+def test_what_proved_a_verdict_is_tried_before_directions_all_around(monkeypatch):
+    anew, decide = [], contact_directions._decide_anew
+
+    def counted(pairs, *rest):
+        anew.append(len(pairs))
+        return decide(pairs, *rest)
+
+    monkeypatch.setattr(contact_directions, "_decide_anew", counted)
+    random, kept = np.random.default_rng(8), KeptParts()
+    two = [pair for kinds in COMBINATIONS for pair in made(kinds, 8)]
+    first = decided(two, MIN_UP, kept=kept)
+    again = decided(two, MIN_UP, kept=kept)
+    assert (first.verdicts == again.verdicts).all()
+    # What was divided into very many parts is not kept.
+    assert anew[0] == len(two)
+    assert sum(anew[1:]) <= np.count_nonzero(first.verdicts == 0) + 3
+    decided(moved(two, random, 1e-4), MIN_UP, kept=kept)
+    assert anew[-1] < 0.1 * len(two)
+
+
+def test_both_proofs_of_a_pair_whose_verdict_changes_to_and_fro_are_kept(monkeypatch):
+    """A ball that is now on a ball, now beside it."""
+    anew, decide = [], contact_directions._decide_anew
+    monkeypatch.setattr(
+        contact_directions,
+        "_decide_anew",
+        lambda pairs, *rest: anew.append(len(pairs)) or decide(pairs, *rest),
+    )
+    lower = pairs.Shape("sphere", pairs.geometry("sphere", np.random.default_rng(1), True),
+                        np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))  # fmt: skip
+    reach = lower.geometry.size[0] * 2.0
+    on, beside = lower.at((0.0, 0.0, 0.98 * reach)), lower.at((0.98 * reach, 0.0, 0.0))
+    kept = KeptParts()
+    found = [
+        int(decided([(lower, upper)], MIN_UP, kept=kept).verdicts[0]) for upper in (on, beside) * 3
+    ]
+    assert found == [UPWARD, NOT_UPWARD] * 3
+    assert len(anew) == 2

@@ -25,7 +25,8 @@ STILL = np.eye(3)
 
 def poses(*centres, matrices=None, radii=(1.0, 1.0)):
     matrices = np.stack([STILL] * len(centres)) if matrices is None else np.stack(matrices)
-    return ShapePoses(np.array(centres, float), matrices, np.array(radii))
+    rotations = matrices.transpose(1, 2, 0).reshape(9, -1).copy()
+    return ShapePoses(np.array(centres, float).T.copy(), rotations, np.array(radii))
 
 
 def turned(angle, axis=(0.0, 0.0, 1.0)):
@@ -87,8 +88,8 @@ def test_no_point_moves_farther(seed, far):
     inner = random.normal(size=(2, 200, 3))
     inner *= (radii[:, None] / np.linalg.norm(inner, axis=2))[..., None]
     moved = [
-        (inner[k] @ after.matrices[k].T + after.centres[k])
-        - (inner[k] @ before.matrices[k].T + before.centres[k])
+        (inner[k] @ after.rotations[:, k].reshape(3, 3).T + after.centres[:, k])
+        - (inner[k] @ before.rotations[:, k].reshape(3, 3).T + before.centres[:, k])
         for before, after in [(befores, afters)]
         for k in range(2)
     ]
@@ -119,9 +120,9 @@ def test_a_verdict_holds_up_to_its_room(verdict, step, holds):
 def test_a_verdict_without_room_holds_for_poses_that_are_the_same_to_the_last_bit(moved):
     here, there = poses((0, 0, 0), (1, 0, 0)), poses((0, 0, 0), (1, 0, 0))
     assert kept(ABOVE, 0.0).find(here, *BOTH).verdicts.tolist() == [ABOVE]
-    there.centres[moved, 2] = 5e-324
+    there.centres[2, moved] = 5e-324
     assert kept(ABOVE, 0.0).find(there, *BOTH).verdicts.tolist() == [UNDECIDED]
-    here.matrices[moved, 0, 0] = np.nextafter(1.0, 0.0)
+    here.rotations[0, moved] = np.nextafter(1.0, 0.0)
     assert kept(ABOVE, 0.0).find(here, *BOTH).verdicts.tolist() == [UNDECIDED]
 
 

@@ -30,7 +30,7 @@ def found(client):
     for world in (at_once, one_by_one):
         world.snapshot.request_tables(("shapes",))
         world.tick()
-    numbers = at_once.snapshot.shapes().all_on()
+    numbers = at_once.snapshot.shapes().all_on().numbers
     shapes = one_by_one.snapshot.shapes()
     ids = [entity.id for entity in one_by_one]
     expected = [(a, b) for a in ids for b in ids if a != b and shapes.on(a, b)]

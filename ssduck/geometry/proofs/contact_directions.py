@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.columns import unit_columns
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.direction_triangles import (
     BOTH,
@@ -35,6 +36,7 @@ from ssduck.geometry.proofs.direction_triangles import (
     UPWARD_ONLY,
     Mesh,
     Triangles,
+    bounds_of,
     classes_of,
     corner_bounds,
     facet_directions,
@@ -42,7 +44,7 @@ from ssduck.geometry.proofs.direction_triangles import (
     stretch_of,
 )
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.kept_parts import MAX_DIVIDED, KeptParts, Parts
+from ssduck.geometry.proofs.kept_parts import MAX_DIVIDED, KeptParts, Parts, Proofs
 from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 
@@ -76,7 +78,7 @@ class _Differences:
         offsets: (3, n), from the centres of the second to those of the first.
         room: (n,), see `contact_room`.
         least: (n,), the least overlaps that were found, metres.
-        heights: (n,), the heights of their directions.
+        best: (3, n), their directions.
     """
 
     cores: PlacedCores
@@ -85,15 +87,15 @@ class _Differences:
     offsets: Array
     room: Array
     least: Array
-    heights: Array
+    best: Array
 
     @classmethod
     def of(cls, cores: PlacedCores, first: Indices, second: Indices) -> _Differences:
         """Returns the differences of pairs, for which no overlap was found yet."""
         offsets = cores.centres.take(first, axis=1) - cores.centres.take(second, axis=1)
-        least, heights = np.full(len(first), math.inf), np.zeros(len(first))
+        least, best = np.full(len(first), math.inf), np.zeros((3, len(first)))
         room = contact_room(cores, first, second)
-        return cls(cores, first, second, offsets, room, least, heights)
+        return cls(cores, first, second, offsets, room, least, best)
 
     def select(self, places: Indices) -> _Differences:
         """Returns the selected pairs."""
@@ -104,7 +106,7 @@ class _Differences:
             self.offsets.take(places, axis=1),
             self.room[places],
             self.least[places],
-            self.heights[places],
+            self.best.take(places, axis=1),
         )
 
     def __len__(self) -> int:
@@ -127,7 +129,9 @@ class _Differences:
         points += self.offsets[:, None]
         overlaps = np.einsum("cmn,cm->mn", points, directions)
         best = overlaps.argmin(axis=0)
-        self.least, self.heights = overlaps[best, np.arange(len(self))], directions[2, best]
+        least = overlaps[best, np.arange(pairs)]
+        self.best = np.where(least < self.least, directions.take(best, axis=1), self.best)
+        self.least = np.minimum(least, self.least)
         return points
 
     def points(self, owners: Indices, directions: Array) -> Array:
@@ -142,7 +146,7 @@ class _Differences:
         # The last one that is written for a pair is the least.
         less = less[np.argsort(-overlaps[less], kind="stable")]
         self.least[owners[less]] = overlaps[less]
-        self.heights[owners[less]] = directions[2, less]
+        self.best[:, owners[less]] = directions.take(less, axis=1)
         return points
 
 
@@ -168,40 +172,150 @@ def decide_upward(
     for start in range(0, len(first), step):
         batch = slice(start, start + step)
         pairs = _Differences.of(cores, first[batch], second[batch])
-        points = pairs.points_all_around(mesh.directions)
-        upward = points.compress(mesh.directions[2] >= min_height - HEIGHT_ROOM, axis=1)
-        above = _upward_bounds(upward, min_height - HEIGHT_ROOM) - pairs.limits
-        is_above = above > 0.0
-        decisions.part(batch).decide(is_above, NOT_UPWARD, above[is_above] / 2.0)
-        left = np.flatnonzero(~is_above)
-        if len(left):
-            some = pairs.select(left)
-            found = _classified(some, points.take(left, axis=2), mesh, min_height, kept)
-            decisions.decide(start + left, found.verdicts, found.room)
+        found = decisions.part(batch)
+        if kept is None:
+            _decide_anew(pairs, found, mesh, min_height, None)
+        else:
+            _decide_with_kept(pairs, found, mesh, min_height, kept)
     return decisions
 
 
+def _decide_with_kept(
+    pairs: _Differences, decisions: Decisions, mesh: Mesh, min_height: float, kept: KeptParts
+) -> None:
+    """Decides undecided pairs by what proved the verdicts of the tick before, then the others."""
+    keys = pair_keys(pairs.first, pairs.second)
+    had_parts = kept.are_known(keys)
+    proofs = kept.proofs(keys)
+    _try_kept(pairs, decisions, kept.least.find(keys), proofs, min_height)
+    left = np.flatnonzero(decisions.verdicts == UNDECIDED)
+    divided: set[int] = set()
+    if len(left):
+        some, found = pairs.select(left), Decisions.none(len(left))
+        caps, of_left = _decide_anew(some, found, mesh, min_height, kept)
+        decisions.decide(left, found.verdicts, found.room)
+        pairs.best[:, left] = some.best
+        divided = {int(left[place]) for place in of_left}
+        kept.keep_proofs(keys.take(left), found.verdicts, some.best, mesh, caps)
+    kept.least.keep(keys, _in_frames(pairs))
+    if had_parts.any():
+        kept.judge(~np.isin(np.flatnonzero(had_parts), list(divided)))
+
+
+def _decide_anew(
+    pairs: _Differences,
+    decisions: Decisions,
+    mesh: Mesh,
+    min_height: float,
+    kept: KeptParts | None,
+) -> tuple[Indices, set[int]]:
+    """Decides undecided pairs by directions all around, which are divided.
+
+    Returns:
+        Of each pair, the direction of the mesh whose point is above the least overlap in all
+        upward directions, or -1, (n,); and the pairs of which a triangle was divided.
+    """
+    points = pairs.points_all_around(mesh.directions)
+    upward = np.flatnonzero(mesh.directions[2] >= min_height - HEIGHT_ROOM)
+    bounds = _upward_bounds(points.take(upward, axis=1), min_height - HEIGHT_ROOM)
+    above = bounds.max(axis=0) - pairs.limits
+    is_above = above > 0.0
+    decisions.decide(is_above, NOT_UPWARD, above[is_above] / 2.0)
+    caps = np.where(is_above, upward.take(bounds.argmax(axis=0)), -1)
+    left = np.flatnonzero(~is_above)
+    if not len(left):
+        return caps, set()
+    some = pairs.select(left)
+    found, divided = _classified(some, points.take(left, axis=2), mesh, min_height, kept)
+    decisions.decide(left, found.verdicts, found.room)
+    pairs.best[:, left] = some.best
+    return caps, {int(left[place]) for place in divided}
+
+
+def _try_kept(
+    pairs: _Differences,
+    decisions: Decisions,
+    best: tuple[Indices, Array],
+    proofs: Proofs | None,
+    min_height: float,
+) -> None:
+    """Decides pairs by what proved the verdicts of the tick before, wherever it does still.
+
+    Args:
+        pairs: the pairs; it finds lesser overlaps of them.
+        decisions: their decisions; it adds others.
+        best: places of pairs, and the directions of their least overlaps in the frames of the first
+            shapes, and the second ones. They turn with a shape, as the normal of a face does.
+        proofs: what proved the verdicts.
+        min_height: the least height of upward directions.
+    """
+    places, columns = best
+    shapes = np.concatenate((pairs.first.take(places), pairs.second.take(places)))
+    local = np.concatenate((columns[:3], columns[3:]), axis=1)
+    directions = unit_columns(pairs.cores.to_world(shapes, local[None])[0])
+    if proofs is None:
+        pairs.points(np.tile(places, 2), directions)
+        return
+    owners = np.concatenate((proofs.direction_pairs, places, places))
+    points = pairs.points(owners, np.concatenate((proofs.directions, directions), axis=1))
+    limits, lowest = pairs.limits.take(proofs.pairs), np.full(len(proofs.pairs), math.inf)
+    caps = points.take(proofs.caps, axis=1)
+    lowest[proofs.cap_proofs] = _upward_bounds(caps, min_height - HEIGHT_ROOM)
+    np.minimum.at(lowest, proofs.owners, _bounds_of_proofs(points, proofs, limits))
+    lowest -= limits
+    hold = np.flatnonzero(lowest > 0.0)
+    decisions.decide(proofs.pairs.take(hold), proofs.verdicts.take(hold), lowest.take(hold) / 2.0)
+
+
+def _bounds_of_proofs(points: Array, proofs: Proofs, limits: Array) -> Array:
+    """Returns lower bounds of the overlaps in the triangles of proofs, (t,), metres.
+
+    Args:
+        points: (3, m), the support points in the directions of the proofs; there may be more.
+        proofs: the proofs.
+        limits: (n,), of each proof, metres; bounds below are as high as possible.
+    """
+    corners = proofs.directions.take(proofs.corners, axis=1)  # (axis, corner, triangle)
+    products = np.einsum("ckn,cin->kin", points.take(proofs.corners, axis=1), corners)
+    bounds = corner_bounds(products, proofs.stretch)
+    left = np.flatnonzero(bounds <= limits.take(proofs.owners))
+    if len(left):
+        bounds[left] = bounds_of(products.take(left, axis=2), proofs.stretch.take(left))[0]
+    return bounds
+
+
+def _in_frames(pairs: _Differences) -> Array:
+    """Returns the best direction of each pair in the frames of the first and the second shape."""
+    shapes = np.concatenate((pairs.first, pairs.second))
+    local = pairs.cores.to_local(shapes, np.concatenate((pairs.best, pairs.best), axis=1)[None])[0]
+    in_frames: Array = local.reshape(3, 2, -1).swapaxes(0, 1).reshape(6, -1)
+    return in_frames
+
+
 def _upward_bounds(points: Array, min_height: float) -> Array:
-    """Returns lower bounds of the overlaps in upward directions, (n,), metres.
+    """Returns lower bounds of the overlaps in upward directions by each point, (…), metres.
 
     The overlap at a direction is at least the product of the direction with any of the points. Of
     all directions of a least height, that with the least product leans away from the point.
 
     Args:
-        points: (3, m, n), points of the differences of pairs.
+        points: (3, …), points of the differences of pairs.
         min_height: the least height of upward directions, not negative.
     """
     x, y, z = points
     products = z * min_height - np.sqrt((x * x + y * y) * (1.0 - min_height * min_height))
     products[z < 0.0] = -math.inf
-    bounds: Array = products.max(axis=0)
-    return bounds
+    return np.asarray(products)
 
 
 def _classified(
     pairs: _Differences, points: Array, mesh: Mesh, min_height: float, kept: KeptParts | None
-) -> Decisions:
-    """Decides pairs, whose support points in the directions of a mesh are given."""
+) -> tuple[Decisions, set[int]]:
+    """Decides pairs, whose support points in the directions of a mesh are given.
+
+    Returns:
+        The decisions, and the pairs of which a triangle was divided.
+    """
     keys = pair_keys(pairs.first, pairs.second)
     parts = None if kept is None else kept.find(keys)
     least = np.full((len(pairs), 4), math.inf)
@@ -226,19 +340,15 @@ def _classified(
             break
         is_left &= is_open[triangles.owners]
         # Those that contradict the best direction are divided.
-        contradicted = np.where(pairs.heights >= min_height, OTHER_ONLY, UPWARD_ONLY)
+        contradicted = np.where(pairs.best[2] >= min_height, OTHER_ONLY, UPWARD_ONLY)
         is_divided = is_left & (triangles.classes & contradicted[triangles.owners] > 0)
         record.add(triangles, ~is_left, is_divided)
         divided = _divided(triangles.select(np.flatnonzero(is_divided)), pairs, min_height)
         triangles = triangles.select(np.flatnonzero(is_left & ~is_divided)).joined(divided)
-    if kept is not None:
-        if parts is not None:
-            found = np.flatnonzero(~begin_anew)
-            kept.judge(~np.isin(found, list(record.divided)))
-        if record.divided:
-            record.add(triangles, np.ones(len(triangles.owners), dtype=bool))
-            record.keep(kept, keys)
-    return decisions
+    if kept is not None and record.divided:
+        record.add(triangles, np.ones(len(triangles.owners), dtype=bool))
+        record.keep(kept, keys)
+    return decisions, record.divided
 
 
 def _decide(

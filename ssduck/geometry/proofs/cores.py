@@ -68,11 +68,13 @@ class ConvexCores:
         }
         sizes = {n: _padded_size(len(points)) for n, points in hulls.items()}
         kinds, rows = np.full(len(solids), -1), np.zeros(len(solids), np.intp)
+        # Of each kind: the corners of its hulls, (3, hulls, size).
         self.points: list[Array] = []
         for kind, size in enumerate(sorted(set(sizes.values()))):
             numbers = [n for n in hulls if sizes[n] == size]
             kinds[numbers], rows[numbers] = kind, np.arange(len(numbers))
-            self.points.append(np.array([padded_columns(hulls[n], size) for n in numbers]))
+            corners = np.array([padded_columns(hulls[n], size) for n in numbers])
+            self.points.append(np.ascontiguousarray(corners.swapaxes(0, 1)))
         self.kind, self.row = kinds[solid_indices], rows[solid_indices]
 
 
@@ -160,10 +162,11 @@ class PlacedCores:
             points += _ellipsoid_points(cores.semi_axes.take(shapes, axis=1), local)
         kinds = cores.kind.take(shapes)
         for kind, hulls in enumerate(cores.points):
-            selected = np.flatnonzero(kinds == kind)
+            selected = (kinds == kind).nonzero()[0]
             if len(selected):
+                rows = cores.row.take(shapes.take(selected))
                 points[:, selected] = _hull_support_points(
-                    hulls, cores.row[shapes[selected]], local[:, selected]
+                    hulls, rows, local.take(selected, axis=1)
                 )
         in_world: Array = rotations[0::3] * points[0]
         in_world += rotations[1::3] * points[1]
@@ -177,8 +180,10 @@ class PlacedCores:
             shapes: (n,), the indices of different shapes.
             directions: (3, m), the same directions for all of them.
         """
-        cores, rotations = self.cores, self.rotations.take(shapes, axis=1).reshape(3, 3, -1)
-        local = np.einsum("jin,jm->imn", rotations, directions)
+        cores, rotations = self.cores, self.rotations.take(shapes, axis=1)
+        # In the order (direction, axis, shape); the axis first.
+        local = np.matmul(directions.T, rotations.reshape(3, -1)).reshape(-1, 3, len(shapes))
+        local = np.ascontiguousarray(local.swapaxes(0, 1))
         points = np.copysign(cores.half_extents.take(shapes, axis=1)[:, None], local)
         if cores.is_swept.take(shapes).any():
             points += _ellipsoid_points(cores.semi_axes.take(shapes, axis=1)[:, None], local)
@@ -188,10 +193,12 @@ class PlacedCores:
             step = max(1, MAX_POINTS // (hulls.shape[2] * directions.shape[1]))
             for start in range(0, len(selected), step):
                 some = selected[start : start + step]
-                corners = hulls.take(cores.row[shapes[some]], axis=0)
-                heights = np.matmul(local[..., some].transpose(2, 1, 0), corners)
-                farthest = heights.argmax(axis=2)[:, None]
-                points[..., some] = np.take_along_axis(corners, farthest, 2).transpose(1, 2, 0)
+                rows = cores.row.take(shapes.take(some))
+                corners = hulls.take(rows, axis=1).swapaxes(0, 1)
+                heights = np.matmul(local.take(some, axis=2).transpose(2, 1, 0), corners)
+                farthest = heights.argmax(axis=2).T + rows * hulls.shape[2]
+                points[..., some] = hulls.reshape(3, -1).take(farthest, axis=1)
+        rotations = rotations.reshape(3, 3, -1)
         in_world: Array = np.einsum("ijn,jmn->imn", rotations, points)
         return in_world
 
@@ -206,14 +213,21 @@ def _ellipsoid_points(semi_axes: Array, directions: Array) -> Array:
 
 
 def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Array:
-    """Returns support points (3, m) of the hulls `rows` of (h, 3, k), in directions (3, m)."""
-    support_points = np.zeros((3, len(rows)))
-    step = max(1, MAX_POINTS // hulls.shape[2])
-    for start in range(0, len(rows), step):
-        batch = slice(start, start + step)
-        points = hulls.take(rows[batch], axis=0)
-        heights = np.matmul(directions[:, batch].T[:, None], points)[:, 0]
-        support_points[:, batch] = points[np.arange(len(points)), :, heights.argmax(axis=1)].T
+    """Returns support points (3, m) of the hulls `rows` of (3, h, k), in directions (3, m)."""
+    size = hulls.shape[2]
+    step = max(1, MAX_POINTS // size)
+    if len(rows) > step:
+        starts = range(0, len(rows), step)
+        batches = [(rows[i : i + step], directions[:, i : i + step]) for i in starts]
+        return np.concatenate([_hull_support_points(hulls, *b) for b in batches], axis=1)
+    products = hulls.take(rows, axis=1)
+    products *= directions[:, :, None]
+    heights = products[0]
+    heights += products[1]
+    heights += products[2]
+    farthest = heights.argmax(axis=1)
+    farthest += rows * size
+    support_points: Array = hulls.reshape(3, -1).take(farthest, axis=1)
     return support_points
 
 

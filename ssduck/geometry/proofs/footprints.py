@@ -45,14 +45,14 @@ def _around(count: int) -> Array:
 _DIRECTIONS = _around(16), _around(128)
 
 
-def entity_boxes(boxes: Array, starts: Sequence[int]) -> Array:
+def entity_boxes(boxes: Array, starts: Sequence[int] | Indices) -> Array:
     """Returns the boxes around the shapes of entities, (6, entities); empty ones without shapes.
 
     Args:
         boxes: (6, shapes), lower corners, upper corners.
         starts: the first shape of each entity, and the number of shapes.
     """
-    firsts = np.array(starts)
+    firsts = np.asarray(starts)
     has_shapes = firsts[1:] > firsts[:-1]
     if has_shapes.all() and len(has_shapes) == boxes.shape[1]:
         return boxes
@@ -64,7 +64,9 @@ def entity_boxes(boxes: Array, starts: Sequence[int]) -> Array:
     return result
 
 
-def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indices) -> Verdicts:
+def over_verdicts(
+    tick: TickShapes, starts: Sequence[int] | Indices, a: Indices, b: Indices
+) -> Verdicts:
     """Returns whether the centre of b's box is over a: `OVER`, `OUTSIDE` or `UNDECIDED`.
 
     Args:
@@ -74,13 +76,14 @@ def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indice
         b: (n,), the entities above.
     """
     verdicts, table = np.full(len(a), UNDECIDED, np.int8), tick.table
+    firsts = np.asarray(starts)
     with np.errstate(invalid="ignore"):  # the boxes of planes
-        boxes = entity_boxes(tick.boxes, starts)
-        centres = (boxes[:2, b] + boxes[3:5, b]) / 2
+        boxes = entity_boxes(tick.boxes, firsts)
+        centres = (boxes[:2].take(b, axis=1) + boxes[3:5].take(b, axis=1)) / 2
     has_centre = np.isfinite(centres).all(axis=0)
     verdicts[~has_centre] = OUTSIDE
     room = np.full(len(a), _ROOM)
-    low, high = boxes[:2, a], boxes[3:5, a]
+    low, high = boxes[:2].take(a, axis=1), boxes[3:5].take(a, axis=1)
     has_plane = np.zeros(len(a), dtype=bool)
     if table.has_planes:
         has_plane = (np.bincount(table.entities[table.is_plane], minlength=len(boxes[0])) > 0)[a]
@@ -91,7 +94,6 @@ def over_verdicts(tick: TickShapes, starts: Sequence[int], a: Indices, b: Indice
     verdicts[is_beyond & ~has_plane & has_centre] = OUTSIDE
     left = np.flatnonzero((verdicts == UNDECIDED) & ~has_plane)
     left = left[np.abs(centres[:, left]).max(axis=0, initial=0.0) <= _MAX_COORDINATE]
-    firsts = np.array(starts)
     rules = [_over_balls, _over_boxes]
     if np.count_nonzero(_are_boxes(tick, firsts, a[left])) >= _MIN_BOXES:
         rules.reverse()  # it decides many boxes at once, those over balls too

@@ -14,10 +14,8 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.cores import PlacedCores
+from ssduck.geometry.proofs.kept_columns import KeptColumns
 from ssduck.geometry.proofs.kept_verdicts import Keys
-
-# The number of pairs whose proposals are kept.
-_MAX_PAIRS = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,34 +37,26 @@ class KeptProposals:
     """What decided pairs of shapes of a table when they were last tried, whatever the condition."""
 
     def __init__(self) -> None:
-        self._slots: dict[int, int] = {}
-        # In columns: the direction, the points in the frames of the shapes, whether they meet.
-        self._columns = np.zeros((10, _MAX_PAIRS))
+        # The direction, the points in the frames of the shapes, whether they meet.
+        self._kept = KeptColumns(10)
 
     def find(self, keys: Keys) -> tuple[Indices, Array]:
         """Returns the places of pairs of which something is kept, and these columns."""
-        slots = self._slots
-        found = np.array([slots.get(key, -1) for key in keys.tolist()], np.intp)
-        places = np.flatnonzero(found >= 0)
-        return places, self._columns.take(found.take(places), axis=1)
+        return self._kept.find(keys)
 
     def keep(self, keys: Keys, directions: Array, local: Array, meet: Flags) -> None:
         """Replaces what is kept of pairs.
 
         Args:
-            keys: (n,), the pairs, at most as many as are kept.
+            keys: (n,), the pairs.
             directions: (3, n), see `Proposals`.
             local: (3, 2 n), the points on the first shapes, then those on the second, in their
                 frames from the solids' centres.
             meet: (n,), see `Proposals`.
         """
-        slots, numbers = self._slots, keys.tolist()
-        if len(slots) + len(numbers) > _MAX_PAIRS:
-            slots.clear()
-        places = [slots.setdefault(key, len(slots)) for key in numbers]
-        count = len(numbers)
+        count = len(keys)
         columns = (directions, local[:, :count], local[:, count:], meet[None])
-        self._columns[:, places] = np.concatenate(columns)
+        self._kept.keep(keys, np.concatenate(columns))
 
 
 def placed_proposals(

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.proofs.verdicts import Decisions
 
 Keys: TypeAlias = npt.NDArray[np.int64]
@@ -29,6 +30,8 @@ Keys: TypeAlias = npt.NDArray[np.int64]
 _KEY_FACTOR = 1 << 32
 # The rounding error of a motion, as a fraction of the largest coordinate.
 _ROUNDING = 8e-15
+# The root of a half, rounded up.
+_HALF_ROOT = 0.7071067811865477
 
 
 def pair_keys(first: Indices, second: Indices) -> Keys:
@@ -42,25 +45,25 @@ class ShapePoses:
     """The poses of shapes, from which their motion is bounded.
 
     Attributes:
-        centres: (n, 3), of the spheres around the shapes, metres.
-        matrices: (n, 3, 3), their rotation matrices.
+        centres: (3, n), of the spheres around the shapes, metres.
+        rotations: (9, n), their rotation matrices.
         radii: (n,), of these spheres, metres; infinite for half-spaces.
     """
 
     centres: Array
-    matrices: Array
+    rotations: Array
     radii: Array
 
     @cached_property
     def _largest(self) -> Array:
         """The largest coordinate of each centre, (n,), without its sign."""
-        largest: Array = np.abs(self.centres).max(axis=1, initial=0.0)
+        largest: Array = np.abs(self.centres).max(axis=0, initial=0.0)
         return largest
 
     def are_still(self, before: ShapePoses) -> Flags:
         """Checks which shapes have the same pose as before, (n,)."""
-        are_still: Flags = (self.centres == before.centres).all(axis=1)
-        are_still &= (self.matrices == before.matrices).reshape(-1, 9).all(axis=1)
+        are_still: Flags = (self.centres == before.centres).all(axis=0)
+        are_still &= (self.rotations == before.rotations).all(axis=0)
         return are_still
 
     def motion_since(self, before: ShapePoses, first: Indices, second: Indices) -> Array:
@@ -69,13 +72,12 @@ class ShapePoses:
         A rotation moves a point at distance r from the centre by at most r times the spectral norm
         of the difference of the matrices, which is its Frobenius norm over the root of 2.
         """
-        turned = (self.matrices - before.matrices).reshape(-1, 9)
-        norms = np.sqrt(np.einsum("ni,ni->n", turned, turned) / 2.0)
+        norms = column_lengths(self.rotations - before.rotations)
+        norms *= _HALF_ROOT
         reach = np.multiply(norms, self.radii, out=np.zeros(len(norms)), where=norms != 0.0)
         reach += _ROUNDING * np.maximum(self._largest, before._largest)
         shifts = self.centres - before.centres
-        relative = shifts.take(first, axis=0) - shifts.take(second, axis=0)
-        motion: Array = np.sqrt(np.einsum("ni,ni->n", relative, relative))
+        motion = column_lengths(shifts.take(first, axis=1) - shifts.take(second, axis=1))
         motion += reach.take(first)
         motion += reach.take(second)
         return motion
@@ -111,15 +113,16 @@ class KeptVerdicts:
         if kept is None or not len(kept.keys):
             return found
         keys = pair_keys(first, second)
-        places = np.minimum(np.searchsorted(kept.keys, keys), len(kept.keys) - 1)
-        room = kept.decisions.room.take(places)
+        places = kept.keys.searchsorted(keys)
+        room = kept.decisions.room.take(places, mode="clip")
         room -= poses.motion_since(kept.poses, first, second)
         holds = room > 0.0
         if kept.has_exact:
             are_still = poses.are_still(kept.poses)
             holds |= are_still.take(first) & are_still.take(second)
-        holds &= kept.keys.take(places) == keys
-        np.copyto(found.verdicts, kept.decisions.verdicts.take(places), where=holds)
+        holds &= kept.keys.take(places, mode="clip") == keys
+        verdicts = kept.decisions.verdicts.take(places, mode="clip")
+        np.copyto(found.verdicts, verdicts, where=holds)
         np.copyto(found.room, np.maximum(room, 0.0), where=holds)
         return found
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
-from ssduck.geometry.queries import Ids, ShapeQueries
+from ssduck.geometry.id_pairs import Ids
+from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.interpreter.triggers.array_expressions import NotArraysError, Values
 from ssduck.schema import ID_FACTOR

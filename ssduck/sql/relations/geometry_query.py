@@ -144,7 +144,7 @@ class PairSearch:
     """A function that finds all pairs of a tick at once.
 
     Attributes:
-        function: a method of `ShapeQueries` that yields pairs as numbers, or one of `BoxQueries`.
+        function: a method of `ShapeQueries` or of `BoxQueries` that returns `IdPairs`.
         is_exact: whether the relation holds of all pairs of the search, and need not be checked.
         takes_distance: whether the pairs depend on a distance, or a depth.
         uses_margins: whether the collision margins of shapes count.
