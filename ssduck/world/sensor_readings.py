@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.schema import FORGOTTEN_AFTER
-from ssduck.simulators.interface import CameraView, ContactPoints, LinkPoses, Simulator
+from ssduck.simulators.interface import CameraView, ContactPoints, Contacts, LinkPoses, Simulator
 from ssduck.simulators.sensor_types import SENSOR_TYPES
 from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -192,7 +192,7 @@ class SensorReader:
         simulator: Simulator,
         context: TickContext,
         poses: Sequence[SensorPose],
-        contacts: ContactPoints,
+        contacts: Contacts,
     ) -> Mapping[int, Reading]:
         """Returns the readings at a tick: new ones of some sensors, the last ones of the others."""
         if context.is_discontinuous:
@@ -215,7 +215,7 @@ class SensorReader:
             and np.isfinite(pose.matrix).all()
         ]
         by_contact = {
-            info.id: _contact_reading(info, context, contacts) for info in contact_sensors
+            info.id: _contact_reading(info, context, contacts.all()) for info in contact_sensors
         }
         return {**others, **by_contact, **self._cast(simulator, context, ray_sensors)}
 

@@ -13,7 +13,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
-from ssduck.geometry.tick_solids import ShapePlaces
+from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world.layout import BodyGroup, TableLayout
 
@@ -25,12 +25,14 @@ class ComparableShapes:
     Attributes:
         starts: the first shape of each entity, and the number of all.
         numbers: the number of each entity by its id.
-        table: the solids of the shapes, their entities, and what else they have.
+        table: the entities of the shapes, and what else they have.
+        solids: their solids and margins.
     """
 
     starts: Sequence[int]
     numbers: Mapping[int, int]
     table: ShapeTable
+    solids: ShapeSolids
 
     @classmethod
     def of(cls, layout: TableLayout, margins: Array) -> Self:
@@ -49,7 +51,8 @@ class ComparableShapes:
         numbers |= dict.fromkeys(sensor_ids, len(bodies))
         owners = np.repeat(np.arange(len(bodies)), counts)
         table = ShapeTable(solids, solid_indices, owners, margins)
-        return cls([*starts, starts[-1]], numbers, table)
+        shape_solids = ShapeSolids(solids, solid_indices, margins)
+        return cls([*starts, starts[-1]], numbers, table, shape_solids)
 
 
 class TickPlaces(ShapePlaces):
@@ -95,6 +98,14 @@ class TickPlaces(ShapePlaces):
         """The boxes, (n, 6): lower corner, upper corner."""
         return self._in_order(2, axis=1).T
 
+    def entity_boxes(self) -> Array:
+        """Returns the boxes of the entities by row, (6, entities)."""
+        boxes = np.zeros((6, len(self._layout.entities)))
+        with np.errstate(invalid="ignore"):
+            for group, poses in self._groups:
+                group.write_boxes(poses, boxes)
+        return boxes
+
     def pose(self, shape: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape."""
         if self._are_placed:
@@ -110,5 +121,4 @@ class TickPlaces(ShapePlaces):
         number, place = self._layout.shape_groups[shape]
         group, poses = self._groups[number]
         with np.errstate(invalid="ignore"):
-            box: list[float] = group.shape_boxes(poses)[:, place].tolist()
-        return box
+            return group.shape_box(poses, place)

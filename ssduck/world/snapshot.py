@@ -29,7 +29,14 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
-from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
+from ssduck.simulators.interface import (
+    Body,
+    ContactPoints,
+    Contacts,
+    LinkPoses,
+    Simulator,
+    VisualShape,
+)
 from ssduck.world.contact_rows import contact_pairs, write_contacts
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -62,7 +69,7 @@ class _TickState:
     static: LinkPoses
     moving: LinkPoses
     joints: Array | None
-    contacts: ContactPoints
+    contacts: Contacts
     readings: Mapping[int, Reading]
     sensors: frozenset[int]
 
@@ -89,7 +96,7 @@ class Snapshot:
         self.run = new_run() if run is None else run
         self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
-        self._contacts: ContactPoints = ContactPoints.none()
+        self._contacts: Contacts = ContactPoints.none()
         self._are_contacts_written = True
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
@@ -288,21 +295,12 @@ class Snapshot:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
             shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
-            table, entities = shapes.table, self._tables["entities"]
-            boxes, ids = entities.doubles("xmin", "zmax").copy(), entities["id"].copy()
             self._shapes = ShapeQueries(
-                NarrowPhase(
-                    table.solids,
-                    table.solid_indices,
-                    places,
-                    shapes.starts,
-                    self.calls,
-                    table.margins,
-                ),
+                NarrowPhase(shapes.solids, places, shapes.starts, self.calls),
                 shapes.numbers,
-                table,
-                boxes,
-                ids,
+                shapes.table,
+                places.entity_boxes,
+                self._tables["entities"]["id"].copy(),
                 self._tables["shapes"]["link"],
             )
         return self._shapes
@@ -502,7 +500,7 @@ class Snapshot:
         sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
         due = self.sensing.due(context, sensors, is_external=simulator.is_external)
         poses = sensor_poses(layout, static, moving, due) if due else []
-        contacts = ContactPoints.none()
+        contacts: Contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
             contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, context, poses, contacts)
@@ -594,5 +592,5 @@ class Snapshot:
     def _write_contacts(self) -> None:
         """Writes the contacts of this tick into their table."""
         self._are_contacts_written = True
-        write_contacts(self._tables["contacts"], self._contacts, self._layout)
+        write_contacts(self._tables["contacts"], self._contacts.all(), self._layout)
         self._publish("contacts")

@@ -7,7 +7,7 @@ import pytest
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.geometry.tick_solids import MAX_SINGLE, ShapePlaces, TickSolids
+from ssduck.geometry.tick_solids import MAX_SINGLE, ShapePlaces, ShapeSolids, TickSolids
 
 COUNT = 5 * MAX_SINGLE
 SOLIDS = [
@@ -30,7 +30,8 @@ def make_tick():
     orientations[: COUNT // 2] /= np.linalg.norm(orientations[: COUNT // 2], axis=1)[:, None]
     positions[3, 1], orientations[5, 2], orientations[7] = np.nan, np.inf, 0.0
     places = ShapePlaces(positions, orientations, rng.normal(size=(COUNT, 6)))
-    return lambda: TickSolids(SOLIDS, np.arange(COUNT) % len(SOLIDS), places)
+    shapes = ShapeSolids(SOLIDS, np.arange(COUNT) % len(SOLIDS))
+    return lambda: TickSolids(shapes, places)
 
 
 PARTS = {

@@ -25,6 +25,7 @@ from ssduck.simulators.interface import (
     Body,
     CameraView,
     ContactPoints,
+    Contacts,
     Kind,
     LinkPoses,
     MotorTarget,
@@ -41,7 +42,7 @@ from ssduck.simulators.mujoco.bodies import (
     numbers_of,
     sites_on,
 )
-from ssduck.simulators.mujoco.contacts import read_contacts
+from ssduck.simulators.mujoco.contacts import GeomOwners, MuJoCoContacts
 from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.rays import RayCaster
@@ -164,6 +165,8 @@ class MuJoCoSimulator(PartialSimulator):
         self._geoms: dict[Body, Indices] = {}
         # The margins of all geoms as they were, and those of some bodies that were read then.
         self._margins: tuple[bytes, list[Body], list[list[float]]] | None = None
+        # The bodies of the geoms of a model.
+        self._owners: tuple[Any, GeomOwners] | None = None
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode, self._last_time = 0, float(self.data.time)
@@ -372,14 +375,13 @@ class MuJoCoSimulator(PartialSimulator):
         self._margins = content, list(bodies), of_bodies
         return of_bodies
 
-    def read_contacts(self) -> ContactPoints:
+    def read_contacts(self) -> Contacts:
         """Returns the contact points of the last step between geoms."""
-        contacts = read_contacts(self.model, self._state)
-        if self._only is None:
-            return contacts
-        # Those of the step before the other bodies were left out.
-        is_chosen = np.isin(contacts.bodies, list(self._only))
-        return contacts.select(is_chosen[:, 0] & is_chosen[:, 1])
+        if not self._state.ncon:
+            return ContactPoints.none()
+        if self._owners is None or self._owners[0] is not self.model:
+            self._owners = self.model, GeomOwners.of(self.model)
+        return MuJoCoContacts(self.model, self._state, self._owners[1], self._only)
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""
