@@ -196,6 +196,10 @@ def _column_reader(handle: Handle, row: int | None, column: str) -> _Reader:
     world = handle.world
     if row is None:
         return lambda _: handle.column(column)
+    if column == "id":
+        return lambda _: handle.id
+    if column == "tick":
+        return lambda _: world.snapshot.number
     return lambda _: world.snapshot.value(row, column)
 
 

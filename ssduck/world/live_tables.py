@@ -51,7 +51,7 @@ def last_version() -> int:
     return _last_version
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class _Deferred:
     """Adjacent columns of doubles that are still to be written.
 

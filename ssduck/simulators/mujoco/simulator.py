@@ -56,13 +56,14 @@ SwitchedOff: TypeAlias = tuple[Collection[int], Collection[int]]
 
 # The number of lists of bodies whose rows stay prepared.
 _PREPARED = 4
-# The columns of a link's position, matrix, orientation and twist, and of the centre of its tree.
-_RAW = slice(0, 3), slice(3, 12), slice(12, 16), slice(16, 22)
-_ROOTS = slice(22, 25)
-# The arrays of MuJoCo that have them, in this order.
-_RAW_ARRAYS = ("xpos", "xmat", "xquat", "cvel", "subtree_com")
+# MuJoCo's arrays of positions, matrices, orientations and twists of links.
+_LINK_ARRAYS = ("xpos", "xmat", "xquat", "cvel")
+# The ends of a link's position, matrix and orientation among its numbers in these, and all of them.
+_POSITION, _MATRIX, _ORIENTATION, _ALL = 3, 12, 16, 22
 # If the squares of numbers add up to less, sums of their products are finite.
 _MODERATE = 1e100
+# BLAS multiplies longer vectors in threads, which takes far longer.
+_UNTHREADED = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,24 +85,35 @@ class _Rows:
     sites: Indices
 
 
-def _states(raw: Array, turns: tuple[Indices, Array] | None) -> Array:
-    """Returns the states of links from what MuJoCo has of them; see `LinkPoses`.
+def _states(
+    parts: tuple[Array, Array, Array, Array], roots: Indices, turns: tuple[Indices, Array] | None
+) -> Array:
+    """Returns the states of n links; see `LinkPoses`.
 
     Args:
-        raw: the position, matrix, orientation and twist of each link, and the centre of mass of its
-            tree, which the twist is stated at.
+        parts: positions (n, 3), orientations (n, 4), twists (n, 6), and the centres of mass of the
+            trees of all bodies, (bodies, 3): twists are stated at those.
+        roots: (n,), the number of the root of each link's tree.
         turns: the rows of sites, and their orientations in their links; None for none.
     """
-    states = np.zeros((len(raw), 13))
-    states[:, :3], states[:, 3:7] = raw[:, _RAW[0]], raw[:, _RAW[2]]
+    positions, orientations, twists, centres = parts
+    states = np.zeros((len(positions), 13))
+    states[:, :3], states[:, 3:7] = positions, orientations
     if turns is not None:
         own, quaternions = turns
         states[own, 3:7] = multiply(states[own, 3:7], quaternions)
-    twists = raw[:, _RAW[3]]
-    arms = raw[:, _RAW[0]] - raw[:, _ROOTS]
+    arms = positions - centres.take(roots, axis=0)
     states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
     states[:, 10:] = twists[:, :3]
     return states
+
+
+def _are_moderate(numbers: Array) -> bool:
+    """Checks whether numbers are finite, and so are sums of their products."""
+    if len(numbers) <= _UNTHREADED:
+        return bool(np.dot(numbers, numbers) < _MODERATE)
+    parts = (numbers[n : n + _UNTHREADED] for n in range(0, len(numbers), _UNTHREADED))
+    return sum(float(np.dot(part, part)) for part in parts) < _MODERATE
 
 
 class MuJoCoSimulator(PartialSimulator):
@@ -158,7 +170,7 @@ class MuJoCoSimulator(PartialSimulator):
         self._bodies: list[Body] = []
         self._rows: list[_Rows] = []
         # The state and its arrays: views of its memory.
-        self._views: tuple[Any, tuple[Array, ...]] | None = None
+        self._views: tuple[Any, _Rows, list[Array]] | None = None
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         # The geoms of the present bodies whose margins were read.
@@ -276,24 +288,40 @@ class MuJoCoSimulator(PartialSimulator):
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
         """Returns the poses and velocities of all links of some bodies, body after body."""
         rows, state = self._rows_of(bodies), self._state
-        if self._views is None or self._views[0] is not state:
-            self._views = state, tuple(getattr(state, name) for name in _RAW_ARRAYS)
-        *of_links, centres = self._views[1]
-        parts = [array[rows.links] for array in of_links]
-        raw = np.concatenate((*parts, centres.take(rows.roots, axis=0)), axis=1)
+        count = len(rows.roots)
+        numbers = np.concatenate(self._views_of(rows))  # one copy takes less than one of each part
+        positions = numbers[: _POSITION * count].reshape(count, 3)
+        matrices = numbers[_POSITION * count : _MATRIX * count].reshape(count, 3, 3)
+        orientations = numbers[_MATRIX * count : _ORIENTATION * count].reshape(count, 4)
+        twists = numbers[_ORIENTATION * count : _ALL * count].reshape(count, 6)
         turns = None
         if len(rows.sites):
             sites, own = rows.sites, rows.site_rows
-            raw[own, _RAW[0]], raw[own, _RAW[1]] = state.site_xpos[sites], state.site_xmat[sites]
+            positions[own] = state.site_xpos[sites]
+            matrices[own] = state.site_xmat[sites].reshape(-1, 3, 3)
             turns = own, self.model.site_quat[sites]
-        positions, matrices = raw[:, _RAW[0]], raw[:, _RAW[1]].reshape(-1, 3, 3)
+        parts = positions, orientations, twists, numbers[_ALL * count :].reshape(-1, 3)
         return LinkPoses(
             positions,
             matrices,
-            partial(_states, raw, turns),
-            are_finite=bool(np.vdot(raw, raw) < _MODERATE),
-            orientations=raw[:, _RAW[2]] if turns is None else None,
+            partial(_states, parts, rows.roots, turns),
+            are_finite=_are_moderate(numbers),
+            orientations=orientations if turns is None else None,
         )
+
+    def _views_of(self, rows: _Rows) -> list[Array]:
+        """Returns MuJoCo's numbers of links, part after part, and the centres of mass of all trees.
+
+        Those of adjacent links are views of MuJoCo's memory, which stay the same.
+        """
+        state, known = self._state, self._views
+        if known is not None and known[0] is state and known[1] is rows:
+            return known[2]
+        arrays = [getattr(state, name)[rows.links].reshape(-1) for name in _LINK_ARRAYS]
+        views = [*arrays, state.subtree_com.reshape(-1)]
+        if isinstance(rows.links, slice):
+            self._views = state, rows, views
+        return views
 
     def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:
         for rows in self._rows:
