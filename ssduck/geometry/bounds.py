@@ -92,7 +92,11 @@ class BoundingBoxes:
         # The only core, if it is one of points in spheres, and nothing else is there.
         self._only: tuple[int, list[list[float]], float] | None = None
         if len(cores) == 1 == self._count and not count and not self._planes:
-            self._only = cores[0].frame, np.unique(cores[0].points, axis=0).tolist(), cores[0].radius
+            self._only = (
+                cores[0].frame,
+                np.unique(cores[0].points, axis=0).tolist(),
+                cores[0].radius,
+            )
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
         """Returns the boxes at some poses of the frames, in the frame of the poses.
@@ -122,7 +126,9 @@ class BoundingBoxes:
         # For a few points, numbers of Python take a third of the time of arrays.
         frame, points, radius = self._only
         low, high = [], []
-        for origin, (a, b, c) in zip(positions[frame].tolist(), matrices[frame].tolist(), strict=True):
+        for origin, (a, b, c) in zip(
+            positions[frame].tolist(), matrices[frame].tolist(), strict=True
+        ):
             offsets = [a * x + b * y + c * z for x, y, z in points]
             low.append(min(offsets) + origin - radius)
             high.append(max(offsets) + origin + radius)

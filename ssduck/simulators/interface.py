@@ -16,7 +16,7 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.clock import Clock

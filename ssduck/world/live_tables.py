@@ -310,9 +310,7 @@ class LiveTable:
         if not self._deferred or first not in self._row:
             return
         low, high = self._row[first], self._row[last or first]
-        self._write(
-            [d for d in self._deferred if low < d.columns.stop and high >= d.columns.start]
-        )
+        self._write([d for d in self._deferred if low < d.columns.stop and high >= d.columns.start])
 
     def _settle_row(self, row: int, names: tuple[str, ...]) -> None:
         """Writes the deferred columns that are written with some, in one row if that is enough."""

@@ -13,7 +13,6 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.mujoco.library import mujoco
 
-
 # The largest number of contacts whose forces are compared one by one, which is faster then.
 _FEW = 16
 
@@ -67,7 +66,8 @@ class MuJoCoContacts:
     @cached_property
     def _roots(self) -> Indices:
         """The root bodies of each contact, (n, 2)."""
-        return self._owners.roots.take(self._geoms)
+        roots: Indices = self._owners.roots.take(self._geoms)
+        return roots
 
     def pressing(self, a: int, b: int) -> tuple[Indices, Indices]:
         """Returns the bodies and links of the contacts of two bodies that press."""
@@ -86,7 +86,8 @@ class MuJoCoContacts:
         if first < 0:
             return False
         count = 2 * (dim - 1) if self._is_pyramidal and dim > 1 else 1
-        return sum(self._efc_forces[first : first + count].tolist()) > 0.0
+        edges: list[float] = self._efc_forces[first : first + count].tolist()
+        return sum(edges) > 0.0
 
     def all(self) -> ContactPoints:
         """Returns all contact points."""

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,7 +16,6 @@ import numpy.typing as npt
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import cross, multiply
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     SCALAR_JOINTS,
@@ -40,11 +37,11 @@ from ssduck.simulators.mujoco.bodies import (
     is_same,
     link_masses,
     numbers_of,
-    sites_on,
 )
 from ssduck.simulators.mujoco.contacts import GeomOwners, MuJoCoContacts
 from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
+from ssduck.simulators.mujoco.link_poses import LinkReader
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
@@ -54,66 +51,8 @@ from ssduck.simulators.scenes import Camera
 # The numbers of root bodies of which collisions are off, and of those that are hidden.
 SwitchedOff: TypeAlias = tuple[Collection[int], Collection[int]]
 
-# The number of lists of bodies whose rows stay prepared.
+# The number of lists of bodies whose readers stay prepared.
 _PREPARED = 4
-# MuJoCo's arrays of positions, matrices, orientations and twists of links.
-_LINK_ARRAYS = ("xpos", "xmat", "xquat", "cvel")
-# The ends of a link's position, matrix and orientation among its numbers in these, and all of them.
-_POSITION, _MATRIX, _ORIENTATION, _ALL = 3, 12, 16, 22
-# If the squares of numbers add up to less, sums of their products are finite.
-_MODERATE = 1e100
-# BLAS multiplies longer vectors in threads, which takes far longer.
-_UNTHREADED = 8192
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The rows of some bodies in MuJoCo's arrays.
-
-    Attributes:
-        bodies: the bodies.
-        links: the number of each link; of a site that of its parent.
-        roots: the number of the root of each link's tree.
-        site_rows: which of the links are sites.
-        sites: the numbers of these sites.
-    """
-
-    bodies: tuple[Body, ...]
-    links: Indices | slice
-    roots: Indices
-    site_rows: Indices
-    sites: Indices
-
-
-def _states(
-    parts: tuple[Array, Array, Array, Array], roots: Indices, turns: tuple[Indices, Array] | None
-) -> Array:
-    """Returns the states of n links; see `LinkPoses`.
-
-    Args:
-        parts: positions (n, 3), orientations (n, 4), twists (n, 6), and the centres of mass of the
-            trees of all bodies, (bodies, 3): twists are stated at those.
-        roots: (n,), the number of the root of each link's tree.
-        turns: the rows of sites, and their orientations in their links; None for none.
-    """
-    positions, orientations, twists, centres = parts
-    states = np.zeros((len(positions), 13))
-    states[:, :3], states[:, 3:7] = positions, orientations
-    if turns is not None:
-        own, quaternions = turns
-        states[own, 3:7] = multiply(states[own, 3:7], quaternions)
-    arms = positions - centres.take(roots, axis=0)
-    states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
-    states[:, 10:] = twists[:, :3]
-    return states
-
-
-def _are_moderate(numbers: Array) -> bool:
-    """Checks whether numbers are finite, and so are sums of their products."""
-    if len(numbers) <= _UNTHREADED:
-        return bool(np.dot(numbers, numbers) < _MODERATE)
-    parts = (numbers[n : n + _UNTHREADED] for n in range(0, len(numbers), _UNTHREADED))
-    return sum(float(np.dot(part, part)) for part in parts) < _MODERATE
 
 
 class MuJoCoSimulator(PartialSimulator):
@@ -168,9 +107,7 @@ class MuJoCoSimulator(PartialSimulator):
         # What the bodies were described from, and the bodies.
         self._described: tuple[Any, ModelContent] | None = None
         self._bodies: list[Body] = []
-        self._rows: list[_Rows] = []
-        # The state and its arrays: views of its memory.
-        self._views: tuple[Any, _Rows, list[Array]] | None = None
+        self._link_readers: list[LinkReader] = []
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         # The geoms of the present bodies whose margins were read.
@@ -206,7 +143,7 @@ class MuJoCoSimulator(PartialSimulator):
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
-        self._rows, self._joint_rows, self._geoms, self._margins = [], None, {}, None
+        self._link_readers, self._joint_rows, self._geoms, self._margins = [], None, {}, None
         self._warn_of_boxes(added)
         self._switch_off(added)
         return (added, gone) if added or gone else None
@@ -287,64 +224,12 @@ class MuJoCoSimulator(PartialSimulator):
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
         """Returns the poses and velocities of all links of some bodies, body after body."""
-        rows, state = self._rows_of(bodies), self._state
-        count = len(rows.roots)
-        numbers = np.concatenate(self._views_of(rows))  # one copy takes less than one of each part
-        positions = numbers[: _POSITION * count].reshape(count, 3)
-        matrices = numbers[_POSITION * count : _MATRIX * count].reshape(count, 3, 3)
-        orientations = numbers[_MATRIX * count : _ORIENTATION * count].reshape(count, 4)
-        twists = numbers[_ORIENTATION * count : _ALL * count].reshape(count, 6)
-        turns = None
-        if len(rows.sites):
-            sites, own = rows.sites, rows.site_rows
-            positions[own] = state.site_xpos[sites]
-            matrices[own] = state.site_xmat[sites].reshape(-1, 3, 3)
-            turns = own, self.model.site_quat[sites]
-        parts = positions, orientations, twists, numbers[_ALL * count :].reshape(-1, 3)
-        return LinkPoses(
-            positions,
-            matrices,
-            partial(_states, parts, rows.roots, turns),
-            are_finite=_are_moderate(numbers),
-            orientations=orientations if turns is None else None,
-        )
-
-    def _views_of(self, rows: _Rows) -> list[Array]:
-        """Returns MuJoCo's numbers of links, part after part, and the centres of mass of all trees.
-
-        Those of adjacent links are views of MuJoCo's memory, which stay the same.
-        """
-        state, known = self._state, self._views
-        if known is not None and known[0] is state and known[1] is rows:
-            return known[2]
-        arrays = [getattr(state, name)[rows.links].reshape(-1) for name in _LINK_ARRAYS]
-        views = [*arrays, state.subtree_com.reshape(-1)]
-        if isinstance(rows.links, slice):
-            self._views = state, rows, views
-        return views
-
-    def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:
-        for rows in self._rows:
-            if rows.bodies is bodies:
-                return rows
-        counts = [len(body.links) for body in bodies]
-        roots = np.repeat([body.handle for body in bodies], counts).astype(np.intp)
-        is_site = np.array([link.region is not None for b in bodies for link in b.links], bool)
-        sites = [n for body in bodies for n in sites_on(self.model, numbers_of(body))]
-        numbers = np.array(
-            [
-                body.handle + (number if link.region is None else link.parent)
-                for body in bodies
-                for number, link in enumerate(body.links)
-            ],
-            dtype=np.intp,
-        )
-        links: Indices | slice = numbers
-        if len(numbers) and np.array_equal(numbers, numbers[0] + np.arange(len(numbers))):
-            links = slice(int(numbers[0]), int(numbers[-1]) + 1)
-        rows = _Rows(bodies, links, roots, np.flatnonzero(is_site), np.array(sites, np.intp))
-        self._rows = [rows, *self._rows[: _PREPARED - 1]]
-        return rows
+        for reader in self._link_readers:
+            if reader.bodies is bodies:
+                return reader.read(self._state)
+        reader = LinkReader(self.model, bodies)
+        self._link_readers = [reader, *self._link_readers[: _PREPARED - 1]]
+        return reader.read(self._state)
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Returns the position, velocity and effort of the joints of some bodies, (joints, 3).
