@@ -224,6 +224,75 @@ def test_a_shape_is_where_the_table_has_it():
             assert arrays.tolist() == list(map(list, rows))
 
 
+def test_rows_that_are_read_one_by_one_are_those_of_all(monkeypatch):
+    """The boxes of few entities are computed alone, to the last bit."""
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    data = mujoco.MjData(model)
+    calls, write = [], BodyGroup.write_boxes
+    monkeypatch.setattr(BodyGroup, "write_boxes", lambda *of: calls.append(1) or write(*of))
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(model, data))
+        for _ in range(3):
+            mujoco.mj_step(model, data, 20)
+            world.tick()
+            calls.clear()
+            snapshot, names = world.snapshot, ("x", "y", "z", "xmin", "ymin", "zmin", "xmax")
+            rows = range(len(snapshot.entities))
+            alone = [snapshot.doubles_in(row, names) for row in rows]
+            tops = [snapshot.value(row, "zmax") for row in rows]
+            assert not calls
+            table = snapshot.tables["entities"]
+            assert np.array(alone).T.tolist() == [table[name].tolist() for name in names]
+            assert tops == table["zmax"].tolist()
+            assert calls == [1]
+
+
+def test_many_rows_are_computed_at_once(monkeypatch):
+    bodies = "".join(
+        f'<body pos="{n} 0 1"><freejoint/><geom type="box" size=".1 .2 .3"/></body>'
+        for n in range(40)
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    calls, write = [], BodyGroup.write_boxes
+    monkeypatch.setattr(BodyGroup, "write_boxes", lambda *of: calls.append(1) or write(*of))
+    world = ssduck.World.attach(model, mujoco.MjData(model))
+    world.tick()
+    calls.clear()
+    tops = [world.snapshot.value(row, "zmax") for row in range(len(world.snapshot.entities))]
+    assert calls == [1]
+    assert tops == pytest.approx([1.3] * 40)
+
+
+ON_AND_NEAR = """
+SELECT onTop(t, b), near(b, p, 0.1) FROM lab.entities t, lab.entities b, lab.entities p
+WHERE t.name = 'table' AND b.name = 'ball' AND p.name = 'pusher'
+"""
+
+
+def test_shapes_of_two_entities_take_no_boxes_of_others(lab, monkeypatch):
+    _, _, model, data = lab
+    with ssduck.Interpreter(recording=None) as other:
+        world = other.add_variable("lab", ssduck.World.attach(model, data))
+        program = other.compile(
+            "SELECT on(lab.table, lab.ball), near(lab.ball, lab.pusher, 0.1) FROM [0] AS list;"
+        )
+        calls, seen = [], set()
+        for part in ("write_boxes", "shape_boxes"):
+            of_all = getattr(BodyGroup, part)
+            monkeypatch.setattr(
+                BodyGroup, part, lambda *of, of_all=of_all: calls.append(1) or of_all(*of)
+            )
+        for tick in range(60):
+            mujoco.mj_step(model, data, 10)
+            world.tick()
+            calls.clear()
+            values = other.eval(program)
+            assert tick < 2 or not calls  # it is planned first
+            assert other.sql(ON_AND_NEAR).fetchall() == [tuple(values)]
+            seen.add(tuple(values))
+        assert len(seen) > 1
+
+
 @pytest.mark.parametrize("pose", ["", 'pos=".1 0 0"', 'quat=".6 .8 0 0"'])
 def test_shapes_are_where_their_poses_in_links_have_them(pose):
     """Those that are where their links are take these poses as they are."""
