@@ -263,9 +263,8 @@ def test_many_rows_are_computed_at_once(monkeypatch):
     assert tops == pytest.approx([1.3] * 40)
 
 
-ON_AND_NEAR = """
-SELECT onTop(t, b), near(b, p, 0.1) FROM lab.entities t, lab.entities b, lab.entities p
-WHERE t.name = 'table' AND b.name = 'ball' AND p.name = 'pusher'
+ON = """
+SELECT onTop(t, b) FROM lab.entities t, lab.entities b WHERE t.name = 'table' AND b.name = 'ball'
 """
 
 
@@ -273,9 +272,7 @@ def test_shapes_of_two_entities_take_no_boxes_of_others(lab, monkeypatch):
     _, _, model, data = lab
     with ssduck.Interpreter(recording=None) as other:
         world = other.add_variable("lab", ssduck.World.attach(model, data))
-        program = other.compile(
-            "SELECT on(lab.table, lab.ball), near(lab.ball, lab.pusher, 0.1) FROM [0] AS list;"
-        )
+        program = other.compile("SELECT on(lab.table, lab.ball) FROM [0] AS list;")
         calls, seen = [], set()
         for part in ("write_boxes", "shape_boxes"):
             of_all = getattr(BodyGroup, part)
@@ -288,7 +285,7 @@ def test_shapes_of_two_entities_take_no_boxes_of_others(lab, monkeypatch):
             calls.clear()
             values = other.eval(program)
             assert tick < 2 or not calls  # it is planned first
-            assert other.sql(ON_AND_NEAR).fetchall() == [tuple(values)]
+            assert other.sql(ON).fetchall() == [tuple(values)]
             seen.add(tuple(values))
         assert len(seen) > 1
 

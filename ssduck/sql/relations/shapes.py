@@ -111,7 +111,6 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             (DEEP,),
             arguments_with_options=("depth",),
             bound_with_options=_CHECKED_DEPTH,
-            decides_alone=True,
             over_ticks="colliding",
         ),
         "Checks if shapes of a and b penetrate each other by more than depth, 1e-6 m by "
@@ -160,7 +159,6 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             bound_with_options=f"(eps) + {MARGINS}",
             pairs="on pairs whose boxes are at most eps and the largest margins apart",
             uses_margins=True,
-            decides_alone=True,
             over_ticks="touching",
         ),
         "Checks if the clearance of shapes of a and b is at most eps, 1 mm by default, plus the "
@@ -180,7 +178,6 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             ("d",),
             bound="d",
             pairs="on pairs whose boxes are at most d apart",
-            decides_alone=True,
             over_ticks="within",
         ),
         "Checks if the clearance of a and b is at most d. It is never negative, so that none are "
