@@ -432,16 +432,17 @@ def _selected(texts: Iterable[str]) -> str:
 
 
 def is_same(a: Any, b: Any) -> bool:
-    """Checks whether two values are equal and of the same types; a zero is taken for another one.
+    """Checks whether two values are the same numbers, texts or lists of these, to the last bit.
 
-    >>> is_same([1.0, 2], [1.0, 2]), is_same(1.0, 1), is_same(0.0, -0.0)
+    >>> is_same([1.0, 0.0], [1.0, 0.0]), is_same(1.0, 1), is_same(0.0, -0.0)
     (True, False, False)
     """
     if type(a) is not type(b):
         return False
     if isinstance(a, list):
         return len(a) == len(b) and all(map(is_same, a, b))
-    return isinstance(a, bool | int | float | str) and bool(a == b) and a != 0
+    is_equal = isinstance(a, bool | int | float | str) and a == b
+    return is_equal and (a != 0 or repr(a) == repr(b))  # a zero has a sign
 
 
 def _stripped(text: str) -> str:
