@@ -74,6 +74,7 @@ class BoundingBoxes:
         # The boxes of the planes, and the poses that they are of: a plane rarely moves.
         self._last_planes: tuple[bytes, list[Array]] | None = None
         self._count = count
+        self._empty = np.repeat([[np.inf], [-np.inf]], 3, axis=0).repeat(count, axis=1)
         cores = [part for core in _cores(pairs) for part in core.parts()]
         cores.sort(key=lambda core: core.group)
         self._groups, self._starts = np.unique(
@@ -88,6 +89,14 @@ class BoundingBoxes:
             for core in cores
         ]
         self._vectors = np.array(vectors).reshape(len(cores), -1, 3).T.copy() if cores else None
+        # The only core, if it is one of points in spheres, and nothing else is there.
+        self._only: tuple[int, list[list[float]], float] | None = None
+        if len(cores) == 1 == self._count and not count and not self._planes:
+            self._only = (
+                cores[0].frame,
+                np.unique(cores[0].points, axis=0).tolist(),
+                cores[0].radius,
+            )
 
     def boxes(self, positions: Array, matrices: Array) -> Array:
         """Returns the boxes at some poses of the frames, in the frame of the poses.
@@ -109,6 +118,22 @@ class BoundingBoxes:
                 np.maximum(box[3:], high, out=box[3:])
         return boxes
 
+    def single(self, positions: Array, matrices: Array) -> list[float]:
+        """Returns the box of the only group at finite poses, as `boxes` does, to the last bit."""
+        if self._only is None:
+            box: list[float] = self.boxes(positions, matrices)[:, 0].tolist()
+            return box
+        # For a few points, numbers of Python take a third of the time of arrays.
+        frame, points, radius = self._only
+        low, high = [], []
+        for origin, (a, b, c) in zip(
+            positions[frame].tolist(), matrices[frame].tolist(), strict=True
+        ):
+            offsets = [a * x + b * y + c * z for x, y, z in points]
+            low.append(min(offsets) + origin - radius)
+            high.append(max(offsets) + origin + radius)
+        return low + high
+
     def _plane_boxes(self, positions: Array, matrices: Array) -> list[Array]:
         """Returns the box of each plane, (2, 3): the lower corner and the upper one."""
         placed = (
@@ -123,11 +148,14 @@ class BoundingBoxes:
 
     def _group_boxes(self, positions: Array, matrices: Array) -> Array:
         if self._vectors is None:
-            return self._fill_groups(np.zeros((6, 0)))
+            return self._empty.copy()
         low, high = self._core_boxes(positions, matrices, self._vectors)
-        boxes = np.zeros((6, len(self._groups)))
-        np.minimum.reduceat(low, self._starts, axis=1, out=boxes[:3])
-        np.maximum.reduceat(high, self._starts, axis=1, out=boxes[3:])
+        if len(self._groups) == len(self._frames):  # a core each
+            boxes = np.concatenate((low, high))
+        else:
+            boxes = np.zeros((6, len(self._groups)))
+            np.minimum.reduceat(low, self._starts, axis=1, out=boxes[:3])
+            np.maximum.reduceat(high, self._starts, axis=1, out=boxes[3:])
         return boxes if len(self._groups) == self._count else self._fill_groups(boxes)
 
     def _core_boxes(self, positions: Array, matrices: Array, vectors: Array) -> tuple[Array, Array]:
@@ -150,7 +178,7 @@ class BoundingBoxes:
 
     def _fill_groups(self, boxes: Array) -> Array:
         """Returns the boxes of all groups, with those of groups without shapes."""
-        all_boxes = np.repeat([[np.inf], [-np.inf]], 3, axis=0).repeat(self._count, axis=1)
+        all_boxes = self._empty.copy()
         all_boxes[:, self._groups] = boxes
         return all_boxes
 

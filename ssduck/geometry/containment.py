@@ -266,7 +266,7 @@ def _crosses_inside(shape: PlacedSolid, x: float, y: float) -> bool | None:
 
     That is the rest of the line between the planes of all faces.
     """
-    if shape.offsets is None or shape.solid.type not in ("box", "hull"):
+    if shape.solid.type not in ("box", "hull") or shape.offsets is None:
         return None
     heights = shape.offsets - shape.normals[:, :2] @ (x, y)
     slopes = shape.normals[:, 2]

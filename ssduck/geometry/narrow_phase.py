@@ -34,7 +34,7 @@ from ssduck.geometry.placed_solid import PlacedSolid, Point
 from ssduck.geometry.shape_comparisons import ROUNDING, TOUCHING_DISTANCE, ShapeComparisons
 from ssduck.geometry.solids import PlacedSolids, Solid
 from ssduck.geometry.tick_shapes import PairPredicate, ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import ShapePlaces, TickSolids
+from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids, TickSolids
 
 T = TypeVar("T")
 
@@ -57,12 +57,10 @@ class NarrowPhase:
     shapes collides with nothing; its clearance is unknown.
 
     Args:
-        solids: the distinct solids.
-        solid_indices: (shapes,), the index of each shape's solid.
-        places: where the shapes are.
+        shapes: the shapes.
+        places: where they are.
         starts: (entities + 1,): the shapes of entity e are `starts[e]` to `starts[e + 1] - 1`.
         calls: counts the calls of FCL.
-        margins: (shapes,), the collision margins, metres; None for none.
 
     Attributes:
         calls: the counter.
@@ -72,17 +70,15 @@ class NarrowPhase:
 
     def __init__(
         self,
-        solids: Sequence[Solid],
-        solid_indices: Indices,
+        shapes: ShapeSolids,
         places: ShapePlaces,
         starts: Sequence[int],
         calls: CallCounter,
-        margins: Array | None = None,
     ) -> None:
         self.calls = calls
-        self._tick = TickSolids(solids, solid_indices, places, margins)
+        self._tick = TickSolids(shapes, places)
         self.shapes = ShapeComparisons(self._tick, calls)
-        self.starts = list(starts)
+        self.starts = starts
         # Each entity's shapes that have points, and whether all its poses and shapes are known.
         self._shapes = _OfEntities(partial(_shapes_with_points, self._tick, self.starts))
         self._are_known = _OfEntities(partial(_is_known, self._tick, self.starts))
@@ -105,8 +101,8 @@ class NarrowPhase:
         """Returns the narrow phase of the tick with other entities: runs of shapes at `starts`."""
         tick = self._tick
         parts = tick.positions[shapes], tick.orientations[shapes], tick.boxes[shapes]
-        places, margins = ShapePlaces(*parts), np.array(tick.margins)[shapes]
-        return NarrowPhase(tick.solids, shapes, places, starts, self.calls, margins)
+        chosen = ShapeSolids(tick.solids, shapes, np.array(tick.margins)[shapes])
+        return NarrowPhase(chosen, ShapePlaces(*parts), starts, self.calls)
 
     def extended(self, table: ShapeTable, poses: Sequence[Array]) -> NarrowPhase:
         """Returns the narrow phase of the tick with further shapes, which are of no entity yet.
@@ -118,8 +114,8 @@ class NarrowPhase:
         tick = self._tick
         before = tick.positions, tick.orientations, tick.boxes
         places = ShapePlaces(*map(np.concatenate, zip(before, poses, strict=True)))
-        solids, indices = table.solids, table.solid_indices
-        return NarrowPhase(solids, indices, places, self.starts, self.calls, table.margins)
+        shapes = ShapeSolids(table.solids, table.solid_indices, table.margins)
+        return NarrowPhase(shapes, places, self.starts, self.calls)
 
     # -- relations ------------------------------------------------------------------------
 
@@ -278,7 +274,7 @@ class NarrowPhase:
 
     def is_over(self, a: int, b: int) -> bool:
         """Checks whether the centre of b's box is over the convex hull of a's footprint."""
-        x, y, _ = self.box_centre(b).tolist()
+        x, y, _ = self.box_centre(b)
         if not (math.isfinite(x) and math.isfinite(y)):
             return False
         return self._footprints.setdefault(a, Footprint(self.shapes_of(a))).contains(x, y)
@@ -435,20 +431,19 @@ class NarrowPhase:
         """Returns the shapes of an entity that have points, in the world."""
         return [self._tick.placed(shape) for shape in self._shapes[e]]
 
-    def box(self, e: int) -> Array:
-        """Returns the box of an entity that has shapes, (6,): lower corner, upper corner."""
+    def box(self, e: int) -> list[float]:
+        """Returns the box of an entity that has shapes: lower corner, upper corner."""
         shapes = range(self.starts[e], self.starts[e + 1])
         if len(shapes) == 1:
-            return np.array(self._tick.corners[shapes[0]])
+            return self._tick.corners[shapes[0]]
         rows = self._tick.boxes[shapes.start : shapes.stop]
-        return np.concatenate((rows[:, :3].min(axis=0), rows[:, 3:].max(axis=0)))
+        low, high = rows[:, :3].min(axis=0).tolist(), rows[:, 3:].max(axis=0).tolist()
+        return [*low, *high]
 
-    def box_centre(self, e: int) -> Array:
-        """Returns the centre of that box, (3,); not finite for the box of a plane."""
-        box = self.box(e)
-        with np.errstate(invalid="ignore"):
-            centre: Array = (box[:3] + box[3:]) / 2
-        return centre
+    def box_centre(self, e: int) -> Point:
+        """Returns the centre of that box; not finite for the box of a plane."""
+        low_x, low_y, low_z, high_x, high_y, high_z = self.box(e)
+        return (low_x + high_x) / 2, (low_y + high_y) / 2, (low_z + high_z) / 2
 
     def shapes_in(self, low: Array, high: Array, excluded: Iterable[int]) -> list[PlacedSolid]:
         """Returns the known shapes whose boxes overlap a box, without those of some entities."""

@@ -81,7 +81,8 @@ class NeighbourRelations:
         if not self._have_shapes(a, b):
             return False
         narrow = self._narrow
-        centre, axes = narrow.box_centre(b), rotation_matrices(np.array([orientation]))[0].T
+        centre = np.array(narrow.box_centre(b))
+        axes = rotation_matrices(np.array([orientation]))[0].T
         if not np.isfinite(centre).all():
             return False
         return encloses(narrow.shapes_of(a), axes, narrow.shapes_of(b), centre)
@@ -107,7 +108,7 @@ class NeighbourRelations:
 
     def _are_in_sight(self, a: int, b: int) -> bool:
         narrow = self._narrow
-        boxes, nearest = np.stack((narrow.box(a), narrow.box(b))), narrow.signed_distance(a, b)
+        boxes, nearest = np.array((narrow.box(a), narrow.box(b))), narrow.signed_distance(a, b)
         if nearest is None:
             return False
         low, high = boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)

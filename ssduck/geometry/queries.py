@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from threading import RLock
@@ -62,7 +62,7 @@ class ShapeQueries:
         narrow: the narrow phase.
         numbers: the number in `narrow` of each id.
         table: the properties of the shapes.
-        boxes: (6, n), of the entities in the order of `ids`: lower corners, upper corners.
+        boxes: (6, n), those of the entities in the order of `ids`, or a function that returns them.
         ids: (n,), the ids.
         links: (shapes,), the number of each shape's link; None if links are not queried.
         are_regions: (shapes,), whether each shape is the region of a site, which does not belong to
@@ -75,7 +75,7 @@ class ShapeQueries:
         narrow: NarrowPhase,
         numbers: Mapping[int, int],
         table: ShapeTable,
-        boxes: Array,
+        boxes: Array | Callable[[], Array],
         ids: Ids,
         links: Indices | None = None,
         are_regions: Flags | None = None,
@@ -85,7 +85,7 @@ class ShapeQueries:
         self._narrow = narrow
         self._numbers = numbers
         self._table = table
-        self._boxes = boxes
+        self._boxes_or_function = boxes
         self._ids = ids
         self._links = links
         self._by_links: dict[frozenset[int], ShapeQueries] = {}
@@ -101,6 +101,12 @@ class ShapeQueries:
         self._matching_by_predicate: dict[PairPredicate, frozenset[int]] = {}
         self._pairs_by_predicate: dict[PairPredicate, IdPairs] = {}
         self._on: IdPairs | None = None
+
+    @cached_property
+    def _boxes(self) -> Array:
+        """The boxes of the entities, (6, n)."""
+        boxes = self._boxes_or_function
+        return boxes() if callable(boxes) else boxes
 
     @cached_property
     def _neighbours(self) -> NeighbourRelations:
@@ -213,14 +219,14 @@ class ShapeQueries:
         table = self._table.extended(regions, np.array(owners, np.intp))
         are_regions = np.arange(count + len(regions)) >= count
         narrow = self._narrow.extended(table, poses)
-        all_links = np.concatenate((self._links, links))
+        links, boxes = np.concatenate((self._links, links)), lambda: self._boxes
         return ShapeQueries(
             narrow,
             self._numbers,
             table,
-            self._boxes,
+            boxes,
             self._ids,
-            all_links,
+            links,
             are_regions,
             self._places,
         )

@@ -48,14 +48,54 @@ class ShapePlaces:
         return box
 
 
+class ShapeSolids:
+    """The solids and the margins of n shapes, which are the same at many ticks.
+
+    Args:
+        distinct: the distinct solids.
+        indices: (n,), the index of each shape's solid.
+        margins: (n,), the collision margins, metres; None for none.
+
+    Attributes:
+        distinct, indices: see above.
+    """
+
+    def __init__(
+        self, distinct: Sequence[Solid], indices: Indices, margins: Array | None = None
+    ) -> None:
+        self.distinct, self.indices = distinct, np.asarray(indices, dtype=np.intp)
+        self._margins = margins
+
+    @cached_property
+    def solids(self) -> list[Solid]:
+        """The solid of each shape."""
+        return [self.distinct[index] for index in self.indices.tolist()]
+
+    @cached_property
+    def margins(self) -> list[float]:
+        """The collision margin of each shape, metres."""
+        count = len(self.indices)
+        margins: list[float] = [0.0] * count if self._margins is None else self._margins.tolist()
+        return margins
+
+    @cached_property
+    def bounding_radii(self) -> list[float]:
+        """The radius of the sphere around each solid, m; infinite for half-spaces."""
+        distinct = [solid.bounding_radius for solid in self.distinct]
+        return [distinct[index] for index in self.indices.tolist()]
+
+    @cached_property
+    def are_unbounded(self) -> Flags:
+        """Whether each shape is a half-space."""
+        return np.isinf(np.array(self.bounding_radii, dtype=np.float64))
+
+
 class TickSolids:
     """The solids of the shapes of a tick.
 
     Args:
-        solids: the distinct solids.
-        solid_indices: (n,), the index of each shape's solid.
+        shapes: the shapes.
         places: where the shapes are.
-        margins: (n,), the collision margins, metres; None for none.
 
     Attributes:
         places: see above.
@@ -65,19 +105,11 @@ class TickSolids:
         inscribed_centres: the centre of the sphere in each shape.
     """
 
-    def __init__(
-        self,
-        solids: Sequence[Solid],
-        solid_indices: Indices,
-        places: ShapePlaces,
-        margins: Array | None = None,
-    ) -> None:
-        self._distinct, self._margins = solids, margins
-        self._indices = np.asarray(solid_indices, dtype=np.intp)
-        self.places = places
+    def __init__(self, shapes: ShapeSolids, places: ShapePlaces) -> None:
+        self._shapes, self.places = shapes, places
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
-        own, most = weakref.ref(self), max(MAX_SINGLE, len(self._indices) // SINGLE_IN)
+        own, most = weakref.ref(self), max(MAX_SINGLE, len(self._shapes.indices) // SINGLE_IN)
         self._poses = _OfShapes(own, most, TickSolids._pose, TickSolids._all_poses)
         self.are_known = _OfShapes(own, most, TickSolids._is_known, TickSolids._all_known)
         self.corners = _OfShapes(own, most, TickSolids._corners_of, TickSolids._all_corners)
@@ -116,32 +148,24 @@ class TickSolids:
                 b[:, :3] - a[..., 3:] > max_distance
             )
         is_near = ~is_apart.any(axis=2)
-        is_near |= self._are_unbounded[first][:, None] | self._are_unbounded[second]
+        is_near |= self._shapes.are_unbounded[first][:, None] | self._shapes.are_unbounded[second]
         for row, column in zip(*(side.tolist() for side in is_near.nonzero()), strict=True):
             yield first[row], second[column]
 
-    @cached_property
+    @property
     def solids(self) -> list[Solid]:
         """The solid of each shape."""
-        return [self._distinct[index] for index in self._indices.tolist()]
+        return self._shapes.solids
 
-    @cached_property
+    @property
     def margins(self) -> list[float]:
         """The collision margin of each shape, metres."""
-        count = len(self._indices)
-        margins: list[float] = [0.0] * count if self._margins is None else self._margins.tolist()
-        return margins
+        return self._shapes.margins
 
-    @cached_property
+    @property
     def bounding_radii(self) -> list[float]:
         """The radius of the sphere around each solid, m; infinite for half-spaces."""
-        distinct = [solid.bounding_radius for solid in self._distinct]
-        return [distinct[index] for index in self._indices.tolist()]
-
-    @cached_property
-    def _are_unbounded(self) -> Flags:
-        """Whether each shape is a half-space."""
-        return np.isinf(np.array(self.bounding_radii, dtype=np.float64))
+        return self._shapes.bounding_radii
 
     @property
     def positions(self) -> Array:
@@ -185,8 +209,8 @@ class TickSolids:
         return np.asarray(np.isfinite(poses).all(axis=1))
 
     def _all_known(self) -> list[bool]:
-        known = np.array([solid.is_known for solid in self._distinct], dtype=bool)
-        are_known: list[bool] = (self.are_finite & known[self._indices]).tolist()
+        known = np.array([solid.is_known for solid in self._shapes.distinct], dtype=bool)
+        are_known: list[bool] = (self.are_finite & known[self._shapes.indices]).tolist()
         return are_known
 
     def _is_known(self, shape: int) -> bool:
@@ -204,17 +228,17 @@ class TickSolids:
         return placed_point(*self._poses[shape], self.solids[shape].centre)
 
     def _all_centres(self) -> list[list[float]]:
-        return self._all_placed([solid.centre for solid in self._distinct])
+        return self._all_placed([solid.centre for solid in self._shapes.distinct])
 
     def _inscribed_centre(self, shape: int) -> list[float]:
         return placed_point(*self._poses[shape], self.solids[shape].inscribed_centre)
 
     def _all_inscribed_centres(self) -> list[list[float]]:
-        return self._all_placed([solid.inscribed_centre for solid in self._distinct])
+        return self._all_placed([solid.inscribed_centre for solid in self._shapes.distinct])
 
     def _all_placed(self, points: Sequence[Point]) -> list[list[float]]:
         """Returns the point of each shape, given the point of each distinct solid."""
-        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._indices]
+        local = np.array(points, dtype=np.float64).reshape(-1, 3)[self._shapes.indices]
         with np.errstate(invalid="ignore"):
             moved: list[list[float]] = (self.positions + rotate(self.matrices, local)).tolist()
         return moved

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ssduck.errors import ArgumentError, SceneError, SelectScriptError
 from ssduck.gym.terms import Judge, Terms
-from ssduck.gym.wrapper import INFO, described
+from ssduck.gym.wrapper import INFO, check_open, described
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import plain
@@ -109,7 +109,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
 
     def __init__(self, task: Task, limits: Limits) -> None:
         self.task = task
-        self._steps = 0
+        self._steps, self._is_closed = 0, False
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._load()
@@ -140,6 +140,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float64], dict[str, Any]]:
         """Loads the scene, and puts entities where they begin."""
+        check_open(self._is_closed, "reset")
         super().reset(seed=seed, options=options)
         self._load()
         self._record_past()
@@ -153,6 +154,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
         self, action: npt.NDArray[np.float32]
     ) -> tuple[npt.NDArray[np.float64], float, bool, bool, dict[str, Any]]:
         """Sets the targets of joints, runs the scene, and evaluates the terms."""
+        check_open(self._is_closed, "step")
         targets = np.clip(action, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
         for one, target in zip(self.task.actions, targets.tolist(), strict=True):
             entity = self._world[one.entity]
@@ -170,6 +172,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
 
     def close(self) -> None:
         """Closes the simulation."""
+        self._is_closed = True
         if WORLD in self._interpreter:
             self._world.close()
         self._interpreter.close()

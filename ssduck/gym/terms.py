@@ -226,6 +226,8 @@ class Judge:
         self._interpreter, self._world = interpreter, world
         self._elements: dict[str, set[int]] = {name: set() for name in variables}
         self._whole: set[str] = set()
+        # The last values of variables and elements.
+        self._bound: dict[str, Any] = {}
         for name in variables:  # so that errors suggest them
             interpreter.add_variable(name, None)
         self._texts = [self._expanded(term) for term in terms]
@@ -252,9 +254,15 @@ class Judge:
                         f"variables[{name!r}]: a term uses {name}[{index}], and the value is "
                         f"{short_repr(value)}"
                     ) from None
-                self._interpreter.add_variable(self._element(name, index), element)
+                self._bind(self._element(name, index), element)
             if name in self._whole:
-                self._interpreter.add_variable(name, value)
+                self._bind(name, value)
+
+    def _bind(self, name: str, value: Any) -> None:
+        """Sets a variable unless it has the value already: what reads it need not be found anew."""
+        bound = self._bound.get(name)
+        if not (is_same(bound, value) and self._interpreter[name] is bound):
+            self._bound[name] = self._interpreter.add_variable(name, value)
 
     def _element(self, name: str, index: int) -> str:
         """Returns the name of an element of a list that a variable has, which none else has."""
@@ -421,6 +429,20 @@ def _selected(texts: Iterable[str]) -> str:
     """Returns the program whose value is the list of the values of expressions."""
     columns = ", ".join(f"({text}\n)" for text in texts)  # a comment ends with its line
     return f"SELECT {columns} FROM [0] AS list;"  # noqa: S608
+
+
+def is_same(a: Any, b: Any) -> bool:
+    """Checks whether two values are the same numbers, texts or lists of these, to the last bit.
+
+    >>> is_same([1.0, 0.0], [1.0, 0.0]), is_same(1.0, 1), is_same(0.0, -0.0)
+    (True, False, False)
+    """
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, list):
+        return len(a) == len(b) and all(map(is_same, a, b))
+    is_equal = isinstance(a, bool | int | float | str) and a == b
+    return is_equal and (a != 0 or repr(a) == repr(b))  # a zero has a sign
 
 
 def _stripped(text: str) -> str:

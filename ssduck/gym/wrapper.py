@@ -102,7 +102,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._recording, self._forward, self._world = recording, forward, world
         self._steps: EpisodeSteps | None = None
         self._record: ParquetRecording | None = None
-        self._is_saved = True
+        self._is_saved, self._is_closed = True, False
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._client = self._attach()
@@ -126,6 +126,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Resets the environment, and begins an episode of the record."""
+        check_open(self._is_closed, "reset")
         self._save()
         observation, info = self.env.reset(seed=seed, options=options)
         self._begin_episode()
@@ -142,6 +143,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Steps the environment, and evaluates the terms."""
+        check_open(self._is_closed, "step")
         taken = action_numbers(action)  # before the environment may change it
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._steps is None:
@@ -169,6 +171,7 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     def close(self) -> None:
         """Completes the record, and closes the environment."""
+        self._is_closed = True
         try:
             self._save()
             if self._record is not None:
@@ -250,6 +253,18 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._steps.write(self._folder, self._world, self._record.number)
             self._record.tag(self._steps.tags)
         self._is_saved = True
+
+
+def check_open(is_closed: bool, method: str) -> None:
+    """Checks that an environment is open.
+
+    Raises:
+        gymnasium.error.ClosedEnvironmentError: it is closed.
+    """
+    if is_closed:
+        raise gymnasium.error.ClosedEnvironmentError(
+            f"{method}: the environment is closed: make it anew"
+        )
 
 
 def described(judgement: Judgement) -> dict[str, Any]:

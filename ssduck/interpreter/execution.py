@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 from ssduck import validation
@@ -47,6 +47,8 @@ from ssduck.world.handles import Handle
 from ssduck.world.links import Link
 from ssduck.world.world import World
 
+# The tables that a node reads, and of which worlds; None for all.
+_Reads: TypeAlias = tuple[frozenset[str], list[World] | None]
 # The types of values that are neither worlds nor contain any.
 _PLAIN = frozenset((type(None), bool, int, float, str))
 # The largest length of lists whose elements are looked at whenever a program runs again.
@@ -101,6 +103,10 @@ class Execution(Namespace):
         self._reads: WeakKeyDictionary[Node, tuple[list[object], frozenset[str], bool]] = (
             WeakKeyDictionary()
         )
+        # The last program that is a SELECT of one row, and what a node reads, while nothing changes
+        # that gives them their meaning.
+        self._last_row: tuple[Program, tuple[object, ...], Query] | None = None
+        self._last_read: tuple[Node, tuple[object, ...], _Reads] | None = None
         self._reader = SqlReader(self)
 
     def transaction(self, program: Program) -> _Transaction:
@@ -195,9 +201,12 @@ class Execution(Namespace):
             except SelectScriptError:
                 return None
 
-    def _row_of(self, program: Program) -> Query | None:
+    def _row_of(self, whole: Program) -> Query | None:
         """Returns the only statement if it is such a SELECT, without a probable mistake."""
-        program = self.read(program)
+        last = self._last_row
+        if last is not None and last[0] is whole and last[1] is self.stamp:
+            return last[2]
+        program = self.read(whole)
         if len(program.statements) != 1 or program.suspicions:
             return None
         query = program.statements[0]
@@ -206,7 +215,10 @@ class Execution(Namespace):
         # What calls functions of the user, or prints, is evaluated once, by `run`.
         is_known = not (is_impure(query) or any(map(self.is_users, calls_of(query))))
         is_row = is_known and not query.group and query.recursion is None
-        return query if is_row and not self.linter.check(program.text, query, {}) else None
+        if not is_row or self.linter.check(program.text, query, {}):
+            return None
+        self._last_row = whole, self.stamp, query
+        return query
 
     def _value_of(self, program: Program, frame: Frame) -> Any:
         """Returns the value of the last statement."""
@@ -400,20 +412,25 @@ class Execution(Namespace):
         worlds = self.worlds_of(nodes) if is_relevant else ()
         return self.database.pinned(tables, worlds, is_settled=is_settled)
 
-    def _reads_again(self, node: Node) -> tuple[frozenset[str], list[World] | None] | None:
+    def _reads_again(self, node: Node) -> _Reads | None:
         """Returns the tables and the worlds that a node reads, as `worlds_pinned` finds them.
 
         They are found once for worlds and types of plain values, which programs that run at each
         step have. None if the node reads other variables.
         """
+        last = self._last_read
+        if last is not None and last[0] is node and last[1] is self.stamp:
+            return last[2]
         worlds: list[World] = []
         meaning: list[object] = [self.planner.generation]
+        has_lists = False
         for value in self.bound_values(variables_of(node)):
             if isinstance(value, World):
                 worlds.append(value)
                 meaning.append(value.serial)
             elif type(value) in _PLAIN or _is_short_plain_list(value):
                 meaning.append(type(value))
+                has_lists = has_lists or type(value) is list
             else:
                 return None
         known = self._reads.get(node)
@@ -421,7 +438,10 @@ class Execution(Namespace):
             is_open = self.worlds_of((node,)) is None
             known = self._reads[node] = (meaning, self.tables_read(node), is_open)
         _, tables, is_open = known
-        return tables, None if is_open else worlds
+        reads = tables, None if is_open else worlds
+        if not has_lists:  # what is in them may change
+            self._last_read = node, self.stamp, reads
+        return reads
 
 
 class _Transaction:

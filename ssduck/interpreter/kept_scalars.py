@@ -12,7 +12,7 @@ from typing import Any
 
 from ssduck.database.values import is_exactly
 from ssduck.interpreter.query_runner import PlannedQuery
-from ssduck.language.clauses import Selected, SelectedValue
+from ssduck.language.clauses import Rows, Selected, SelectedValue
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Index, ListLiteral, Literal, Name, Node, QualifiedName
@@ -47,7 +47,7 @@ class KeptScalars:
         if planned.scalars is None:
             raise ValueError("DuckDB has to evaluate it")
         self._select = planned.scalars
-        self._planned = planned
+        self._planned, self._places = planned, planned.places
         # Variables that are worlds or entities, with the world and its entities.
         self._worlds: dict[str, tuple[World | Handle, World, list[EntityInfo]]] = {}
         self._variables: set[str] = set()
@@ -59,7 +59,9 @@ class KeptScalars:
             shape.alias: _literals(source.value)
             for shape, source in zip(plan.source_types, plan.query.sources, strict=True)
         }
-        self._bindings = [(b.name, self._key(b, frame)) for b in plan.bindings if b.node]
+        keys = {b.name: self._key(b, frame) for b in plan.bindings if b.node}
+        self._bindings = [(name, keys[name]) for name in keys if name in self._select.parameters]
+        self._leave_out_columns({key for _, key in self._bindings})
         bound = {binding.node for binding in plan.bindings}
         for node in plan.constants.keys() - bound:  # the plan relies on their types
             self._key(ParameterBinding("", node, sql_type=plan.constants[node]), frame)
@@ -92,6 +94,21 @@ class KeptScalars:
         Args:
             frame: a frame without rows and state variables around it.
         """
+        rows = self._rows(frame)
+        return None if rows is None else self._planned.selected(rows, frame, self._sources)
+
+    def row(self, frame: Frame) -> list[Any] | None:
+        """Returns the values of the row, as `run` does."""
+        rows = self._rows(frame)
+        if rows is None:
+            return None
+        if self._places is not None:
+            return [rows[0][place] for place in self._places]
+        selected = self._planned.selected(rows, frame, self._sources)
+        return list(selected.values[0]) if isinstance(selected, Rows) else None
+
+    def _rows(self, frame: Frame) -> list[tuple[Any, ...]] | None:
+        """Returns the row as DuckDB would return it; None if the query has to be planned again."""
         scope = frame.scope
         if not self._are_same(scope):
             return None
@@ -109,7 +126,15 @@ class KeptScalars:
         parameters = self._parameters | {name: values[key] for name, key in self._bindings}
         rows = self._select.rows(parameters)
         scope.meter.check_time()
-        return None if rows is None else self._planned.selected(rows, frame, self._sources)
+        return rows
+
+    def _leave_out_columns(self, keys: set[tuple[Any, ...]]) -> None:
+        """Leaves out the columns of entities that have none of these keys."""
+        for place, columns in list(self._columns.items()):
+            read = {column: key for column, key in columns.items() if key in keys}
+            self._columns[place] = read
+            if not read:
+                del self._columns[place]
 
     def _are_same(self, scope: EvaluationScope) -> bool:
         """Checks whether names that are no parameters have the same meaning."""
@@ -171,6 +196,10 @@ def _column_reader(handle: Handle, row: int | None, column: str) -> _Reader:
     world = handle.world
     if row is None:
         return lambda _: handle.column(column)
+    if column == "id":
+        return lambda _: handle.id
+    if column == "tick":
+        return lambda _: world.snapshot.number
     return lambda _: world.snapshot.value(row, column)
 
 

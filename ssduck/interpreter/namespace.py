@@ -21,7 +21,7 @@ from ssduck.interpreter.output import help_of_result_forms
 from ssduck.interpreter.sources import worlds_in
 from ssduck.interpreter.temporal_functions import TEMPORAL_FUNCTIONS
 from ssduck.language.analysis import calls_of, forms_of, variables_of
-from ssduck.language.builtins import BUILTINS, Function
+from ssduck.language.builtins import AGGREGATES, BUILTINS, Function
 from ssduck.language.deferred import LazyList
 from ssduck.language.intervals import RELATIONS_OF_INTERVALS
 from ssduck.language.operators import SMALL_BYTES, check_size, size_of
@@ -349,6 +349,8 @@ class Namespace:
                 count if function.max_arguments is None else function.max_arguments,
             )
             fits, usage = minimum <= count <= maximum, f"see help('{name}')"
+            if name in AGGREGATES and count > 1:
+                usage = f"of several values, it is {name}([a, b])"
         else:
             raise unknown_function(node, self._known_functions())
         if not fits:

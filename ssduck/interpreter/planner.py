@@ -21,7 +21,7 @@ from ssduck.language.analysis import (
     states,
 )
 from ssduck.language.builtins import Function
-from ssduck.language.clauses import Rows, Selected
+from ssduck.language.clauses import Selected
 from ssduck.language.deferred import LazyList
 from ssduck.language.evaluator import EvaluationScope, Frame
 from ssduck.language.tree import Call, Name, Node, Placeholder, Query, TimeIndex
@@ -217,8 +217,7 @@ class Planner:
             frame: a frame without rows and state variables around it.
         """
         kept = self._kept.get(query)
-        selected = None if kept is None else kept.run(frame)
-        return list(selected.values[0]) if isinstance(selected, Rows) else None
+        return None if kept is None else kept.row(frame)
 
     def is_kept(self, query: Query) -> bool:
         """Checks whether a query is a SELECT of one row whose next run may need no DuckDB."""

@@ -120,6 +120,19 @@ class PlannedQuery:
         """The selected columns."""
         return self.plan.python_clauses.columns
 
+    @property
+    def places(self) -> list[int] | None:
+        """The place of each selected value in a row from SQL; None if Python makes any of them."""
+        plan, clauses = self.plan, self.plan.python_clauses
+        outputs: Sequence[OutputColumn | None] = plan.outputs or ()
+        if plan.outputs is None and clauses == PythonClauses(clauses.columns):
+            outputs = [plan.known.get(column.node) for column in clauses.columns]
+        known = [output for output in outputs if output is not None]
+        is_left = plan.paths or not known or len(known) < len(outputs)
+        if is_left or any(self._converters[output.sql_type] for output in known):
+            return None
+        return [output.index for output in known]
+
     def _column_reader(self, output: OutputColumn) -> Thunk:
         """Returns a function that reads the value of an SQL column from a frame."""
         index, convert = output.index, self._converters[output.sql_type]

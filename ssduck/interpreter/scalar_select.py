@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import operator
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -82,12 +82,18 @@ class ScalarSelect:
 
     def __init__(self, plan: Plan, functions: Mapping[str, Callable[..., Any]]) -> None:
         try:
-            self._kinds = _kinds_of(plan)
+            kinds = _kinds_of(plan)
             self._list = _only_list(plan)
-            compiler = _Compiler(plan, self._kinds, self._list, functions)
+            compiler = _Compiler(plan, kinds, self._list, functions)
             self._columns = [compiler.scalar(part).compute for part in plan.select.expressions]
         except _LeftToDuckDBError:
             raise ValueError("DuckDB has to evaluate it") from None
+        self._kinds = {name: kind for name, kind in kinds.items() if name in compiler.read}
+
+    @property
+    def parameters(self) -> Collection[str]:
+        """The parameters that are read, besides the list."""
+        return self._kinds.keys()
 
     def rows(self, parameters: Mapping[str, Any]) -> list[tuple[Any, ...]] | None:
         """Returns the rows that DuckDB would return; None if DuckDB has to evaluate them.
@@ -103,7 +109,10 @@ class ScalarSelect:
             values[self._list] = elements[0]
         try:
             for name, kind in self._kinds.items():
-                values[name] = _checked(parameters[name], kind)
+                value = parameters[name]
+                # Most are doubles; a NaN differs from itself.
+                is_number = kind == "double" and type(value) is float and value == value  # noqa: PLR0124
+                values[name] = value if is_number else _checked(value, kind)
             return [tuple([column(values) for column in self._columns])]
         except Exception:  # noqa: BLE001  # DuckDB raises it, with its place in the program
             return None
@@ -196,6 +205,9 @@ class _Compiler:
         kinds: the types of the parameters by name.
         list_name: the parameter that is the list; None if there is none.
         functions: the functions that it calls, by their names in SQL.
+
+    Attributes:
+        read: the other parameters that the expressions read.
     """
 
     def __init__(
@@ -206,6 +218,7 @@ class _Compiler:
         functions: Mapping[str, Callable[..., Any]],
     ) -> None:
         self._kinds, self._functions = kinds, functions
+        self.read: set[str] = set()
         # How often each expression occurs, and that around the one that is being compiled.
         self._counts = Counter(part for whole in plan.select.expressions for part in whole.walk())
         self._count = 1
@@ -242,12 +255,15 @@ class _Compiler:
             _LeftToDuckDBError: DuckDB has to.
         """
         pair = sql.meta.get(PAIR_CALL)
+        if isinstance(pair, PairCall) and pair.call is not None:
+            return self._pair_of_shapes(pair.ids, pair.call)
         if isinstance(pair, PairCall) and pair.relation in self._functions:
             return self._pair(pair)
         match sql:
             case exp.Paren() | exp.Alias():
                 return self.scalar(sql.this)
             case exp.Parameter() if sql.name in self._kinds:
+                self.read.add(sql.name)
                 return _Scalar(self._kinds[sql.name], operator.itemgetter(sql.name))
             case exp.Column() if (sql.table, sql.name) in self._columns:
                 return self._columns[sql.table, sql.name]
@@ -322,8 +338,8 @@ class _Compiler:
         a, b = left.compute, right.compute
 
         def compute(values: Values) -> float:
-            x, y = float(a(values)), float(b(values))
-            result: float = operate(x, y)
+            x, y = a(values), b(values)
+            result: float = operate(x, y)  # an integer becomes a double without rounding
             if math.isfinite(result):
                 return result
             # The box of a plane is infinite, and so are its sums with other numbers.
@@ -422,6 +438,7 @@ class _Compiler:
         name, index = whole.name, int(place.name) - 1
         if index < 0:
             raise _LeftToDuckDBError
+        self.read.add(name)
         return _Scalar("double", lambda values: values[name][index])
 
     def _call(self, sql: exp.Anonymous) -> _Scalar:
@@ -444,6 +461,12 @@ class _Compiler:
             return bool(value) if result == "BOOLEAN" else _finite(float(value))
 
         return _Scalar("boolean" if result == "BOOLEAN" else "double", compute)
+
+    def _pair_of_shapes(self, ids: tuple[exp.Expr, ...], sql: exp.Anonymous) -> _Scalar:
+        """Returns a relation of two entities by their shapes, whose boxes need not be read."""
+        first, second = (self._numeric(id, ("integer",)).compute for id in ids)
+        call = self._call(sql).compute
+        return _Scalar("boolean", lambda values: first(values) != second(values) and call(values))
 
     def _pair(self, pair: PairCall) -> _Scalar:
         """Returns a relation of two entities by their contacts."""

@@ -118,7 +118,7 @@ class Clauses:
     """
 
     def __init__(self, clauses: PythonClauses, compiler: ExpressionCompiler) -> None:
-        self._clauses = clauses
+        self._clauses, self._only_selects = clauses, clauses == PythonClauses(clauses.columns)
         self._conditions = [compiler.condition(node) for node in clauses.conditions]
         self.items = SelectedItems(clauses.columns, compiler)
         row_keys = [k for k in clauses.order if not clauses.group or not over_rows(k.value)]
@@ -138,6 +138,8 @@ class Clauses:
 
     def selected(self, rows: Iterable[Frame], outer: Frame) -> Selected:
         """Returns the selected values of rows."""
+        if self._only_selects:
+            return self.items.rows(list(rows))
         window = self.window(outer)
         filtered: Iterable[Frame] = (
             filter(self.fulfils_conditions, rows) if self._conditions else rows

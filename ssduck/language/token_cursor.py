@@ -194,6 +194,8 @@ class Cursor:
         before = self.tokens[self.index - 1] if self.index else None
         if before is not None and before.text.upper() in STATEMENTS:
             return suggestion_for(before.text)
+        if is_kind(before, TokenType.STAR) and is_kind(token, TokenType.STAR):
+            return "a power is x ^ y, or pow(x, y)"
         suggestion = "" if token.token_type == TokenType.STRING else suggestion_for(token.text)
         if suggestion or before is None:
             return suggestion

@@ -26,25 +26,26 @@ class ContactPairs:
     The values are those of the relations' formulas in SQL, to the last bit.
 
     Attributes:
-        sides: the entities and the links of each contact, in any order.
-        forces: (n,), the forces along the normals, N, in the same order.
+        pressing: a function that returns the contacts of two entities that press, in any order.
         columns: a function that returns the contacts in the order of their table, whose sums
             depend on it. The normals are of length 1.
     """
 
-    sides: Sides
-    forces: Array
+    pressing: Callable[[int, int], Sides]
     columns: Callable[[], Columns]
 
     def _ordered(self, a: int, b: int) -> tuple[Array, Array]:
         """Returns the forces and the normals of the contacts of two entities, in order."""
         sides, forces, normals = self.columns()
-        rows = _are_of(sides, a, b).nonzero()[0]
+        rows = are_of(sides, a, b).nonzero()[0]
         return forces.take(rows), normals.take(rows, axis=1)
 
     def is_pressing(self, a: int, b: int) -> bool:
         """Checks whether a contact of two entities or links presses."""
-        return bool((_are_of(self.sides, a, b) & (self.forces > 0)).any())
+        sides = self.pressing(entity_of(a), entity_of(b))
+        if not sides[0].size or max(a, b) < LINK_FACTOR:
+            return bool(sides[0].size)
+        return bool(are_of(sides, a, b).any())
 
     def force(self, a: int, b: int) -> float:
         """Returns the sum of the forces along the normals of two entities' contacts, N."""
@@ -65,7 +66,7 @@ class ContactPairs:
         return bool((products <= OPPOSING).any())
 
 
-def _are_of(sides: Sides, a: int, b: int) -> Flags:
+def are_of(sides: Sides, a: int, b: int) -> Flags:
     """Checks which contacts are of two entities, two links, or an entity and a link, (n,).
 
     A contact of two links of an entity is none of the entity and one of these.

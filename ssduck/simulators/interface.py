@@ -9,14 +9,14 @@ quaternions w, x, y, z.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.clock import Clock
@@ -235,12 +235,34 @@ class ContactPoints:
         pairs, vectors, numbers = np.zeros((0, 2), dtype=np.intp), np.zeros((0, 3)), np.zeros(0)
         return cls(pairs, pairs, np.zeros((0, 2, 3)), vectors, numbers, numbers, vectors)
 
-    def select(self, flags: Flags) -> ContactPoints:
-        """Returns the points that are flagged, (n,)."""
-        return ContactPoints(*(getattr(self, part.name)[flags] for part in fields(self)))
+    def all(self) -> ContactPoints:
+        """Returns all of them; see `Contacts`."""
+        return self
+
+    def pressing(self, a: int, b: int) -> tuple[Indices, Indices]:
+        """Returns the bodies and links of those of two bodies that press; see `Contacts`."""
+        first, second = self.bodies.T
+        is_of_both = ((first == a) & (second == b)) | ((first == b) & (second == a))
+        rows = (is_of_both & (self.forces > 0)).nonzero()[0]
+        return self.bodies[rows], self.links[rows]
 
     def __len__(self) -> int:
         return len(self.depths)
+
+
+class Contacts(Protocol):
+    """The contact points of a tick, which may be computed when they are asked for."""
+
+    def all(self) -> ContactPoints:
+        """Returns all of them."""
+
+    def pressing(self, a: int, b: int) -> tuple[Indices, Indices]:
+        """Returns the bodies and links, (n, 2) each, of those of two bodies that press.
+
+        Args:
+            a: the handle of a body.
+            b: that of the other one, or the same.
+        """
 
 
 @dataclass(frozen=True)
@@ -373,8 +395,8 @@ class Simulator(Protocol):
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes, m; the last known ones if a body is gone."""
 
-    def read_contacts(self) -> ContactPoints:
-        """Returns the contact points of the last step."""
+    def read_contacts(self) -> Contacts:
+        """Returns the contact points of the last step; later steps do not change them."""
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits now.

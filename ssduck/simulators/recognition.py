@@ -7,10 +7,11 @@ dm_control and robosuite.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import reduce
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from ssduck import validation
 from ssduck.errors import SimulatorError
@@ -29,6 +30,8 @@ _CLIENTS = ("_client", "physics_client", "_physics_client_id")
 # The packages whose models and data are on a device.
 _DEVICES = ("mujoco.mjx", "mujoco_warp")
 _MAX_DEPTH = 4
+# The names of attributes, one after the other.
+_Path: TypeAlias = tuple[str, ...]
 
 
 def simulator_of(simulation: Any) -> str:
@@ -77,7 +80,27 @@ def parts_of(simulation: Any) -> tuple[Any, Any] | None:
             return None
         model, data = (_own(part, name) for part, name in zip(simulation, _NAMES, strict=True))
         return None if model is None or data is None else (model, data)
-    return next(_pairs(simulation, _MAX_DEPTH), None)
+    return next((pair for _, pair in _places(simulation, _MAX_DEPTH, ())), None)
+
+
+def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
+    """Returns a function that returns what `parts_of` does, again and again.
+
+    It looks first where it found them last: an environment may make them anew, in the same place.
+    """
+    known: tuple[_Path, _Path] | None = None
+
+    def find() -> tuple[Any, Any] | None:
+        nonlocal known
+        if known is not None:
+            model, data = (reduce(_attribute, path, simulation) for path in known)
+            if _is_own(model, _NAMES[0]) and _is_own(data, _NAMES[1]):
+                return model, data
+        found = next(_places(simulation, _MAX_DEPTH, ()), None)
+        known, pair = (None, None) if found is None else found
+        return pair
+
+    return (lambda: parts_of(simulation)) if isinstance(simulation, tuple) else find
 
 
 def client_of(simulation: Any) -> int | None:
@@ -134,25 +157,40 @@ def _has_parts(simulation: Any) -> bool:
     return not isinstance(simulation, type) and parts_of(simulation) is not None
 
 
-def _pairs(simulation: Any, depth: int) -> Iterator[tuple[Any, Any]]:
-    """Yields the models and data of an object, the outermost first."""
-    model = _own(getattr(simulation, "model", None), "MjModel")
-    data = _own(getattr(simulation, "data", None), "MjData")
+def _places(
+    simulation: Any, depth: int, path: _Path
+) -> Iterator[tuple[tuple[_Path, _Path], tuple[Any, Any]]]:
+    """Yields the models and data of an object, the outermost first, after the ways to them."""
+    model, to_model = _found(_attribute(simulation, "model"), _NAMES[0])
+    data, to_data = _found(_attribute(simulation, "data"), _NAMES[1])
     if model is not None and data is not None:
-        yield model, data
+        yield ((*path, "model", *to_model), (*path, "data", *to_data)), (model, data)
     if depth:
         for name in _INNER:
-            inner = getattr(simulation, name, None)
+            inner = _attribute(simulation, name)
             if inner is not None and inner is not simulation:
-                yield from _pairs(inner, depth - 1)
+                yield from _places(inner, depth - 1, (*path, name))
+
+
+def _attribute(part: Any, name: str) -> Any:
+    """Returns an attribute; None if there is none."""
+    return getattr(part, name, None)
 
 
 def _own(part: Any, name: str) -> Any:
     """Returns MuJoCo's own object of a class, which a binding may wrap; None if it is none."""
+    return _found(part, name)[0]
+
+
+def _found(part: Any, name: str) -> tuple[Any, _Path]:
+    """Returns what `_own` does, and the way from the part to it."""
     if _is_own(part, name):
-        return part
-    candidates = (getattr(part, pointer, None) for pointer in _POINTERS)
-    return next((candidate for candidate in candidates if _is_own(candidate, name)), None)
+        return part, ()
+    for pointer in _POINTERS:
+        candidate = _attribute(part, pointer)
+        if _is_own(candidate, name):
+            return candidate, (pointer,)
+    return None, ()
 
 
 def _is_own(candidate: Any, name: str) -> bool:

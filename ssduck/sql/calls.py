@@ -96,7 +96,8 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     if relation.tables:
         formula = in_world(relation, formula, values)
     result = expanded(formula, values, relation.link_name if has_links else None)
-    if relation.of_contacts is not None:
+    decides_alone = relation.geometry is not None and relation.geometry.decides_alone
+    if relation.of_contacts is not None or (decides_alone and not has_links):
         note_pair(result, relation, values)
     domain = FloatDomain.INFINITE if relation.may_be_infinite else FloatDomain.FINITE
     if isinstance(result, exp.Array):

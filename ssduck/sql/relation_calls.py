@@ -74,11 +74,13 @@ class PairCall:
         relation: the name of the relation.
         schema: the schema of the world.
         ids: the ids of both, as SQL.
+        call: the call of a function of shapes that decides alone; None for one of contacts.
     """
 
     relation: str
     schema: str
     ids: tuple[exp.Expr, ...]
+    call: exp.Anonymous | None = None
 
 
 # The key of a formula's metadata that has its call.
@@ -87,12 +89,17 @@ PAIR_CALL = "pair call"
 
 def note_pair(result: exp.Expr, relation: Relation, values: Mapping[str, SqlValue]) -> None:
     """Notes in a formula which relation of two entities of the present tick it stands for."""
+    call = None
+    if relation.geometry is not None:
+        name = relation.geometry.udf_name
+        call = next(part for part in result.find_all(exp.Anonymous) if part.name == name)
+        values = {key: value for key, value in values.items() if value.sql_type.type == "entity"}
     schemas = {value.sql_type.schema for value in values.values()}
     columns = [value.column for value in values.values() if value.column is not None]
     is_past = any(value.sql_type.past for value in values.values())
     if len(schemas) == 1 and len(columns) == len(values) and not is_past:
         ids = tuple(column("id") for column in columns)
-        result.meta[PAIR_CALL] = PairCall(relation.name, str(schemas.pop()), ids)
+        result.meta[PAIR_CALL] = PairCall(relation.name, str(schemas.pop()), ids, call)
 
 
 def _as_exists(part: exp.Expr) -> exp.Expr:

@@ -9,8 +9,9 @@ import numpy as np
 
 from ssduck.errors import EvaluationError
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.simulators.contact_pairs import Columns, ContactPairs
-from ssduck.simulators.interface import ContactPoints
+from ssduck.simulators.contact_pairs import Columns, ContactPairs, are_of
+from ssduck.simulators.contact_pairs import Sides as ContactSides
+from ssduck.simulators.interface import ContactPoints, Contacts
 from ssduck.world.layout import TableLayout
 from ssduck.world.live_tables import LiveTable
 
@@ -34,7 +35,7 @@ def write_contacts(table: LiveTable, contacts: ContactPoints, layout: TableLayou
 
 
 def contact_pairs(
-    unwritten: ContactPoints | None, layout: TableLayout, table: Callable[[], LiveTable]
+    unwritten: Contacts | None, layout: TableLayout, table: Callable[[], LiveTable]
 ) -> ContactPairs:
     """Returns the contacts of a tick.
 
@@ -57,11 +58,17 @@ def contact_pairs(
         )
         return (entities, links), rows["force"], rows.doubles("nx", "nz")
 
-    if unwritten is not None:
-        sides = layout.ids_of_handles[unwritten.bodies.T], unwritten.links.T
-        return ContactPairs(sides, unwritten.forces, columns)
-    sides, forces, _ = columns()
-    return ContactPairs(sides, forces, columns)
+    def pressing(a: int, b: int) -> ContactSides:
+        if unwritten is None:
+            (entities, links), forces, _ = columns()
+            rows = (are_of((entities, links), a, b) & (forces > 0)).nonzero()[0]
+            return entities.take(rows, axis=1), links.take(rows, axis=1)
+        # A sensor has no body, and no contacts.
+        handles = layout.handles.get(a, -1), layout.handles.get(b, -1)
+        bodies, links = unwritten.pressing(*handles)
+        return layout.ids_of_handles[bodies.T], links.T
+
+    return ContactPairs(pressing, columns)
 
 
 def contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Sides, Array]:

@@ -145,6 +145,11 @@ class TableLayout:
         ]
 
     @cached_property
+    def handles(self) -> dict[int, int]:
+        """The handle of each body, by the id of its entity."""
+        return {id: body.handle for id, body in self.bodies}
+
+    @cached_property
     def ids_of_handles(self) -> Indices:
         """The id of the entity for each handle of a body; 0 for the last one, -1."""
         ids = np.zeros(
@@ -227,6 +232,9 @@ class BodyGroup:
         self._last_shape_boxes: tuple[LinkPoses, Array] | None = None
         self._last_shapes: tuple[LinkPoses, tuple[Array, Array, Array]] | None = None
         self._last_entity_boxes: tuple[LinkPoses, Array] | None = None
+        # The last link poses, with the boxes of some shapes, by the range of these.
+        self._last_single_boxes: tuple[LinkPoses, dict[range, list[float]]] | None = None
+        self._single_boxers: dict[range, BoundingBoxes] = {}
 
     # The columns x to zmax of the tables of entities and links are pose, velocities and box.
 
@@ -246,17 +254,39 @@ class BodyGroup:
         block = table.doubles("x", "zmax")
         is_later = link_poses.are_finite and table.is_complete and not self._mounts
         if is_later:
-            table.defer("x", "z", partial(self._write_positions, link_poses, block))
-            table.defer("qw", "wz", partial(self.write_states, link_poses, block))
-        elif not (self.write_states(link_poses, block) and table.is_complete):
+            parts = link_poses, block
+            in_row = partial(self._write_position, *parts)
+            table.defer("x", "z", partial(self._write_positions, *parts), in_row)
+            table.defer("qw", "wz", partial(self.write_states, *parts))
+            in_row = partial(self._write_box, *parts)
+            table.defer("xmin", "zmax", partial(self.write_boxes, *parts), in_row)
+            return True
+        if self.write_states(link_poses, block) and table.is_complete:
+            table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
+        else:
             self.write_boxes(link_poses, block)
-            return False
-        table.defer("xmin", "zmax", partial(self.write_boxes, link_poses, block))
-        return is_later
+        return False
 
     def _write_positions(self, link_poses: LinkPoses, block: Array) -> None:
         """Writes the positions of these rows, if there are no sensors."""
         block[:3, self._rows] = link_poses.positions.take(self._row_frames, axis=0).T
+
+    def _write_position(self, link_poses: LinkPoses, block: Array, row: int) -> None:
+        """Writes the position of a row, likewise."""
+        place = self._places.get(row)
+        if place is not None:
+            block[:3, row] = link_poses.positions[self._bases[place]]
+
+    def _write_box(self, link_poses: LinkPoses, block: Array, row: int) -> None:
+        """Writes the box of a row, likewise."""
+        place = self._places.get(row)
+        if place is not None:
+            block[-6:, row] = self._box_of_body(link_poses, place)
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        """The place of a row's body among the bodies."""
+        return {row: place for place, row in enumerate(self._rows[: len(self.bodies)].tolist())}
 
     def write_states(self, link_poses: LinkPoses, block: Array) -> bool:
         """Writes the poses and velocities of these rows; returns whether all are finite."""
@@ -337,13 +367,51 @@ class BodyGroup:
             self._last_shape_boxes = link_poses, boxes
         return self._last_shape_boxes[1]
 
+    def shape_box(self, link_poses: LinkPoses, number: int) -> list[float]:
+        """Returns the box of a shape, that of `shape_boxes`."""
+        last = self._last_boxes if self._are_shapes_links else self._last_shape_boxes
+        is_known = last is not None and last[0] is link_poses
+        if is_known or not link_poses.are_finite:
+            box: list[float] = self.shape_boxes(link_poses)[:, number].tolist()
+            return box
+        return self._single_box(link_poses, range(number, number + 1))
+
+    def _box_of_body(self, link_poses: LinkPoses, place: int) -> Array | list[float]:
+        """Returns the box of a body at finite poses, that of `write_boxes`."""
+        last, shapes = self._last_entity_boxes, self._shape_ranges[place]
+        if not shapes or (last is not None and last[0] is link_poses):
+            box: Array = self._entity_boxes(link_poses)[:, place]
+            return box
+        return self._single_box(link_poses, shapes)
+
+    def _single_box(self, link_poses: LinkPoses, shapes: range) -> list[float]:
+        """Returns the box of some shapes; few programs need those of all at a tick."""
+        if self._last_single_boxes is None or self._last_single_boxes[0] is not link_poses:
+            self._last_single_boxes = link_poses, {}
+        boxes = self._last_single_boxes[1]
+        if shapes not in boxes:
+            boxer = self._single_boxers.get(shapes)
+            if boxer is None:
+                chosen = self._shapes[shapes.start : shapes.stop]
+                boxer = self._single_boxers[shapes] = BoundingBoxes(chosen, [0] * len(chosen), 1)
+            boxes[shapes] = boxer.single(link_poses.positions, link_poses.matrices)
+        return boxes[shapes]
+
+    @cached_property
+    def _shape_ranges(self) -> list[range]:
+        """The numbers of each body's shapes."""
+        ends = list(accumulate((len(body.shapes) for body in self.bodies), initial=0))
+        return list(map(range, ends, ends[1:]))
+
     def shape_pose(self, link_poses: LinkPoses, number: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape, those of `write_shapes`."""
         shape = self._shapes[number]
-        origin, matrix, turn = (
-            part[shape.frame].tolist()
-            for part in (link_poses.positions, link_poses.matrices, link_poses.orientations)
-        )
+        frame = shape.frame
+        origin = link_poses.positions[frame].tolist()
+        turn = link_poses.orientations[frame].tolist()
+        if self._are_at_links[number] and link_poses.are_finite:
+            return [x + 0.0 for x in origin], [x + 0.0 for x in turn]  # as sums: no negative zeros
+        matrix = link_poses.matrices[frame].tolist()
         position = moved_point(origin, matrix, shape.position.tolist())
         return position, product(turn, shape.orientation.tolist())
 
@@ -356,8 +424,15 @@ class BodyGroup:
     @cached_property
     def _are_shapes_at_links(self) -> bool:
         """Whether the pose of each shape is that of its link."""
+        return all(self._are_at_links)
+
+    @cached_property
+    def _are_at_links(self) -> list[bool]:
+        """Whether each shape has the pose of its link."""
         _, positions, orientations = self._shape_places
-        return not positions.any() and bool((orientations == IDENTITY).all())
+        are_there = ~positions.any(axis=1) & (orientations == IDENTITY).all(axis=1)
+        flags: list[bool] = are_there.tolist()
+        return flags
 
     @cached_property
     def _shape_places(self) -> tuple[Indices, Array, Array]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,12 +30,11 @@ ARROW_TYPES: dict[ColumnType, pa.DataType] = {
     "triples": pa.list_(pa.list_(pa.int32(), 3)),
 }
 
-# Rows of a block that are still to be written, and the function that writes them.
-_Deferred: TypeAlias = tuple[range, Callable[[], object]]
-
 _versions = count(1)
 # A table that becomes larger than its buffers gets such a part of its size more.
 _SPARE_FRACTION = 4
+# After so many entities of a table, or this part of them, columns are written for all of them.
+_MAX_SINGLE, _SINGLE_FRACTION = 4, 16
 # The version that was given out last; each is unique in the process, whatever thread asks.
 _last_version = 0
 
@@ -49,6 +49,23 @@ def new_version() -> int:
 def last_version() -> int:
     """Returns a number that changes whenever any table gets a new version."""
     return _last_version
+
+
+@dataclass(eq=False, slots=True)
+class _Deferred:
+    """Adjacent columns of doubles that are still to be written.
+
+    Attributes:
+        columns: the rows of the block that hold them.
+        write: a function that writes them.
+        write_row: a function that writes them in one row of the table; None if there is none.
+        written: the rows of the table in which they are written.
+    """
+
+    columns: range
+    write: Callable[[], object]
+    write_row: Callable[[int], object] | None
+    written: set[int] = field(default_factory=set)
 
 
 class LiveTable:
@@ -83,6 +100,7 @@ class LiveTable:
         self._block = np.zeros((len(doubles), count))
         self._row = {name: row for row, name in enumerate(doubles)}
         self._block_rows: dict[tuple[str, ...], slice | Indices] = {}
+        self._columns: dict[tuple[str, ...], frozenset[int]] = {}
         for name, kind in buffered:
             if kind == "double":
                 self._numbers[name] = self._block[self._row[name]]
@@ -222,15 +240,15 @@ class LiveTable:
         column = self._numbers.get(name)
         if column is None:
             return self.values(name)[row]
-        if self._deferred:
-            self._settle(name)
+        if self._deferred and name in self._row:
+            self._settle_row(row, (name,))
         number = column[row].item()
         return None if number != number else number  # noqa: PLR0124  # NaN is unknown
 
     def doubles_in(self, row: int, names: tuple[str, ...]) -> list[float | None]:
         """Returns the values of columns of doubles in a row, None for unknown ones."""
         if self._deferred:
-            self.settle(names)
+            self._settle_row(row, names)
         numbers = self._block[self.block_rows(names), row].tolist()
         return [None if number != number else number for number in numbers]  # noqa: PLR0124
 
@@ -245,14 +263,28 @@ class LiveTable:
         self.settle()
         return self._block
 
-    def defer(self, first: str, last: str, write: Callable[[], object]) -> None:
+    def defer(
+        self,
+        first: str,
+        last: str,
+        write: Callable[[], object],
+        write_row: Callable[[int], object] | None = None,
+    ) -> None:
         """Has adjacent columns of doubles written later, before anything reads any of them.
 
         Their numbers must all be finite. Until then, the columns have those of an earlier tick.
         Several functions may write different columns.
+
+        Args:
+            first: the first column.
+            last: the last column.
+            write: a function that writes them.
+            write_row: a function that writes them in one row of the table, which takes less than
+                all if few are read; None if there is none.
         """
-        rows = range(self._row[first], self._row[last] + 1)
-        self._deferred = [*self._deferred, (rows, write)]  # a clone has the same list
+        columns = range(self._row[first], self._row[last] + 1)
+        deferred = _Deferred(columns, write, write_row)
+        self._deferred = [*self._deferred, deferred]  # a clone has the same list
 
     def settle(self, names: Iterable[str] | None = None) -> None:
         """Writes the columns that were deferred: all, or those that are written with some."""
@@ -265,7 +297,7 @@ class LiveTable:
     def _write(self, deferred: list[_Deferred]) -> None:
         """Writes some columns that were deferred; they stay so if that fails."""
         for entry in list(deferred):
-            entry[1]()
+            entry.write()
             self._deferred = [other for other in self._deferred if other is not entry]
 
     def overwritten(self, first: str, last: str) -> Array:
@@ -278,7 +310,22 @@ class LiveTable:
         if not self._deferred or first not in self._row:
             return
         low, high = self._row[first], self._row[last or first]
-        self._write([d for d in self._deferred if low < d[0].stop and high >= d[0].start])
+        self._write([d for d in self._deferred if low < d.columns.stop and high >= d.columns.start])
+
+    def _settle_row(self, row: int, names: tuple[str, ...]) -> None:
+        """Writes the deferred columns that are written with some, in one row if that is enough."""
+        columns = self._columns.get(names)
+        if columns is None:
+            columns = self._columns[names] = frozenset(self._row[name] for name in names)
+        for deferred in self._deferred:
+            if row in deferred.written or columns.isdisjoint(deferred.columns):
+                continue
+            is_few = len(deferred.written) < max(_MAX_SINGLE, self.count // _SINGLE_FRACTION)
+            if deferred.write_row is None or not is_few:
+                self._write([deferred])
+            else:
+                deferred.write_row(row)
+                deferred.written.add(row)
 
     @property
     def names_of_doubles(self) -> list[str]:

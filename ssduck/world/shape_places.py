@@ -14,7 +14,7 @@ from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.id_pairs import Ids, places_by_number
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
-from ssduck.geometry.tick_solids import ShapePlaces
+from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
 from ssduck.simulators.interface import LinkPoses
 from ssduck.world.layout import BodyGroup, TableLayout
 
@@ -28,7 +28,8 @@ class ComparableShapes:
         numbers: the number of each entity by its id.
         ids: (n,), the ids in the order of the table of entities.
         places: what `places_by_number` returns of them.
-        table: the solids of the shapes, their entities, and what else they have.
+        table: the entities of the shapes, and what else they have.
+        solids: their solids and margins.
     """
 
     starts: Sequence[int]
@@ -36,6 +37,7 @@ class ComparableShapes:
     ids: Ids
     places: Indices
     table: ShapeTable
+    solids: ShapeSolids
 
     @classmethod
     def of(cls, layout: TableLayout, margins: Array) -> Self:
@@ -55,7 +57,9 @@ class ComparableShapes:
         owners = np.repeat(np.arange(len(bodies)), counts)
         table = ShapeTable(solids, solid_indices, owners, margins)
         ids = np.array([info.id for info in layout.entities], np.int64)
-        return cls([*starts, starts[-1]], numbers, ids, places_by_number(numbers, ids), table)
+        shape_solids = ShapeSolids(solids, solid_indices, margins)
+        starts.append(starts[-1])
+        return cls(starts, numbers, ids, places_by_number(numbers, ids), table, shape_solids)
 
 
 class TickPlaces(ShapePlaces):
@@ -105,6 +109,14 @@ class TickPlaces(ShapePlaces):
         """The boxes, (n, 6): lower corner, upper corner."""
         return self._in_order(2, axis=1).T
 
+    def entity_boxes(self) -> Array:
+        """Returns the boxes of the entities by row, (6, entities)."""
+        boxes = np.zeros((6, len(self._layout.entities)))
+        with np.errstate(invalid="ignore"):
+            for group, poses in self._groups:
+                group.write_boxes(poses, boxes)
+        return boxes
+
     def pose(self, shape: int) -> tuple[list[float], list[float]]:
         """Returns the position and the orientation of a shape."""
         if self._are_placed:
@@ -120,5 +132,4 @@ class TickPlaces(ShapePlaces):
         number, place = self._layout.shape_groups[shape]
         group, poses = self._groups[number]
         with np.errstate(invalid="ignore"):
-            box: list[float] = group.shape_boxes(poses)[:, place].tolist()
-        return box
+            return group.shape_box(poses, place)

@@ -13,10 +13,10 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,14 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
-from ssduck.simulators.interface import Body, ContactPoints, LinkPoses, Simulator, VisualShape
+from ssduck.simulators.interface import (
+    Body,
+    ContactPoints,
+    Contacts,
+    LinkPoses,
+    Simulator,
+    VisualShape,
+)
 from ssduck.world.contact_rows import contact_pairs, write_contacts
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
@@ -46,8 +53,7 @@ from ssduck.world.sensor_readings import (
 from ssduck.world.shape_places import ComparableShapes, TickPlaces
 
 
-@dataclass(frozen=True, eq=False)
-class _TickState:
+class _TickState(NamedTuple):  # made faster than a dataclass is
     """The state of a simulator at a tick, as far as it was read.
 
     Attributes:
@@ -62,7 +68,7 @@ class _TickState:
     static: LinkPoses
     moving: LinkPoses
     joints: Array | None
-    contacts: ContactPoints
+    contacts: Contacts
     readings: Mapping[int, Reading]
     sensors: frozenset[int]
 
@@ -89,7 +95,7 @@ class Snapshot:
         self.run = new_run() if run is None else run
         self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
-        self._contacts: ContactPoints = ContactPoints.none()
+        self._contacts: Contacts = ContactPoints.none()
         self._are_contacts_written = True
         self.number, self.time = 0, 0.0
         self.load_order: list[EntityInfo] = []
@@ -288,20 +294,11 @@ class Snapshot:
         """Returns the shape queries of this tick; the table of shapes must have been requested."""
         if self._shapes is None:
             shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
-            table, entities = shapes.table, self._tables["entities"]
-            boxes = entities.doubles("xmin", "zmax").copy()
             self._shapes = ShapeQueries(
-                NarrowPhase(
-                    table.solids,
-                    table.solid_indices,
-                    places,
-                    shapes.starts,
-                    self.calls,
-                    table.margins,
-                ),
+                NarrowPhase(shapes.solids, places, shapes.starts, self.calls),
                 shapes.numbers,
-                table,
-                boxes,
+                shapes.table,
+                places.entity_boxes,
                 shapes.ids,
                 self._tables["shapes"]["link"],
                 places=shapes.places,
@@ -461,7 +458,7 @@ class Snapshot:
         is_static_new = state.static is not self._static
         self._static = state.static
         self._link_poses = state.static, state.moving
-        is_later = self._write_poses(*self._link_poses, with_static=is_static_new)
+        known = self._write_poses(*self._link_poses, with_static=is_static_new)
         if state.joints is not None:
             self._tables["joints"].doubles("position", "effort")[:] = state.joints.T
         self._contacts, self._are_contacts_written = state.contacts, "contacts" not in tables
@@ -469,7 +466,7 @@ class Snapshot:
         self._read_sensors = state.sensors
         if "sensings" in tables:
             write_sensings(self._tables["sensings"], state.readings, self.rows)
-        self._finish(are_known=is_later and not is_static_new)
+        self._finish(known)
 
     def _read_state(
         self,
@@ -503,7 +500,7 @@ class Snapshot:
         sensors = self._sensors_to_read(layout, number, all_sensors="sensings" in tables)
         due = self.sensing.due(context, sensors, is_external=simulator.is_external)
         poses = sensor_poses(layout, static, moving, due) if due else []
-        contacts = ContactPoints.none()
+        contacts: Contacts = ContactPoints.none()
         if "contacts" in tables or not all(has_rays(pose.info) for pose in poses):
             contacts = simulator.read_contacts()
         readings = self.sensing.read(simulator, context, poses, contacts)
@@ -532,23 +529,26 @@ class Snapshot:
         sensors = [info for info in layout.entities if info.sensor is not None]
         return sensors if all_sensors else [info for info in sensors if info.id in requested]
 
-    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> bool:
+    def _write_poses(self, static: LinkPoses, moving: LinkPoses, *, with_static: bool) -> set[str]:
         """Writes poses, velocities and boxes; `with_static`: also of bodies that cannot move.
 
-        Returns whether those of moving bodies are surely known, and are written later.
+        Returns the tables whose numbers are surely known.
         """
         table, bodies = self._tables["entities"], self._layout.moving_bodies
         block = table.overwritten("x", "zmax")
         if with_static:
             self._layout.static_bodies.write_entities(static, block)
         is_later = bodies.write_later(moving, table)
-        for name in self._read.intersection(("links", "shapes")):
-            self._write_parts(name)
-        return is_later
+        known = {"ticks", "entities"} if is_later and not with_static else {"ticks"}
+        parts = self._read.intersection(("links", "shapes"))
+        return known.union([name for name in parts if self._write_parts(name)])
 
-    def _write_parts(self, name: str) -> None:
-        """Writes the rows of links or shapes: of bodies that cannot move once, of others later."""
-        table = self._tables[name]
+    def _write_parts(self, name: str) -> bool:
+        """Writes the rows of links or shapes: of bodies that cannot move once, of others later.
+
+        Returns whether all numbers are surely known; users may change the masses of links.
+        """
+        table, are_known = self._tables[name], name == "shapes"
         block = table.overwritten("x", "zmax")
         for group, poses in self.body_groups:
             write = group.write_links if name == "links" else group.write_shapes
@@ -556,19 +556,20 @@ class Snapshot:
                 table.defer("x", "zmax", partial(write, poses, block))
             elif self._written.get(name) is not poses:
                 write(poses, block)
+                are_known = False
         self._written[name] = self._link_poses[0]
+        return are_known and table.is_complete
 
-    def _finish(self, *, are_known: bool) -> None:
+    def _finish(self, known: AbstractSet[str]) -> None:
         """Writes tick and time into the tables that were read, and publishes them.
 
         Args:
-            are_known: whether the table of entities surely has no unknown number.
+            known: the tables that surely have no unknown number.
         """
         if not self._is_past:
             self._tables["ticks"]["wall_time"].fill(time.time())
-        self._publish("entities", are_known=are_known)
-        for name in ("ticks", *self._read.difference(("contacts",))):
-            self._publish(name, are_known=name == "ticks")
+        for name in ("entities", "ticks", *self._read.difference(("contacts",))):
+            self._publish(name, are_known=name in known)
         # The warning for a past tick was given when it was taken.
         if not self._tables["entities"].is_complete and not self._is_past:
             self._warn_of_unknown(self._tables["entities"].doubles("x", "zmax"))
@@ -595,5 +596,5 @@ class Snapshot:
     def _write_contacts(self) -> None:
         """Writes the contacts of this tick into their table."""
         self._are_contacts_written = True
-        write_contacts(self._tables["contacts"], self._contacts, self._layout)
+        write_contacts(self._tables["contacts"], self._contacts.all(), self._layout)
         self._publish("contacts")

@@ -9,7 +9,13 @@ import pytest
 
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
-from ssduck.geometry.tick_solids import MAX_SINGLE, SINGLE_IN, ShapePlaces, TickSolids
+from ssduck.geometry.tick_solids import (
+    MAX_SINGLE,
+    SINGLE_IN,
+    ShapePlaces,
+    ShapeSolids,
+    TickSolids,
+)
 
 COUNT = 5 * MAX_SINGLE
 SOLIDS = [
@@ -32,7 +38,8 @@ def make_tick():
     orientations[: COUNT // 2] /= np.linalg.norm(orientations[: COUNT // 2], axis=1)[:, None]
     positions[3, 1], orientations[5, 2], orientations[7] = np.nan, np.inf, 0.0
     places = ShapePlaces(positions, orientations, rng.normal(size=(COUNT, 6)))
-    return lambda: TickSolids(SOLIDS, np.arange(COUNT) % len(SOLIDS), places)
+    shapes = ShapeSolids(SOLIDS, np.arange(COUNT) % len(SOLIDS))
+    return lambda: TickSolids(shapes, places)
 
 
 PARTS = {
@@ -71,7 +78,7 @@ def test_a_few_of_many_ticks_are_computed_alone(monkeypatch):
     of_all = TickSolids._all_poses
     monkeypatch.setattr(TickSolids, "_all_poses", lambda tick: calls.append(tick) or of_all(tick))
     places = ShapePlaces(np.zeros((count, 3)), np.ones((count, 4)), np.zeros((count, 6)))
-    tick = TickSolids(SOLIDS, np.zeros(count), places)
+    tick = TickSolids(ShapeSolids(SOLIDS, np.zeros(count)), places)
     for shape in range(100):
         tick.rank(shape)
     assert not calls

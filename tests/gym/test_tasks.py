@@ -2,6 +2,7 @@
 
 import os
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -249,3 +250,12 @@ def test_terms_have_strict_limits(folder):
     )
     with pytest.raises(SelectScriptError, match="eval is switched off"):
         make_task(folder / "task.toml")
+
+
+def test_a_closed_task_takes_no_step(folder):
+    env = make_task(folder / "task.toml")
+    env.reset(seed=1)
+    env.close()
+    for act in (lambda: env.step(np.zeros(1, np.float32)), env.reset):
+        with pytest.raises(gymnasium.error.ClosedEnvironmentError, match="is closed: make it anew"):
+            act()

@@ -318,3 +318,29 @@ def test_variables_may_have_no_value_before_the_first_reset(wrap, before):
     )
     with pytest.raises(UnknownNameError, match="bal"):
         misspelt.reset(seed=0)
+
+
+def test_a_closed_environment_takes_no_step():
+    env = QueryWrapper(Push(), success="x(sim.ball) > 0.02")
+    env.reset(seed=0)
+    env.close()
+    env.close()
+    for act in (lambda: env.step(np.ones(1, np.float32)), env.reset):
+        with pytest.raises(gymnasium.error.ClosedEnvironmentError, match="is closed: make it anew"):
+            act()
+
+
+def test_a_variable_is_bound_when_its_value_is_another_one(wrap, monkeypatch):
+    env = wrap(Push(), success="x(sim.ball) > goal[0]", variables=GOAL)
+    env.reset(seed=0)
+    bound, bind = [], ssduck.Interpreter.add_variable
+    monkeypatch.setattr(
+        ssduck.Interpreter, "add_variable", lambda *of: bound.append(of[1:]) or bind(*of)
+    )
+    goal, ball = env.unwrapped.goal, env.unwrapped.data.body("ball")
+    for change in (0.0, 0.0, 0.3, 0.0, -0.3, 0.0):
+        goal[0] += change
+        bound.clear()
+        info = env.step(np.ones(1, np.float32))[-1]["ssduck"]
+        assert len(bound) == bool(change)
+        assert info["success"] == (ball.xpos[0] > goal[0])

@@ -191,8 +191,8 @@ def test_what_occurs_again_is_computed_once(monkeypatch):
     calls, margins = [], functions._margins
     monkeypatch.setattr(functions, "_margins", lambda *of: calls.append(1) or margins(*of))
     with ssduck.load("kitchen") as ss:
-        on = ss.compile("SELECT on(kitchen.table, kitchen.plate_835a) FROM [0] AS list;")
-        values = [ss.eval(on) for _ in range(2)]  # it is planned, then only computed
+        program = ss.compile("SELECT supports(kitchen.table, kitchen.plate_835a) FROM [0] AS list;")
+        values = [ss.eval(program) for _ in range(2)]  # it is planned, then only computed
         calls.clear()
-        assert [ss.eval(on)] == values[1:]
+        assert [ss.eval(program)] == values[1:]
     assert calls == [1]

@@ -207,6 +207,8 @@ MISTAKES = [
     ("SELECT to(id, [1]) FROM kitchen;", ArgumentError, None, "cannot be the name of a column", []),
     ("print();", ArgumentError, "print()", "print takes", []),
     ("pow(2);", ArgumentError, "pow(2)", "pow takes 2 arguments, not 1", []),
+    ("min(1, 2);", ArgumentError, "min(1, 2)", "it is min([a, b])", []),
+    ("2 ** 3;", ParseError, None, "a power is x ^ y, or pow(x, y)", []),
     ("help(3);", UnknownNameError, "help(3)", "no function 3", []),
     ("IF(array; 1; 2);", EvaluationError, "array", "ValueError", []),
     ("SELECT id FROM kitchen{2.0};", EvaluationError, "kitchen{2.0}", "no tick at 2 s", []),

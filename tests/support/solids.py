@@ -11,7 +11,7 @@ from ssduck.geometry.poses import rotation_matrices
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import solid_of
 from ssduck.geometry.tick_shapes import ShapeTable
-from ssduck.geometry.tick_solids import ShapePlaces
+from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
 
 STRAIGHT = (1.0, 0.0, 0.0, 0.0)
 
@@ -61,7 +61,7 @@ def narrow(*entities):
         )
     solids = [solid_of(geometry) for geometry, _, _ in shapes]
     places = ShapePlaces(positions, turns, boxes)
-    return NarrowPhase(solids, np.arange(len(shapes)), places, starts, CallCounter())
+    return NarrowPhase(ShapeSolids(solids, np.arange(len(shapes))), places, starts, CallCounter())
 
 
 def sorts_of(tick):

@@ -9,7 +9,7 @@ import pytest
 import ssduck
 from ssduck.geometry.bounds import BoundingBoxes
 from ssduck.geometry.poses import rotation_matrices, unit_quaternions
-from ssduck.simulators.mujoco import simulator
+from ssduck.simulators.mujoco import link_poses
 from ssduck.simulators.scenes import find_scene
 from ssduck.world import contact_rows
 from ssduck.world.layout import BodyGroup
@@ -174,8 +174,8 @@ def test_a_condition_on_positions_computes_no_velocities(lab, monkeypatch):
     with ssduck.Interpreter(recording=None) as other:
         world = other.add_variable("lab", ssduck.World.attach(model, data))
         program = other.compile("SELECT z(lab.ball) > 0.1 FROM [0] AS list;")
-        calls, states = [], simulator._states
-        monkeypatch.setattr(simulator, "_states", lambda *of: calls.append(1) or states(*of))
+        calls, states = [], link_poses._states
+        monkeypatch.setattr(link_poses, "_states", lambda *of: calls.append(1) or states(*of))
         for _ in range(3):
             mujoco.mj_step(model, data)
             world.tick()
@@ -222,6 +222,72 @@ def test_a_shape_is_where_the_table_has_it():
             assert one_by_one == rows
             arrays = np.hstack((places.positions, places.orientations, places.boxes))
             assert arrays.tolist() == list(map(list, rows))
+
+
+def test_rows_that_are_read_one_by_one_are_those_of_all(monkeypatch):
+    """The boxes of few entities are computed alone, to the last bit."""
+    model = mujoco.MjModel.from_xml_string(SHAPES)
+    data = mujoco.MjData(model)
+    calls, write = [], BodyGroup.write_boxes
+    monkeypatch.setattr(BodyGroup, "write_boxes", lambda *of: calls.append(1) or write(*of))
+    with ssduck.Interpreter(recording=None) as ss:
+        world = ss.add_variable("lab", ssduck.World.attach(model, data))
+        for _ in range(3):
+            mujoco.mj_step(model, data, 20)
+            world.tick()
+            calls.clear()
+            snapshot, names = world.snapshot, ("x", "y", "z", "xmin", "ymin", "zmin", "xmax")
+            rows = range(len(snapshot.entities))
+            alone = [snapshot.doubles_in(row, names) for row in rows]
+            tops = [snapshot.value(row, "zmax") for row in rows]
+            assert not calls
+            table = snapshot.tables["entities"]
+            assert np.array(alone).T.tolist() == [table[name].tolist() for name in names]
+            assert tops == table["zmax"].tolist()
+            assert calls == [1]
+
+
+def test_many_rows_are_computed_at_once(monkeypatch):
+    bodies = "".join(
+        f'<body pos="{n} 0 1"><freejoint/><geom type="box" size=".1 .2 .3"/></body>'
+        for n in range(40)
+    )
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    calls, write = [], BodyGroup.write_boxes
+    monkeypatch.setattr(BodyGroup, "write_boxes", lambda *of: calls.append(1) or write(*of))
+    world = ssduck.World.attach(model, mujoco.MjData(model))
+    world.tick()
+    calls.clear()
+    tops = [world.snapshot.value(row, "zmax") for row in range(len(world.snapshot.entities))]
+    assert calls == [1]
+    assert tops == pytest.approx([1.3] * 40)
+
+
+ON = """
+SELECT onTop(t, b) FROM lab.entities t, lab.entities b WHERE t.name = 'table' AND b.name = 'ball'
+"""
+
+
+def test_shapes_of_two_entities_take_no_boxes_of_others(lab, monkeypatch):
+    _, _, model, data = lab
+    with ssduck.Interpreter(recording=None) as other:
+        world = other.add_variable("lab", ssduck.World.attach(model, data))
+        program = other.compile("SELECT on(lab.table, lab.ball) FROM [0] AS list;")
+        calls, seen = [], set()
+        for part in ("write_boxes", "shape_boxes"):
+            of_all = getattr(BodyGroup, part)
+            monkeypatch.setattr(
+                BodyGroup, part, lambda *of, of_all=of_all: calls.append(1) or of_all(*of)
+            )
+        for tick in range(60):
+            mujoco.mj_step(model, data, 10)
+            world.tick()
+            calls.clear()
+            values = other.eval(program)
+            assert tick < 2 or not calls  # it is planned first
+            assert other.sql(ON).fetchall() == [tuple(values)]
+            seen.add(tuple(values))
+        assert len(seen) > 1
 
 
 @pytest.mark.parametrize("pose", ["", 'pos=".1 0 0"', 'quat=".6 .8 0 0"'])

@@ -30,7 +30,7 @@ from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.geometry.solids import Solid, solid_of
 from ssduck.geometry.tick_shapes import ShapeTable, TickShapes, of_known_entities
-from ssduck.geometry.tick_solids import ShapePlaces
+from ssduck.geometry.tick_solids import ShapePlaces, ShapeSolids
 from ssduck.simulators.interface import Link
 from ssduck.world.layout import EntityInfo
 
@@ -176,7 +176,8 @@ class EntityShapes:
         solid_indices, margins = _joined_solids(models)
         places = ShapePlaces(*(np.concatenate([part[i] for part in placed]) for i in range(3)))
         starts = list(accumulate((model.count for model in models), initial=0))
-        narrow = NarrowPhase(self._solids, solid_indices, places, starts, calls, margins)
+        shapes = ShapeSolids(self._solids, solid_indices, margins)
+        narrow = NarrowPhase(shapes, places, starts, calls)
         numbers = {id: number for number, id in enumerate(ids)}
         enclosing_boxes = np.array([_enclosing_box(part[2]) for part in placed]).reshape(-1, 6).T
         links = np.concatenate([model.links for model in models])
@@ -312,7 +313,8 @@ class EntityShapes:
         )
         boxes = np.tile([-np.inf] * 3 + [np.inf] * 3, (len(owners), 1))
         places = ShapePlaces(positions, orientations, boxes)
-        narrow = NarrowPhase(self._solids, solid_indices, places, starts.tolist(), calls, margins)
+        shapes = ShapeSolids(self._solids, solid_indices, margins)
+        narrow = NarrowPhase(shapes, places, starts.tolist(), calls)
         return PairBatch(scene, _cross_pairs(*sides), count, narrow, starts)
 
     def _place_shapes(

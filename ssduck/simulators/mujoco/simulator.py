@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,13 +16,13 @@ import numpy.typing as npt
 from ssduck.errors import SimulatorError, UnsupportedError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import cross, multiply
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     SCALAR_JOINTS,
     Body,
     CameraView,
     ContactPoints,
+    Contacts,
     Kind,
     LinkPoses,
     MotorTarget,
@@ -39,11 +37,11 @@ from ssduck.simulators.mujoco.bodies import (
     is_same,
     link_masses,
     numbers_of,
-    sites_on,
 )
-from ssduck.simulators.mujoco.contacts import read_contacts
+from ssduck.simulators.mujoco.contacts import GeomOwners, MuJoCoContacts
 from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
+from ssduck.simulators.mujoco.link_poses import LinkReader
 from ssduck.simulators.mujoco.rays import RayCaster
 from ssduck.simulators.mujoco.rendering import Viewpoint, draw, segment
 from ssduck.simulators.mujoco.sources import Source
@@ -53,54 +51,8 @@ from ssduck.simulators.scenes import Camera
 # The numbers of root bodies of which collisions are off, and of those that are hidden.
 SwitchedOff: TypeAlias = tuple[Collection[int], Collection[int]]
 
-# The number of lists of bodies whose rows stay prepared.
+# The number of lists of bodies whose readers stay prepared.
 _PREPARED = 4
-# The columns of a link's position, matrix, orientation and twist, and of the centre of its tree.
-_RAW = slice(0, 3), slice(3, 12), slice(12, 16), slice(16, 22)
-_ROOTS = slice(22, 25)
-# The arrays of MuJoCo that have them, in this order.
-_RAW_ARRAYS = ("xpos", "xmat", "xquat", "cvel", "subtree_com")
-# If the squares of numbers add up to less, sums of their products are finite.
-_MODERATE = 1e100
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The rows of some bodies in MuJoCo's arrays.
-
-    Attributes:
-        bodies: the bodies.
-        links: the number of each link; of a site that of its parent.
-        roots: the number of the root of each link's tree.
-        site_rows: which of the links are sites.
-        sites: the numbers of these sites.
-    """
-
-    bodies: tuple[Body, ...]
-    links: Indices | slice
-    roots: Indices
-    site_rows: Indices
-    sites: Indices
-
-
-def _states(raw: Array, turns: tuple[Indices, Array] | None) -> Array:
-    """Returns the states of links from what MuJoCo has of them; see `LinkPoses`.
-
-    Args:
-        raw: the position, matrix, orientation and twist of each link, and the centre of mass of its
-            tree, which the twist is stated at.
-        turns: the rows of sites, and their orientations in their links; None for none.
-    """
-    states = np.zeros((len(raw), 13))
-    states[:, :3], states[:, 3:7] = raw[:, _RAW[0]], raw[:, _RAW[2]]
-    if turns is not None:
-        own, quaternions = turns
-        states[own, 3:7] = multiply(states[own, 3:7], quaternions)
-    twists = raw[:, _RAW[3]]
-    arms = raw[:, _RAW[0]] - raw[:, _ROOTS]
-    states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
-    states[:, 10:] = twists[:, :3]
-    return states
 
 
 class MuJoCoSimulator(PartialSimulator):
@@ -155,15 +107,15 @@ class MuJoCoSimulator(PartialSimulator):
         # What the bodies were described from, and the bodies.
         self._described: tuple[Any, ModelContent] | None = None
         self._bodies: list[Body] = []
-        self._rows: list[_Rows] = []
-        # The state and its arrays: views of its memory.
-        self._views: tuple[Any, tuple[Array, ...]] | None = None
+        self._link_readers: list[LinkReader] = []
         self._ray_caster: RayCaster | None = None
         self._joint_rows: tuple[tuple[Body, ...], Array, Indices, Indices] | None = None
         # The geoms of the present bodies whose margins were read.
         self._geoms: dict[Body, Indices] = {}
         # The margins of all geoms as they were, and those of some bodies that were read then.
         self._margins: tuple[bytes, list[Body], list[list[float]]] | None = None
+        # The bodies of the geoms of a model.
+        self._owners: tuple[Any, GeomOwners] | None = None
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode, self._last_time = 0, float(self.data.time)
@@ -191,7 +143,7 @@ class MuJoCoSimulator(PartialSimulator):
         gone = [body for body in self._bodies if body not in kept]
         self._described, self._bodies = (model, ModelContent(model)), bodies
         self._ray_caster = None
-        self._rows, self._joint_rows, self._geoms, self._margins = [], None, {}, None
+        self._link_readers, self._joint_rows, self._geoms, self._margins = [], None, {}, None
         self._warn_of_boxes(added)
         self._switch_off(added)
         return (added, gone) if added or gone else None
@@ -272,48 +224,12 @@ class MuJoCoSimulator(PartialSimulator):
 
     def read_link_poses(self, bodies: tuple[Body, ...], *, with_velocities: bool) -> LinkPoses:  # noqa: ARG002
         """Returns the poses and velocities of all links of some bodies, body after body."""
-        rows, state = self._rows_of(bodies), self._state
-        if self._views is None or self._views[0] is not state:
-            self._views = state, tuple(getattr(state, name) for name in _RAW_ARRAYS)
-        *of_links, centres = self._views[1]
-        parts = [array[rows.links] for array in of_links]
-        raw = np.concatenate((*parts, centres.take(rows.roots, axis=0)), axis=1)
-        turns = None
-        if len(rows.sites):
-            sites, own = rows.sites, rows.site_rows
-            raw[own, _RAW[0]], raw[own, _RAW[1]] = state.site_xpos[sites], state.site_xmat[sites]
-            turns = own, self.model.site_quat[sites]
-        positions, matrices = raw[:, _RAW[0]], raw[:, _RAW[1]].reshape(-1, 3, 3)
-        return LinkPoses(
-            positions,
-            matrices,
-            partial(_states, raw, turns),
-            are_finite=bool(np.vdot(raw, raw) < _MODERATE),
-            orientations=raw[:, _RAW[2]] if turns is None else None,
-        )
-
-    def _rows_of(self, bodies: tuple[Body, ...]) -> _Rows:
-        for rows in self._rows:
-            if rows.bodies is bodies:
-                return rows
-        counts = [len(body.links) for body in bodies]
-        roots = np.repeat([body.handle for body in bodies], counts).astype(np.intp)
-        is_site = np.array([link.region is not None for b in bodies for link in b.links], bool)
-        sites = [n for body in bodies for n in sites_on(self.model, numbers_of(body))]
-        numbers = np.array(
-            [
-                body.handle + (number if link.region is None else link.parent)
-                for body in bodies
-                for number, link in enumerate(body.links)
-            ],
-            dtype=np.intp,
-        )
-        links: Indices | slice = numbers
-        if len(numbers) and np.array_equal(numbers, numbers[0] + np.arange(len(numbers))):
-            links = slice(int(numbers[0]), int(numbers[-1]) + 1)
-        rows = _Rows(bodies, links, roots, np.flatnonzero(is_site), np.array(sites, np.intp))
-        self._rows = [rows, *self._rows[: _PREPARED - 1]]
-        return rows
+        for reader in self._link_readers:
+            if reader.bodies is bodies:
+                return reader.read(self._state)
+        reader = LinkReader(self.model, bodies)
+        self._link_readers = [reader, *self._link_readers[: _PREPARED - 1]]
+        return reader.read(self._state)
 
     def read_joints(self, bodies: Sequence[Body]) -> Array:
         """Returns the position, velocity and effort of the joints of some bodies, (joints, 3).
@@ -372,14 +288,13 @@ class MuJoCoSimulator(PartialSimulator):
         self._margins = content, list(bodies), of_bodies
         return of_bodies
 
-    def read_contacts(self) -> ContactPoints:
+    def read_contacts(self) -> Contacts:
         """Returns the contact points of the last step between geoms."""
-        contacts = read_contacts(self.model, self._state)
-        if self._only is None:
-            return contacts
-        # Those of the step before the other bodies were left out.
-        is_chosen = np.isin(contacts.bodies, list(self._only))
-        return contacts.select(is_chosen[:, 0] & is_chosen[:, 1])
+        if not self._state.ncon:
+            return ContactPoints.none()
+        if self._owners is None or self._owners[0] is not self.model:
+            self._owners = self.model, GeomOwners.of(self.model)
+        return MuJoCoContacts(self.model, self._state, self._owners[1], self._only)
 
     def step(self, count: int) -> None:
         """Advances by a number of steps."""

@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 
 from ssduck.errors import SimulatorError
 from ssduck.formatting import short_repr
-from ssduck.simulators.recognition import parts_of
+from ssduck.simulators.recognition import parts_finder, parts_of
 
 # Returns the model and the data as they are now.
 Source: TypeAlias = Callable[[], tuple[Any, Any]]
@@ -29,17 +29,26 @@ def source_of(simulation: Any) -> Source:
     """
     parts = parts_of(simulation)
     if parts is None and callable(simulation):
-        checked = _checked(simulation(), simulation)
-        del checked
-        return lambda: _checked(simulation(), simulation)
-    found = _checked(simulation, simulation)
+
+        def made() -> tuple[Any, Any]:
+            found = simulation()
+            return _checked(parts_of(found), found, simulation)
+
+        made()
+        return made
+    found = _checked(parts, simulation, simulation)
     if isinstance(simulation, tuple):
         return lambda: found
-    return lambda: _checked(simulation, simulation)
+    find = parts_finder(simulation)
+    return lambda: _checked(find(), simulation, simulation)
 
 
-def _checked(found: Any, simulation: Any) -> tuple[Any, Any]:
-    parts = parts_of(found)
+def _checked(parts: tuple[Any, Any] | None, found: Any, simulation: Any) -> tuple[Any, Any]:
+    """Returns the model and the data of what was found.
+
+    Raises:
+        SimulatorError: there is no model with data.
+    """
     if parts is None:
         returned = "" if found is simulation else f" returned {short_repr(found)}, which"
         raise SimulatorError(

@@ -70,6 +70,7 @@ class GeometryQuery:
         is_at_least_box_distance: whether the result is at least the distance of the two boxes.
         needs_whole_tick: whether the answer depends on all entities of the tick.
         uses_margins: whether the collision margins of shapes count.
+        decides_alone: whether the function compares the boxes itself, so that Python need not.
         over_ticks: the question that it is about two entities at many recorded ticks, if all ticks
             can be decided at once.
     """
@@ -85,7 +86,13 @@ class GeometryQuery:
     is_at_least_box_distance: bool = False
     needs_whole_tick: bool = False
     uses_margins: bool = False
+    decides_alone: bool = False
     over_ticks: QuestionKind | None = None
+
+    @property
+    def udf_name(self) -> str:
+        """The name of the function in SQL."""
+        return udf_name(self.function)
 
     @property
     def is_predicate(self) -> bool:
@@ -121,7 +128,7 @@ class GeometryQuery:
 
     def _formula(self, entities: Sequence[str], arguments: Sequence[str], bound: str | None) -> str:
         rows = [f"{entity}.{column}" for entity in entities for column in ("tick", "id")]
-        call = f'"{udf_name(self.function)}"({", ".join(("$world", *rows, *arguments))})'
+        call = f'"{self.udf_name}"({", ".join(("$world", *rows, *arguments))})'
         if len(entities) == 1:
             return call
         if tuple(entities[:2]) != ("a", "b"):

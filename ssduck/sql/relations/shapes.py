@@ -209,6 +209,7 @@ SHAPE_RELATIONS: tuple[Relation, ...] = (
             bound=f"0.001 + {MARGINS}",
             pairs="on pairs whose boxes are at most 1 mm and the largest margins apart",
             uses_margins=True,
+            decides_alone=True,
             over_ticks="on",
         ),
         "Checks if b stands on a: they touch (see touching, with eps 1 mm), a contact normal is "

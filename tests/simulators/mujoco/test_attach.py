@@ -4,7 +4,7 @@ import re
 import subprocess
 import sys
 import types
-from itertools import pairwise
+from itertools import combinations_with_replacement, pairwise
 
 import numpy as np
 import pytest
@@ -19,6 +19,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.geometry.poses import rotation_matrices
+from ssduck.simulators.mujoco import contacts, link_poses
 from tests.support.mjcf import LAB, random_state
 
 mujoco = pytest.importorskip("mujoco")
@@ -297,6 +298,57 @@ def test_environments_say_where_their_simulation_is(model, data, place):
     assert world["ball"].position[2] == pytest.approx(0.451)
 
 
+def test_an_environment_may_make_its_simulation_in_another_place(model, data):
+    environment, other = _Wrapped(sim=_Wrapped(model=model, data=data)), mujoco.MjData(model)
+    other.qpos[:] = data.qpos
+    world = ssduck.World.attach(environment)
+    environment.sim = _Wrapped(model=model, data=other)  # in the same place
+    assert world.tick().simulator.data is other
+    del environment.sim
+    environment.physics = _Wrapped(model=_named("MjModel")(ptr=model), data=data)
+    assert world.tick().simulator.data is data
+    del environment.physics
+    with pytest.raises(SimulatorError, match="has no MuJoCo model with its data"):
+        world.tick()
+
+
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+@pytest.mark.parametrize("few", [0, 99])
+def test_contacts_of_two_bodies_that_press(monkeypatch, cone, few):
+    """One by one or at once, those are told that MuJoCo tells a force of, at the time of reading."""
+    monkeypatch.setattr(contacts, "_FEW", few)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option cone="{cone}"/><worldbody>
+        <geom type="plane" size="0 0 1" condim="1"/>
+        <body pos="0 0 .1"><freejoint/><geom type="box" size=".1 .1 .1" margin=".02"/>
+          <body pos=".3 0 0"><joint axis="0 1 0"/><geom type="box" size=".1 .1 .1"/></body></body>
+        <body pos="0 0 .3"><freejoint/><geom type="box" size=".1 .1 .1" condim="6"/></body>
+        <body pos="3 0 .4"><freejoint/><geom size=".1"/></body>
+        </worldbody></mujoco>"""
+    )
+    data, force, seen = mujoco.MjData(model), np.zeros(6), set()
+    world = ssduck.World.attach(model, data)
+    for _ in range(40):
+        mujoco.mj_step(model, data, 5)
+        expected = {}
+        for row, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(model, data, row, force)
+            bodies = model.geom_bodyid[contact.geom]
+            roots = model.body_rootid[bodies]
+            if force[0] > 0:
+                links = expected.setdefault(tuple(sorted(roots.tolist())), [])
+                links.append(sorted(zip(roots.tolist(), (bodies - roots).tolist(), strict=True)))
+        read = world.tick().simulator.read_contacts()
+        mujoco.mj_step(model, data, 3)  # it changes nothing that was read
+        for a, b in combinations_with_replacement(range(5), 2):
+            for pair in ((a, b), (b, a)):
+                sides = zip(*(side.tolist() for side in read.pressing(*pair)), strict=True)
+                told = [sorted(zip(roots, links, strict=True)) for roots, links in sides]
+                assert sorted(told) == sorted(expected.get((a, b), []))
+        seen.update(expected)
+    assert {(0, 1), (1, 3), (0, 4)} <= seen
+
+
 def _of_module(module: str) -> object:
     """Returns an object whose class says that it is of a module."""
     return type("Model", (), {"__module__": module})()
@@ -433,3 +485,14 @@ def test_unknown_numbers_of_joints_are_buffered_with_the_other_rows(model, data,
     assert len(parts) <= 2
     with ssduck.open(tmp_path / "run") as past:
         assert past.sql(query).fetchall() == live
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -np.inf, 1e60])
+@pytest.mark.parametrize("count", [3, 100_000])
+def test_numbers_whose_sums_of_products_may_overflow_are_found(number, count):
+    numbers = np.linspace(-9, 9, count)
+    assert link_poses._are_moderate(numbers)
+    for place in (0, count // 2, -1):
+        changed = numbers.copy()
+        changed[place] = number
+        assert not link_poses._are_moderate(changed)
