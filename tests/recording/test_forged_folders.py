@@ -65,6 +65,16 @@ def column(table: str, name: str, values: Any) -> Callable[[Path], Any]:
     return rows(table, with_column(name, values))
 
 
+def beside(table: str, name: str, at: int) -> Callable[[Path], Any]:
+    """Returns a change that copies a column under a name of other letters, in capitals or not."""
+
+    def change(found: pa.Table) -> pa.Table:
+        column = found[name.lower()]
+        return found.add_column(at % (found.num_columns + 1), name, column)
+
+    return rows(table, change)
+
+
 def link(place: str, target: str) -> Callable[[Path], Any]:
     """Returns a change that moves a file or a folder out of the record, and links to it."""
 
@@ -159,6 +169,16 @@ ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
         ]
     ),
     ("a column twice", rows("entities", lambda t: t.append_column("x", t["x"])), "has two columns 'x'"),
+    *(
+        (f"{table} with {name} {'before' if at == 0 else 'after'}", beside(table, name, at),
+         f"it has a column '{name}', which SQL takes for '{name.lower()}': rename it")
+        for table, name in [
+            ("entities", "Z"), ("entities", "NAME"), ("entities", "Tick"), ("ticks", "TIME"),
+            ("links", "Entity"), ("models/entities", "Name"),
+            ("models/geometries", "Vertices"),
+        ]
+        for at in (0, -1)
+    ),
     ("an unknown entity", column("entities", "id", lambda v: [v[0] + 90, *v[1:]]), "entity 9. is unknown"),
     ("an entity twice", column("entities", "id", lambda v: [1] * len(v)), "a row is twice there"),
     ("NULL as a flag", column("entities", "enabled", lambda v: [None] * len(v)), "'enabled' lacks a value"),
@@ -332,6 +352,8 @@ def _change(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Any
 LOG_ATTACKS: list[tuple[str, Callable[[Any], Any], str]] = [
     ("a table less", lambda t: t.pop("contacts"), "its tables are not those recorded|contacts"),
     ("an unknown table", lambda t: t.update(x=t["ticks"]), "'x' is no table"),
+    ("a column of other letters", _change("entities", lambda t: t.append_column("Z", t["z"])),
+     "it has a column 'Z', which SQL takes for 'z'"),
     ("another type", _change("entities", with_column("x", lambda v: pa.array(list(map(str, v))))),
      "entities is damaged: its column 'x' has the type string"),
     ("a column less", _change("entities", lambda t: t.drop_columns(["id"])), "lacks the column 'id'"),

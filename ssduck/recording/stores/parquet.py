@@ -50,6 +50,7 @@ from ssduck.recording.stores.parquet_layout import (
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
+from ssduck.recording.stores.part_statistics import OWN_STATISTICS
 from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
@@ -569,6 +570,7 @@ def _options(rows: pa.Table) -> dict[str, Any]:
     """Returns options that take little time: a busy world has a new part every second or two.
 
     LZ4 takes less time than Zstandard. To split the bytes of doubles makes up for most of the size.
+    Statistics of other columns choose no parts, and would be compared with them at each opening.
     """
     doubles = [f.name for f in rows.schema if pa.types.is_floating(f.type)]
     texts = [f.name for f in rows.schema if pa.types.is_string(f.type)]
@@ -577,4 +579,5 @@ def _options(rows: pa.Table) -> dict[str, Any]:
         "compression": "lz4",
         "use_dictionary": [*texts, *keys],
         "use_byte_stream_split": doubles,
+        "write_statistics": [name for name in OWN_STATISTICS if name in rows.column_names],
     }

@@ -45,6 +45,8 @@ def check_columns(
 ) -> None:
     """Checks the columns of a stored table; further columns do not matter.
 
+    SQL takes names that differ in case only for the same, and would read the first of them.
+
     Args:
         source: the file, and the table if the file has several, to begin the message.
         present: the names of its columns, and their types: of `ColumnType`, or any other text.
@@ -54,7 +56,14 @@ def check_columns(
         RecordError: a column is missing, twice there, or of another type.
     """
     found: dict[str, str] = {}
+    folded = {name.casefold(): name for name in expected}
     for name, type in present:
+        known = folded.get(name.casefold(), name)
+        if name != known:
+            raise RecordError(
+                f"{source} is damaged: it has a column {name!r}, which SQL takes for {known!r}: "
+                "rename it"
+            )
         if name in found and name in expected:
             raise RecordError(f"{source} is damaged: it has two columns {name!r}")
         found[name] = type
