@@ -498,6 +498,8 @@ def _begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRu
         path.mkdir(parents=True, exist_ok=True)
         _check_name_length(path, world)
         about_file = path / ABOUT
+        for place in (about_file, path / "episodes"):
+            check_inside(path, place)
         if not about_file.exists():
             others = [file for file in path.iterdir() if not is_temporary(file)]
             # Another recorder may have begun in the meantime.
@@ -539,10 +541,16 @@ def _check_name_length(path: Path, world: str) -> None:
 
 
 def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
-    """Creates the file of an episode under a number that is free, after those that are not."""
+    """Creates the file of an episode under a number that is free, after those that are not.
+
+    Raises:
+        RecordError: a link leads a folder of the episode out of the record.
+    """
     numbers = count(_free_number(path, world))
     while True:
         run = FolderRun(path, world, next(numbers))
+        for place in (run.about_file, *map(run.place, _folders_of(about["tables"]))):
+            check_inside(path, place)
         if create_file(run.about_file, json_text({**about, "episode": run.number})):
             return run
 

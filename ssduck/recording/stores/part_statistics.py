@@ -119,7 +119,8 @@ def _select(listed: str) -> str:
     stated = (*_LEAST, *_GREATEST, *(f"{name}::VARCHAR" for name in ("stats_null_count", *_SKIPS)))
     return (
         f"SELECT {names}, {is_exact} FROM parquet_metadata({listed}) "  # noqa: S608
-        f"WHERE coalesce({', '.join(stated)}) IS NOT NULL ORDER BY file_name, row_group_id, column_id"
+        f"WHERE coalesce({', '.join(stated)}) IS NOT NULL "
+        "ORDER BY file_name, row_group_id, column_id"
     )
 
 
