@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +29,9 @@ from tests.support.forged import (
     use,
     with_column,
     without_checksums,
+)
+from tests.support.forged import (
+    TICKS as TICKS_RECORDED,
 )
 
 ABOUT = "episodes/lab-0.json"
@@ -100,6 +104,7 @@ def moved(old: str, new: str) -> Callable[[Path], Any]:
 
 ENTITIES, TICKS = f"entities/{EPISODE}/part-000000.parquet", f"ticks/{EPISODE}/part-000000.parquet"
 DEEP = "[" * 100_000
+TICKS_OF_A_PART = TICKS_RECORDED + 1  # and the first
 # (name, change, words of the error)
 ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
     ("deep", text("ssduck.json", DEEP), "ssduck.json is damaged: it is nested too deeply"),
@@ -320,6 +325,33 @@ def test_a_mesh_that_claims_too_much(folder: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(stored_columns, "MAX_VALUES", 1000)
     with pytest.raises(RecordError, match=r"models/geometries/.* claims .* more than a part has"):
         ssduck.open(folder)
+
+
+def test_ticks_that_claim_too_much(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few bytes may claim any number of equal ticks, which would all be read."""
+    monkeypatch.setattr(stored_columns, "MAX_TICKS", TICKS_OF_A_PART - 1)
+    words = f"claims {TICKS_OF_A_PART} rows, more than a part has"
+    with pytest.raises(RecordError, match=f"ticks/.* {words}"):
+        ssduck.episodes(folder)
+    (damage,) = ssduck.check(folder)
+    assert (damage.file, damage.loss) == (part(folder, "ticks"), "ticks of part 0")
+    assert words in damage.problem
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (column("ticks", "tick", lambda v: v[:1] * len(v)), "its ticks do not ascend"),
+        (column("models/shapes", "margin", lambda v: [-1.0] * len(v)), "margin .* is negative"),
+    ],
+)
+def test_a_check_tells_of_ticks_and_models(
+    folder: Path, change: Callable[[Path], Any], words: str
+) -> None:
+    change(folder)
+    (damage,) = ssduck.check(folder)
+    assert damage.loss == "all of episode 0 of 'lab'"
+    assert re.search(words, damage.problem)
 
 
 # -- the index and the log ------------------------------------------------------------------------

@@ -18,6 +18,8 @@ from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, Colum
 # The largest number of values that a file is read with: 1 GiB of doubles. A part that ssduck writes
 # has at most a few million of them, unless a mesh has more.
 MAX_VALUES = 1 << 27
+# The largest number of ticks that a part is read with, about as many rows as one of entities has.
+MAX_TICKS = 1 << 22
 
 
 @cache
@@ -113,7 +115,7 @@ def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
         raise RecordError(f"{source} cannot be read: it is damaged: {error}") from error
     check_columns(source, arrow_columns(schema), part_columns(table))
     rows = part.metadata.num_rows
-    if _value_count(part.metadata, table) > MAX_VALUES:
+    if _value_count(part.metadata, table) > MAX_VALUES or (table == "ticks" and rows > MAX_TICKS):
         raise RecordError(f"{source} is damaged: it claims {rows:,} rows, more than a part has")
     return part
 
