@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import struct
 from collections.abc import Callable
@@ -104,13 +105,14 @@ def test_forged_bounds_are_an_error(
 def refused(folder: Path, table: str, column: str) -> None:
     """Checks that SQL and a check refuse a column, and that SelectScript answers no less."""
     view = f"{table.removeprefix('models/')}_{'model' if '/' in table else 'history'}"
-    words = f"{part(folder, table)} is damaged: the column '{column}' has other values than"
+    # The same bytes may be a bound of another column before it, too.
+    words = rf"{part(folder, table)} is damaged: the column '\w+' has other values than"
     with ssduck.open(folder) as ss:
         for _ in range(2):
             with pytest.raises(RecordError, match=words):
                 ss.sql(f"SELECT count(*) FROM {view} WHERE {column} IS NOT NULL")
     if "/" not in table:
-        assert words in " ".join(f"{folder} {one.problem}" for one in ssduck.check(folder))
+        assert re.search(words, " ".join(one.problem for one in ssduck.check(folder)))
 
 
 def test_a_forged_number_of_nulls_is_an_error(folder: Path) -> None:
