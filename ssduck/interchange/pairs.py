@@ -59,9 +59,10 @@ def write_pairs(run: FolderRun, rows: pa.Table, within: float) -> Path:
     """Writes the pairs of an episode; returns their file.
 
     Raises:
-        RecordError: the file cannot be written.
+        RecordError: the file cannot be written, or a link leads it out of the record.
     """
     file = run.place(PAIRS) / part_name(0)
+    check_inside(run.path, file)
     label = run.label(PAIRS, 0)
     metadata = {_WITHIN: json.dumps({"within": within}).encode()}
     if label is not None:

@@ -55,13 +55,21 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
 
 
 def _wrong_rows(place: Path) -> Iterator[Damage]:
-    """Yields the tables that have rows of unknown ticks or entities, twice, or not all of them."""
+    """Yields the tables that have rows of unknown ticks or entities, twice, or not all of them.
+
+    Of an episode whose ticks or models are wrong, only that is said.
+    """
     database = Database(":memory:", None)
     try:
         for run in recorded_runs(place, database):
             if not (run.has_begun and run.has_ticks):
                 continue
-            record = replayed_world(run, database).source_record
+            name = f"episode {run.number} of {run.world!r}"
+            try:
+                record = replayed_world(run, database).source_record
+            except RecordError as error:  # its ticks or models, whose files are whole
+                yield Damage(run.path, error.message.removeprefix(f"{run.path} "), f"all of {name}")
+                continue
             assert record.stored is not None
             tables = sorted(record.tables & TABLES.keys() - {"entities"})
             has_right_entities = True
@@ -70,8 +78,8 @@ def _wrong_rows(place: Path) -> Iterator[Damage]:
                     record.stored.check_rows(table, bodies=has_right_entities)
                 except RecordError as error:
                     has_right_entities &= table != "entities"
-                    episode = f"{table} of episode {run.number} of {run.world!r}"
-                    yield Damage(run.path, error.message.removeprefix(f"{run.path} "), episode)
+                    problem = error.message.removeprefix(f"{run.path} ")
+                    yield Damage(run.path, problem, f"{table} of {name}")
     finally:
         database.close()
 

@@ -26,6 +26,7 @@ from ssduck.interpreter.opening import open_record
 from ssduck.interpreter.plans_over_ticks import SelectedSql, TickPlan, plan_over_ticks
 from ssduck.lakes.answers import ERROR, KEYS
 from ssduck.lakes.entry_files import EntryFiles
+from ssduck.lakes.footers import footer_errors
 from ssduck.lakes.groups import EpisodeGroup
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.workers import UNREADABLE
@@ -109,6 +110,12 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
     """
     groups: dict[str, tuple[EpisodeGroup, _Entries]] = {}
     failed: _Entries = {}
+    runs = {
+        number: FolderRun(expand_path(entry.path), entry.world, entry.episode)
+        for number, entry in enumerate(entries)
+        if entry.error is None and entry.group is not None
+    }
+    errors = footer_errors(runs)
     for number, entry in enumerate(entries):
         if entry.error is not None:
             failed[number] = entry
@@ -119,7 +126,7 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
                 "in Parquet files: leave it out (where), or ask the episodes (Lake.ask)"
             )
         try:
-            run, parts = FolderRun(expand_path(entry.path), entry.world, entry.episode), ReadParts()
+            run, parts = runs[number], ReadParts()
             starts, ticks = run.ticks()
             own = _with_ticks(entry, ticks)
             name = entry.group
@@ -127,6 +134,8 @@ def _read_episodes(entries: Sequence[EpisodeEntry]) -> tuple[list[_Entries], _En
                 name = f"{number}"
             group, members = groups.get(name) or (EpisodeGroup(own), {})
             group.check_rows(EntryFiles(own, run.key or ""), starts, ticks, parts)
+            if number in errors:
+                raise errors[number]
         except UNREADABLE as error:
             failed[number] = replace(entry, error=str(error))
         else:

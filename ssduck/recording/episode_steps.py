@@ -118,7 +118,7 @@ class EpisodeSteps:
         """Writes the file of the episode.
 
         Raises:
-            RecordError: it cannot be written.
+            RecordError: it cannot be written, or a link leads it out of the record.
         """
         content = {
             "version": VERSION,
@@ -133,6 +133,7 @@ class EpisodeSteps:
             "actions": self.actions,
         }
         file = folder / FOLDER / f"{world}-{number}.json"
+        check_inside(folder, file)
         try:
             file.parent.mkdir(exist_ok=True)
             write_atomically(file, lambda place: write_json(content, place))

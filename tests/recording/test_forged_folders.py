@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,6 +29,9 @@ from tests.support.forged import (
     use,
     with_column,
     without_checksums,
+)
+from tests.support.forged import (
+    TICKS as TICKS_RECORDED,
 )
 
 ABOUT = "episodes/lab-0.json"
@@ -65,6 +69,16 @@ def column(table: str, name: str, values: Any) -> Callable[[Path], Any]:
     return rows(table, with_column(name, values))
 
 
+def beside(table: str, name: str, at: int) -> Callable[[Path], Any]:
+    """Returns a change that copies a column under a name of other letters, in capitals or not."""
+
+    def change(found: pa.Table) -> pa.Table:
+        column = found[name.lower()]
+        return found.add_column(at % (found.num_columns + 1), name, column)
+
+    return rows(table, change)
+
+
 def link(place: str, target: str) -> Callable[[Path], Any]:
     """Returns a change that moves a file or a folder out of the record, and links to it."""
 
@@ -90,6 +104,7 @@ def moved(old: str, new: str) -> Callable[[Path], Any]:
 
 ENTITIES, TICKS = f"entities/{EPISODE}/part-000000.parquet", f"ticks/{EPISODE}/part-000000.parquet"
 DEEP = "[" * 100_000
+TICKS_OF_A_PART = TICKS_RECORDED + 1  # and the first
 # (name, change, words of the error)
 ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
     ("deep", text("ssduck.json", DEEP), "ssduck.json is damaged: it is nested too deeply"),
@@ -160,12 +175,14 @@ ATTACKS: list[tuple[str, Callable[[Path], Any], str]] = [
     ),
     ("a column twice", rows("entities", lambda t: t.append_column("x", t["x"])), "has two columns 'x'"),
     *(
-        (f"{table}: {name} before its own", rows(table, lambda t, n=name: t.add_column(0, n, t[n.lower()])),
-         f"{table}/.*it has a column '{name}', which SQL takes for '{name.lower()}'")
+        (f"{table} with {name} {'before' if at == 0 else 'after'}", beside(table, name, at),
+         f"it has a column '{name}', which SQL takes for '{name.lower()}': rename it")
         for table, name in [
-            ("entities", "Z"), ("entities", "NAME"), ("entities", "Tick"), ("ticks", "Time"),
-            ("models/entities", "Name"), ("links", "Region"), ("joints", "JOINT"),
+            ("entities", "Z"), ("entities", "NAME"), ("entities", "Tick"), ("ticks", "TIME"),
+            ("links", "Entity"), ("links", "Region"), ("joints", "JOINT"),
+            ("models/entities", "Name"), ("models/geometries", "Vertices"),
         ]
+        for at in (0, -1)
     ),
     ("an unknown entity", column("entities", "id", lambda v: [v[0] + 90, *v[1:]]), "entity 9. is unknown"),
     ("an entity twice", column("entities", "id", lambda v: [1] * len(v)), "a row is twice there"),
@@ -310,6 +327,33 @@ def test_a_mesh_that_claims_too_much(folder: Path, monkeypatch: pytest.MonkeyPat
         ssduck.open(folder)
 
 
+def test_ticks_that_claim_too_much(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A few bytes may claim any number of equal ticks, which would all be read."""
+    monkeypatch.setattr(stored_columns, "MAX_TICKS", TICKS_OF_A_PART - 1)
+    words = f"claims {TICKS_OF_A_PART} rows, more than a part has"
+    with pytest.raises(RecordError, match=f"ticks/.* {words}"):
+        ssduck.episodes(folder)
+    (damage,) = ssduck.check(folder)
+    assert (damage.file, damage.loss) == (part(folder, "ticks"), "ticks of part 0")
+    assert words in damage.problem
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (column("ticks", "tick", lambda v: v[:1] * len(v)), "its ticks do not ascend"),
+        (column("models/shapes", "margin", lambda v: [-1.0] * len(v)), "margin .* is negative"),
+    ],
+)
+def test_a_check_tells_of_ticks_and_models(
+    folder: Path, change: Callable[[Path], Any], words: str
+) -> None:
+    change(folder)
+    (damage,) = ssduck.check(folder)
+    assert damage.loss == "all of episode 0 of 'lab'"
+    assert re.search(words, damage.problem)
+
+
 # -- the index and the log ------------------------------------------------------------------------
 
 
@@ -340,6 +384,8 @@ def _change(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Any
 LOG_ATTACKS: list[tuple[str, Callable[[Any], Any], str]] = [
     ("a table less", lambda t: t.pop("contacts"), "its tables are not those recorded|contacts"),
     ("an unknown table", lambda t: t.update(x=t["ticks"]), "'x' is no table"),
+    ("a column of other letters", _change("entities", lambda t: t.append_column("Z", t["z"])),
+     "it has a column 'Z', which SQL takes for 'z'"),
     ("another type", _change("entities", with_column("x", lambda v: pa.array(list(map(str, v))))),
      "entities is damaged: its column 'x' has the type string"),
     ("a column less", _change("entities", lambda t: t.drop_columns(["id"])), "lacks the column 'id'"),

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+import pybullet
 import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from ssduck.interchange.pairs import COLUMNS, write_pairs
 from ssduck.recording import episode_steps
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import descriptions
+from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.forged import EPISODE, describe, make_records, part
 
 EPISODES = "episodes/lab-0.json"
@@ -91,6 +96,74 @@ def test_a_link_within_the_record_is_none(made: Path, tmp_path: Path) -> None:
     (record / "joints").rename(record / "elsewhere")
     (record / "joints").symlink_to(record / "elsewhere")
     assert ssduck.check(record, repair=True) == []
+
+
+# -- writing to a stranger's record ---------------------------------------------------------------
+
+
+def _export(made: Path, record: Path) -> None:
+    with ssduck.open(made / "folder") as ss:
+        ss.export(record)
+
+
+def _record(_: Path, record: Path) -> None:
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.createMultiBody(1, physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", ssduck.World.attach(client))
+        with ss.record_to(record):
+            pass
+
+
+def _write(_: Path, record: Path) -> None:
+    shapes = {"cup": {"box": [0.1] * 3}}
+    ssduck.write_record(record, shapes, np.zeros((1, 1, 3)), np.zeros(1), world="lab")
+
+
+@pytest.mark.parametrize("write", [_export, _record, _write])
+@pytest.mark.parametrize(
+    "place",
+    [
+        "ssduck.json", "episodes", "entities", "entities/world=lab", "entities/world=lab/episode=1",
+        "ticks", "models", "models/links/world=lab", "log", "index", "episodes/lab-1.json",
+    ],
+)  # fmt: skip
+def test_nothing_is_written_through_a_link(
+    made: Path, tmp_path: Path, place: str, write: Callable[[Path, Path], None]
+) -> None:
+    record, outside = Path(shutil.copytree(made / "folder", tmp_path / "record")), tmp_path / "out"
+    if (record / place).exists():
+        (record / place).rename(outside)
+    elif "." not in place:
+        outside.mkdir()
+    (record / place).parent.mkdir(parents=True, exist_ok=True)
+    (record / place).symlink_to(outside)
+    before = everything(tmp_path)
+    with pytest.raises(RecordError, match="is a symbolic link that leaves"):
+        write(made, record)
+    assert everything(tmp_path) == before
+
+
+def everything(place: Path) -> dict[str, bytes]:
+    """Returns the folders and files below a place, and what files have."""
+    return {
+        str(one.relative_to(place)): one.read_bytes() if one.is_file() else b""
+        for one in place.rglob("*")
+    }
+
+
+def test_steps_and_pairs_are_not_either(made: Path, tmp_path: Path) -> None:
+    record, steps = with_steps(made, tmp_path)
+    outside = tmp_path / "outside"
+    (record / episode_steps.FOLDER).rename(outside)
+    (record / episode_steps.FOLDER).symlink_to(outside)
+    (record / "pairs").symlink_to(outside)
+    before = everything(tmp_path)
+    with pytest.raises(RecordError, match="is a symbolic link that leaves"):
+        steps.write(record, "lab", 0)
+    with pytest.raises(RecordError, match="is a symbolic link that leaves"):
+        write_pairs(FolderRun(record, "lab", 0), COLUMNS.empty_table(), 0.1)
+    assert everything(tmp_path) == before
 
 
 # -- the steps of episodes ------------------------------------------------------------------------

@@ -107,6 +107,18 @@ def test_parts_that_the_index_does_not_know(run: Path, monkeypatch: pytest.Monke
     assert reads.ticks == ["part-000008.parquet", "part-000009.parquet"]
 
 
+def test_an_index_that_claims_too_much_is_not_read(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few bytes may have the last tick a million times."""
+    rows = pq.read_table(_index(run))
+    more = pa.concat_tables([rows.slice(len(rows) - 1)] * 10_000)
+    write_parquet(pa.concat_tables([rows, more]).combine_chunks(), _index(run), compression="zstd")
+    reads = Reads(monkeypatch)
+    assert _ticks(run) == ALL
+    assert len(reads.ticks) == PARTS
+
+
 def test_parts_that_are_removed_do_not_count(run: Path) -> None:
     for part in (8, 9):
         (run / "ticks" / PLACE.format(1) / f"part-{part:06d}.parquet").unlink()

@@ -50,6 +50,7 @@ from ssduck.recording.stores.parquet_layout import (
     part_name,
 )
 from ssduck.recording.stores.part_log import PartLog
+from ssduck.recording.stores.part_statistics import OWN_STATISTICS
 from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
@@ -497,6 +498,8 @@ def _begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRu
         path.mkdir(parents=True, exist_ok=True)
         _check_name_length(path, world)
         about_file = path / ABOUT
+        for place in (about_file, path / "episodes"):
+            check_inside(path, place)
         if not about_file.exists():
             others = [file for file in path.iterdir() if not is_temporary(file)]
             # Another recorder may have begun in the meantime.
@@ -538,10 +541,16 @@ def _check_name_length(path: Path, world: str) -> None:
 
 
 def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
-    """Creates the file of an episode under a number that is free, after those that are not."""
+    """Creates the file of an episode under a number that is free, after those that are not.
+
+    Raises:
+        RecordError: a link leads a folder of the episode out of the record.
+    """
     numbers = count(_free_number(path, world))
     while True:
         run = FolderRun(path, world, next(numbers))
+        for place in (run.about_file, *map(run.place, _folders_of(about["tables"]))):
+            check_inside(path, place)
         if create_file(run.about_file, json_text({**about, "episode": run.number})):
             return run
 
@@ -569,6 +578,7 @@ def _options(rows: pa.Table) -> dict[str, Any]:
     """Returns options that take little time: a busy world has a new part every second or two.
 
     LZ4 takes less time than Zstandard. To split the bytes of doubles makes up for most of the size.
+    Statistics of other columns choose no parts, and would be compared with them at each opening.
     """
     doubles = [f.name for f in rows.schema if pa.types.is_floating(f.type)]
     texts = [f.name for f in rows.schema if pa.types.is_string(f.type)]
@@ -577,4 +587,5 @@ def _options(rows: pa.Table) -> dict[str, Any]:
         "compression": "lz4",
         "use_dictionary": [*texts, *keys],
         "use_byte_stream_split": doubles,
+        "write_statistics": [name for name in OWN_STATISTICS if name in rows.column_names],
     }

@@ -38,6 +38,7 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
+from ssduck.recording.stores.part_statistics import check_statistics
 from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
@@ -81,6 +82,8 @@ class ParquetArchive(TickArchive):
         # The files whose bytes were checked. The footers of all files are checked here, unless they
         # are many.
         self._checked: set[Path] = set()
+        # The files whose footers were found to say of their values what is so.
+        self._compared: set[Path] = set()
         for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
             self._run.check(table, map(part_number, files))
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
@@ -140,8 +143,14 @@ class ParquetArchive(TickArchive):
         return {
             table.model_view: self._select_all(files, _columns_in(files[0]), table.model)
             for table in MODELS.values()
-            if (files := self._run.files(f"models/{table.name}"))
+            if (files := self._files_for_sql(f"models/{table.name}"))
         }
+
+    def _files_for_sql(self, model: str) -> list[Path]:
+        """Returns the checked files of a model such as `models/entities`."""
+        files = self._run.files(model)
+        self._compare(model, files)
+        return files
 
     def _select_parts(self, table: str, parts: range) -> str:
         """Returns a SELECT of all columns of some parts of a table."""
@@ -161,7 +170,7 @@ class ParquetArchive(TickArchive):
         """Returns a SELECT of all columns of a table from its files, which may lack some."""
         types, missing = {column.name: column.sql for column in columns}, {}
         if not types.keys() <= set(present):
-            geometries = _scan(self._run.files("models/geometries"))
+            geometries = _scan(self._files_for_sql("models/geometries"))
             missing = default_values(self.unrecorded_run, geometries)
         return all_columns(_scan(files), types, present, missing)
 
@@ -175,6 +184,17 @@ class ParquetArchive(TickArchive):
         unchecked = [file for file in files if file not in self._checked]
         self._run.check_data(table, map(part_number, unchecked))
         self._checked.update(unchecked)
+
+    def _compare(self, table: str, files: Sequence[Path]) -> None:
+        """Checks what the footers say of the values of files that SQL is to read.
+
+        Raises:
+            RecordError: it is not so.
+        """
+        new = [file for file in files if file not in self._compared]
+        if new:
+            check_statistics(self._connection, new, file_list(new), table)
+            self._compared.update(new)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the rows of a table at the ticks from first to last."""
@@ -213,18 +233,19 @@ class ParquetArchive(TickArchive):
         return self._rows_of(table, group.parts) if group.parts else self._rows_of_log(table)
 
     def _rows_of(self, table: str, parts: range) -> Iterator[RowBlock]:
-        types, columns = key_types(table), model_columns(table)
+        types, columns, files = key_types(table), model_columns(table), self._files[table]
         for number in parts:
             part = range(number, number + 1)
             self._check(table, part)
-            file, ticks = self._files[table][number], self._ticks_of(part)
+            ticks = self._ticks_of(part)
             if RECORDED[table].key:
-                rows, repeated = _rows_of_part(file, types, columns, repeated_texts(table))
+                rows, repeated = _rows_of_part(files[number], types, columns, repeated_texts(table))
                 model = self._models.get(table)
                 yield RowBlock(*ticks, rows, None if model is None else (repeated, model))
             else:
-                for rows in _rows_in(file, types):
+                for rows in _rows_in(files[number], types):
                     yield RowBlock(*ticks, rows)
+        self._compare(table, files[parts.start : parts.stop])
 
     def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
         if self._log:
@@ -237,6 +258,7 @@ class ParquetArchive(TickArchive):
         logged = self._log["entities"].arrow if self._log else buffered
         parts = self._parts_with("entities", request.first, request.last)
         self._check("entities", parts)
+        self._compare("entities", self._files["entities"][parts.start : parts.stop])
         stored = self._select_parts("entities", parts) if parts else None
         return near_pair_rows(self._connection, stored, request, logged)
 
@@ -348,10 +370,18 @@ def _columns_in(file: Path) -> list[str]:
 
 def _scan(files: Sequence[Path]) -> str:
     """Returns the rows of files of a folder, in SQL."""
+    return f"read_parquet({file_list(files)}, hive_partitioning = false)"
+
+
+def file_list(files: Sequence[Path]) -> str:
+    """Returns a list of files of parts, in SQL."""
     separator = "/" if isinstance(files[0], ObjectPath) else os.sep
-    folder = exp.Literal.string(exact_path(files[0].parent) + separator).sql("duckdb")
-    names = ", ".join(f"{folder[:-1]}{file.name}'" for file in files)  # `part_name` names them
-    return f"read_parquet([{names}], hive_partitioning = false)"
+    folders = {
+        folder: exp.Literal.string(exact_path(folder) + separator).sql("duckdb")[:-1]
+        for folder in {file.parent for file in files}
+    }
+    names = ", ".join(f"{folders[file.parent]}{file.name}'" for file in files)  # by `part_name`
+    return f"[{names}]"
 
 
 def exact_path(place: Path) -> str:

@@ -20,6 +20,8 @@ from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, Colum
 MAX_VALUES = 1 << 27
 # The columns of the last part of each table that were found to be right.
 _known_schemas: dict[str, pa.Schema] = {}
+# The largest number of ticks that a part is read with, about as many rows as one of entities has.
+MAX_TICKS = 1 << 22
 
 
 @cache
@@ -47,7 +49,7 @@ def check_columns(
 ) -> None:
     """Checks the columns of a stored table; further columns do not matter.
 
-    DuckDB takes names that differ in case only for the same one, and reads the first.
+    SQL takes names that differ in case only for the same, and would read the first of them.
 
     Args:
         source: the file, and the table if the file has several, to begin the message.
@@ -58,11 +60,13 @@ def check_columns(
         RecordError: a column is missing, twice there, in another case, or of another type.
     """
     found: dict[str, str] = {}
+    folded = {name.casefold(): name for name in expected}
     for name, type in present:
-        if name not in expected and name.lower() in expected:
+        known = folded.get(name.casefold(), name)
+        if name != known:
             raise RecordError(
-                f"{source} is damaged: it has a column {name!r}, which SQL takes for "
-                f"{name.lower()!r}"
+                f"{source} is damaged: it has a column {name!r}, which SQL takes for {known!r}: "
+                "rename it"
             )
         if name in found and name in expected:
             raise RecordError(f"{source} is damaged: it has two columns {name!r}")
@@ -116,7 +120,7 @@ def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
         check_columns(source, arrow_columns(schema), part_columns(table))
         _known_schemas[table] = schema.remove_metadata()
     rows = part.metadata.num_rows
-    if _value_count(part.metadata, table) > MAX_VALUES:
+    if _value_count(part.metadata, table) > MAX_VALUES or (table == "ticks" and rows > MAX_TICKS):
         raise RecordError(f"{source} is damaged: it claims {rows:,} rows, more than a part has")
     return part
 
