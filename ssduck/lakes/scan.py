@@ -15,11 +15,11 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
-from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.lakes.manifest import EpisodeEntry, FileEntry, are_sizes
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.checksums import checksum_of, content_problem
 from ssduck.recording.stores.links import check_inside
-from ssduck.recording.stores.object_store import ObjectPath, file_system
+from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     VERSION,
@@ -118,9 +118,11 @@ def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
 
     selector = FileSelector(place.key, recursive=True, allow_not_found=True)
     start = len(place.key.rstrip("/")) + 1
+    with reading(place):
+        found = file_system().get_file_info(selector)
     return {
         info.path[start:]: (info.size, info.mtime_ns)
-        for info in file_system().get_file_info(selector)
+        for info in found
         if info.type == FileType.File and not _NO_PATH.search(info.path[start:])
     }
 
@@ -163,10 +165,18 @@ def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
             world, number = (match["world"] or match["described"]), match["part_of"]
             key = world, int(number or match["number"])
             listings.setdefault(key, {ABOUT: objects.get(ABOUT, (0, 0))})[name] = about
-    return [
-        FoundEpisode(record, world, number, listing)
-        for (world, number), listing in sorted(listings.items())
-    ]
+    return [_found_listed(record, *key, listing) for key, listing in sorted(listings.items())]
+
+
+def _found_listed(record: ObjectPath, world: str, number: int, listing: Listing) -> FoundEpisode:
+    """Returns an episode that a store lists."""
+    if not are_sizes(size for size, _ in listing.values()):
+        error = RecordError(
+            f"{record}: the store lists impossible sizes of the files of episode {number} of "
+            f"{world!r}; try again"
+        )
+        return _unreadable(record, world, number, error)
+    return FoundEpisode(record, world, number, listing)
 
 
 def _keys(record: Path) -> list[tuple[str, int]]:

@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.object_store import ObjectPath
 
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
@@ -126,11 +127,14 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
 def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
     """Returns what is wrong with a Parquet file, all of which is read; None for nothing.
 
-    It is read piece by piece: memory for all of a large file takes longer than its checksum.
+    A file is read piece by piece: memory for all of a large one takes longer than its checksum. An
+    object is read at once: each piece would be a request.
 
     Raises:
         OSError: the file cannot be read.
     """
+    if isinstance(file, ObjectPath):
+        return content_problem(file.read_bytes(), has_checksums=has_checksums)
     footer = footer_of(file)
     problem = footer_problem(footer, has_checksums=has_checksums)
     match = None if footer is None else _last(_FOOTER_SUMS, footer)

@@ -303,7 +303,7 @@ def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
         names = [name for name in part.schema_arrow.names if name in needed]
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+        raise _unreadable(file, error) from error
     if "joint" in types.names:
         rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
@@ -315,12 +315,13 @@ def _rows_of_part(file: Path, types: pa.Schema) -> pa.Table:
 def _model_columns_in(file: Path, names: Sequence[str]) -> pa.Table:
     """Returns some columns of the rows of a part, as far as it has them; texts are numbered."""
     try:
-        found = pq.read_schema(parquet_source(file)).names
+        source = parquet_source(file)
+        found = pq.read_schema(source).names
         present = [name for name in names if name in found]
-        part = pq.ParquetFile(parquet_source(file), read_dictionary=present)
+        part = pq.ParquetFile(source, read_dictionary=present)
         rows = part.read(columns=present, use_threads=False).select(present)
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+        raise _unreadable(file, error) from error
     return rows.unify_dictionaries()
 
 
@@ -332,7 +333,14 @@ def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
         ):
             yield pa.Table.from_batches([batch]).select(types.names).cast(types)
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+        raise _unreadable(file, error) from error
+
+
+def _unreadable(file: Path, error: Exception) -> RecordError:
+    """Returns the error that a part cannot be read, for an error of the library or of a store."""
+    if isinstance(error, RecordError):
+        return error
+    return RecordError(f"{file} cannot be read: it is damaged: {error}")
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
@@ -343,7 +351,8 @@ def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
 
 def _columns_in(file: Path) -> list[str]:
     """Returns the columns of a part, and of all others: one version of ssduck wrote them."""
-    names: list[str] = pq.read_schema(parquet_source(file.absolute())).names
+    source = file.open("rb") if isinstance(file, ObjectPath) else file.absolute()
+    names: list[str] = pq.read_schema(source).names
     return names
 
 

@@ -121,17 +121,21 @@ def read_log(
         end: the number of files that are read; None for all.
 
     Raises:
-        RecordError: a file is damaged, of another episode, or missing before others.
+        RecordError: a file is damaged, of another episode, missing before others, or listed by a
+            store that does not have it.
     """
+    before: list[Path] = []
     for _ in range(_ATTEMPTS):
+        listed = log_files(place)[:end]
         try:
-            files = [
+            return [
                 LogFile(file, _numbers(file)[0], _read(file, key, has_checksums=has_checksums))
-                for file in log_files(place)[:end]
+                for file in listed
             ]
-        except FileNotFoundError:  # its part was completed meanwhile
-            continue
-        return files
+        except FileNotFoundError as error:  # its part was completed meanwhile
+            if isinstance(error, RecordError) and listed == before:
+                raise
+            before = listed
     raise RecordError(f"{place} changes faster than it can be read")
 
 
