@@ -17,7 +17,7 @@ from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry, are_sizes
 from ssduck.recording.paths import expand_path
-from ssduck.recording.stores.checksums import checksum_of, content_problem
+from ssduck.recording.stores.checksums import checksum_of, content_of, content_problem
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import (
@@ -346,7 +346,7 @@ def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeE
     files = []
     for name, (size, modified) in sorted(listing.items()):
         file = summary.files.get(name)
-        checksum = zlib.crc32((run.path / name).read_bytes()) if file is None else file.checksum
+        checksum = zlib.crc32(content_of(run.path / name)) if file is None else file.checksum
         files.append(FileEntry(name, size, modified, checksum))
     return replace(
         entry,
@@ -372,7 +372,7 @@ def _computed(run: FolderRun, listing: Listing) -> EpisodeSummary:
     """Returns the summary of an episode, for which each file is read."""
     files, are_whole = {}, True
     for name, (size, modified) in parts_in(run, listing).items():
-        content = (run.path / name).read_bytes()
+        content = content_of(run.path / name)
         files[name] = StoredFile(size, modified, zlib.crc32(content))
         if not name.startswith("models/"):  # those are checked when they are read
             are_whole &= content_problem(content, has_checksums=True) is None

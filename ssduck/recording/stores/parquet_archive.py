@@ -320,6 +320,7 @@ def _model_columns_in(file: Path, names: Sequence[str]) -> pa.Table:
         present = [name for name in names if name in found]
         part = pq.ParquetFile(source, read_dictionary=present)
         rows = part.read(columns=present, use_threads=False).select(present)
+        rows.validate(full=True)  # a text may have any bytes
     except (pa.ArrowException, OSError) as error:
         raise _unreadable(file, error) from error
     return rows.unify_dictionaries()

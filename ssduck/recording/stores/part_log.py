@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
-from ssduck.recording.stores.checksums import UNSEALED, SealedFile, log_problem
+from ssduck.recording.stores.checksums import UNSEALED, SealedFile, content_of, log_problem
 from ssduck.recording.stores.stored_columns import check_stream
 from ssduck.schema import RECORDED
 
@@ -206,7 +206,7 @@ def log_file_problem(file: Path, key: str, *, has_checksums: bool) -> str | None
 def _read(file: Path, key: str, *, has_checksums: bool) -> dict[str, pa.Table]:
     if not stat.S_ISREG(file.lstat().st_mode):
         raise RecordError(f"{file} is no file: put a copy in its place")
-    stored = file.read_bytes()
+    stored = content_of(file)
     content = pa.BufferReader(stored)
     tables: dict[str, pa.Table] = {}
     try:
