@@ -169,10 +169,10 @@ def checksum_of(file: Path, left_out: int = 0) -> int:
 
 
 def content_of(file: Path) -> bytes:
-    """Returns the bytes of a Parquet file, or of another file of a record.
+    """Returns the bytes of a file of a record.
 
     Raises:
-        RecordError: it has more bytes than it can.
+        RecordError: it has more bytes than it can have.
         OSError: it cannot be read.
     """
     if not isinstance(file, ObjectPath):  # which is bounded when it is opened
