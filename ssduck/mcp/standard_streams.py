@@ -77,9 +77,9 @@ class _ReadableMessages:
 
 
 def _answer_to(error: ValidationError) -> JSONRPCError | None:
-    """Returns the answer to a line that is no JSON to the SDK; None if it is no request.
+    r"""Returns the answer to a line that is no JSON to the SDK; None if it is no request.
 
-    Python reads half of a surrogate pair, such as `\\ud800`, which the SDK does not.
+    Python reads half of a surrogate pair, such as `\ud800`, which the SDK does not.
     """
     problem = error.errors(include_url=False)[0]
     if problem["type"] != "json_invalid":

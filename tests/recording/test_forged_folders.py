@@ -425,7 +425,7 @@ def test_a_name_that_is_no_text_is_an_error(folder: Path, raw: bytes) -> None:
             lambda: ss.eval("SELECT tick FROM lab{} WHERE touching(this, lab.arm) AS list;"),
         ]
         for ask in asked:
-            with pytest.raises(RecordError, match="UTF8|another value than its model"):
+            with pytest.raises(RecordError, match=r"UTF8|another value than its model"):
                 ask()
     problems = [damage.problem for damage in ssduck.check(folder)]
     assert any("UTF8" in problem for problem in problems)

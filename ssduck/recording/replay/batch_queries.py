@@ -220,9 +220,7 @@ class EntityShapes:
         step = partial(advance, 0)
         for rows in self._portions(first.ids, second.ids):
             if question.is_placed:
-                values[rows] = self._placed_answers(
-                    first, second, rows, question.kind, calls, step
-                )
+                values[rows] = self._placed_answers(first, second, rows, question.kind, calls, step)
             else:
                 batch = self._batch(first, second, rows, calls, step)
                 answers = batch.answers(question, None if groups is None else groups[rows])
