@@ -210,7 +210,8 @@ def _told_size(footer: bytes | None) -> int:
         return 0
     groups = map(told.row_group, range(told.num_row_groups))
     sizes = (g.column(n).total_compressed_size for g in groups for n in range(g.num_columns))
-    return len(footer) + sum(max(size, 0) for size in sizes)
+    size: int = len(footer) + sum(max(size, 0) for size in sizes)
+    return size
 
 
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
