@@ -219,13 +219,20 @@ def check_length(sql: str) -> None:
 
     Raises:
         LimitError: the statement is too long, or nested too deeply.
+        SqlError: it has half of a surrogate pair, which is no character.
     """
     if len(sql) > MAX_LETTERS:
         raise LimitError(
             f"the SQL has {len(sql):,} letters; under a limit it may have {MAX_LETTERS:,}"
         )
-    letters = sql.encode("utf-8", "replace")  # DuckDB rejects invalid characters itself
-    words = duckdb.tokenize(letters.decode())
+    try:
+        letters = sql.encode()
+    except UnicodeEncodeError as error:
+        raise SqlError(
+            f"the SQL has half of a surrogate pair as its letter {error.start + 1}: write the "
+            "whole character"
+        ) from None
+    words = duckdb.tokenize(sql)
     if len(words) > MAX_TOKENS:
         raise LimitError(f"the SQL has {len(words)} words; under a limit it may have {MAX_TOKENS}")
     _check_numbers(letters, words)
@@ -247,7 +254,7 @@ def token_spans(
         tokens: what `duckdb.tokenize` returns: places in the text in UTF-8, and kinds.
         length: the length of that text, bytes.
     """
-    ends = [*(start for start, _ in tokens[1:]), length]
+    ends = (*(start for start, _ in tokens[1:]), length) if tokens else ()
     for (start, kind), end in zip(tokens, ends, strict=True):
         yield kind, start, end
 

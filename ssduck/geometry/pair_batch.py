@@ -8,7 +8,7 @@ pair to the last bit.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, TypeAlias, get_args
@@ -126,13 +126,20 @@ class PairBatch:
         count: the number n of pairs.
         narrow: the narrow phase of the same shapes, without boxes.
         starts: (2 n + 1,): the shapes of entity e are `starts[e]` to `starts[e + 1] - 1`.
+        step: is called before each comparison of two shapes in Python; it may raise an error.
     """
 
     def __init__(
-        self, scene: TickShapes, shapes: Pairs, count: int, narrow: NarrowPhase, starts: Indices
+        self,
+        scene: TickShapes,
+        shapes: Pairs,
+        count: int,
+        narrow: NarrowPhase,
+        starts: Indices,
+        step: Callable[[], object],
     ) -> None:
         self._scene, self._narrow, self._starts = scene, narrow, starts
-        self._count = count
+        self._count, self._step = count, step
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
@@ -194,6 +201,7 @@ class PairBatch:
 
     def _matching(self, predicate: PairPredicate) -> Array:
         def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
+            self._step()
             return self._narrow.shapes.satisfies(s, t, predicate)
 
         result = matching_pairs(self._scene, predicate, satisfies, self._all_shapes)
@@ -205,6 +213,7 @@ class PairBatch:
 
     def _distance(self, pair: int) -> float:
         """Returns the distance of a pair of shapes, m; 0 if they overlap."""
+        self._step()
         result = self._narrow.shapes.distance(int(self._first[pair]), int(self._second[pair]))
         return 0.0 if result is None else max(0.0, result.distance)
 
@@ -227,7 +236,8 @@ class PairBatch:
             is_probe = places[pairs] == places[nearest]
             for pair in pairs[is_probe].tolist():
                 best[self._rows[pair]] = self._distance(pair)
-            pairs = self._nearer_than(best, pairs[~is_probe])
+            pairs = pairs[~is_probe]
+            pairs = self._nearer_than(best[self._rows[pairs]], pairs)
             counts = np.bincount(self._rows[pairs], minlength=self._count)[self._rows[pairs]]
             is_few = (counts <= FEW_PAIRS) & (best[self._rows[pairs]] < math.inf)
             for pair in pairs[is_few].tolist():
@@ -261,8 +271,9 @@ class PairBatch:
                 if clearances[row] == 0.0:
                     zero[groups[row]] = min(zero[groups[row]], row)
             is_open = (clearances[rows] == math.inf) & (rows < zero[groups[rows]])
-            bounds = np.maximum(least, _SURELY_INSIDE)[groups]
-            pairs = self._nearer_than(bounds, pairs[is_open])
+            pairs = pairs[is_open]
+            bounds = np.maximum(least, _SURELY_INSIDE)[groups[self._rows[pairs]]]
+            pairs = self._nearer_than(bounds, pairs)
         for row, members in _groups(self._rows[pairs], pairs):
             clearances[row], _ = self._nearest(members)
         return clearances
@@ -292,14 +303,11 @@ class PairBatch:
             distance = self._distance(int(pairs[0]))
             if distance < best:
                 best, nearest = distance, int(pairs[0])
-            bounds = np.full(self._count, math.inf)
-            bounds[self._rows[nearest]] = best
-            pairs = self._nearer_than(bounds, pairs[1:])
+            pairs = self._nearer_than(np.full(len(pairs) - 1, best), pairs[1:])
         return best, nearest
 
-    def _nearer_than(self, best: Array, pairs: Indices) -> Indices:
-        """Returns the pairs of shapes that may be nearer than the best distance of their row."""
-        bounds = best[self._rows[pairs]]
+    def _nearer_than(self, bounds: Array, pairs: Indices) -> Indices:
+        """Returns the pairs of shapes that may be nearer than a distance each."""
         pairs, bounds = pairs[bounds > 0.0], bounds[bounds > 0.0]
         is_bounded = bounds < math.inf
         bounded = pairs[is_bounded]
@@ -315,6 +323,7 @@ class PairBatch:
         first, second = self._first, self._second
         verdicts = proven_verdicts(self._scene, first, second, np.zeros(len(first)))
         for pair in np.flatnonzero(verdicts != ABOVE).tolist():
+            self._step()
             result = self._narrow.shapes.signed_distance(int(first[pair]), int(second[pair]))
             row = self._rows[pair]
             depths[row] = max(depths[row], -result.distance)
@@ -358,6 +367,7 @@ class PairBatch:
             # What carried it at the tick before probably does so still.
             highest = -1.0
             for pair in sorted(pairs.tolist(), key=lambda pair: places[pair] != last):
+                self._step()
                 height = self._narrow.shapes.contact_height(
                     int(self._first[pair]), int(self._second[pair])
                 )

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -36,6 +37,8 @@ from ssduck.world.run_numbers import new_run
 
 # The number of an episode in the name of a schema.
 _NUMBER = re.compile("0|[1-9][0-9]{0,8}")
+# So many episodes an error names.
+_MOST_NAMED = 20
 
 
 class RecordedRun(Protocol):
@@ -136,11 +139,11 @@ def select_runs(
             f"no tick of {candidates[-1].world!r} was stored before the recording ended"
         )
     if not selected:
-        available = ", ".join(
-            f"{run.number} of {run.world!r}" for run in candidates if run.has_ticks
-        )
+        with_ticks = (run for run in reversed(candidates) if run.has_ticks)
+        last = [f"{run.number} of {run.world!r}" for run in islice(with_ticks, _MOST_NAMED + 1)]
+        named = [*(["…"] if len(last) > _MOST_NAMED else []), *reversed(last[:_MOST_NAMED])]
         raise RecordError(
-            f"no episode {number} has ticks; episodes with ticks: {available or 'none'}"
+            f"no episode {number} has ticks; episodes with ticks: {', '.join(named) or 'none'}"
         )
     return list(reversed(selected.values()))
 

@@ -58,6 +58,8 @@ from ssduck.sql.types import SqlType
 # cautious plan at once.
 MAX_FAILURES = 3
 RETRY_INTERVAL = 64
+# So many rows from SQL are converted between two looks at the clock.
+_ROWS_AT_ONCE = 1024
 # The largest number of rows at a state for which a search or a product of lists runs row by row.
 FEW_ROWS = 64
 # The largest number of combinations of sources that is reused from state to state.
@@ -212,15 +214,7 @@ class PlannedQuery:
             if len(indices) > MANY_COLUMNS:
                 size = ELEMENT_BYTES * len(indices) * len(fetched)
                 self._database.connection.meter.charge(size)
-            fetched = [
-                tuple(
-                    [
-                        row[index] if convert is None else convert(row[index])
-                        for index, convert in zip(indices, converters, strict=True)
-                    ]
-                )
-                for row in fetched
-            ]
+            fetched = self._converted(fetched, list(zip(indices, converters, strict=True)))
         names = self.plan.names
         if not self.plan.paths:
             return Rows(fetched, names)
@@ -230,6 +224,27 @@ class PlannedQuery:
             meter.check_rows(len(paths.paths))
             return paths
         return Paths([Rows(list(zip(*path, strict=True)), names) for path in fetched])
+
+    def _converted(
+        self,
+        fetched: list[tuple[Any, ...]],
+        columns: Sequence[tuple[int, Callable[[Any], Any] | None]],
+    ) -> list[tuple[Any, ...]]:
+        """Returns the rows with some columns, converted."""
+        step = self._database.connection.meter.step
+        rows: list[tuple[Any, ...]] = []
+        for start in range(0, len(fetched), _ROWS_AT_ONCE):
+            step()
+            rows += [
+                tuple(
+                    [
+                        row[index] if convert is None else convert(row[index])
+                        for index, convert in columns
+                    ]
+                )
+                for row in fetched[start : start + _ROWS_AT_ONCE]
+            ]
+        return rows
 
     def _fetch(self, outer: Frame, sources: Mapping[str, Any]) -> list[tuple[Any, ...]]:
         """Executes the SQL and returns its rows."""

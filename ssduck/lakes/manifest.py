@@ -24,6 +24,8 @@ from ssduck.recording.stores.stored_columns import MAX_VALUES
 from ssduck.recording.tags import Tag, are_tags
 
 VERSION = 1
+# The sizes of the files of an episode sum up to less: integers of 64 bits hold them.
+_MAX_SIZE = 1 << 63
 _LABEL = b"ssduck manifest"
 _FILES = pa.list_(
     pa.struct(
@@ -240,4 +242,15 @@ def _is_possible(entry: EpisodeEntry) -> bool:
         and isinstance(entry.episode, int)
         and are_tags(entry.tags)
         and (entry.group is None or entry.tables is not None)
+        and are_sizes(file.size for file in entry.files)
     )
+
+
+def are_sizes(sizes: Iterable[int | None]) -> bool:
+    """Checks whether numbers, of which a stranger says that, may be the sizes of files, bytes."""
+    total = 0
+    for size in sizes:
+        if size is None or size < 0:
+            return False
+        total += size
+    return total < _MAX_SIZE

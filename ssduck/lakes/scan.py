@@ -15,13 +15,13 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.archives import episodes
-from ssduck.lakes.manifest import EpisodeEntry, FileEntry
+from ssduck.lakes.manifest import EpisodeEntry, FileEntry, are_sizes
 from ssduck.recording.episode_steps import FOLDER as STEPS
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.atomic_files import is_temporary
-from ssduck.recording.stores.checksums import checksum_of, content_problem
+from ssduck.recording.stores.checksums import checksum_of, content_of, content_problem
 from ssduck.recording.stores.links import check_inside
-from ssduck.recording.stores.object_store import ObjectPath, file_system
+from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     LOG,
@@ -127,9 +127,11 @@ def objects_below(place: ObjectPath) -> dict[str, tuple[int, int]]:
 
     selector = FileSelector(place.key, recursive=True, allow_not_found=True)
     start = len(place.key.rstrip("/")) + 1
+    with reading(place):
+        found = file_system().get_file_info(selector)
     return {
         info.path[start:]: (info.size, info.mtime_ns)
-        for info in file_system().get_file_info(selector)
+        for info in found
         if info.type == FileType.File and not _NO_PATH.search(info.path[start:])
     }
 
@@ -173,10 +175,18 @@ def _found_in_store(record: ObjectPath) -> list[FoundEpisode]:
             world, number = (match["world"] or match["described"]), match["part_of"]
             key = world, int(number or match["number"])
             listings.setdefault(key, {ABOUT: objects.get(ABOUT, (0, 0))})[name] = about
-    return [
-        FoundEpisode(record, world, number, listing)
-        for (world, number), listing in sorted(listings.items())
-    ]
+    return [_found_listed(record, *key, listing) for key, listing in sorted(listings.items())]
+
+
+def _found_listed(record: ObjectPath, world: str, number: int, listing: Listing) -> FoundEpisode:
+    """Returns an episode that a store lists."""
+    if not are_sizes(size for size, _ in listing.values()):
+        error = RecordError(
+            f"{record}: the store lists impossible sizes of the files of episode {number} of "
+            f"{world!r}; try again"
+        )
+        return _unreadable(record, world, number, error)
+    return FoundEpisode(record, world, number, listing)
 
 
 def _keys(record: Path) -> list[tuple[str, int]]:
@@ -346,7 +356,7 @@ def _entry_of(run: FolderRun, entry: EpisodeEntry, listing: Listing) -> EpisodeE
     files = []
     for name, (size, modified) in sorted(listing.items()):
         file = summary.files.get(name)
-        checksum = zlib.crc32((run.path / name).read_bytes()) if file is None else file.checksum
+        checksum = zlib.crc32(content_of(run.path / name)) if file is None else file.checksum
         files.append(FileEntry(name, size, modified, checksum))
     return replace(
         entry,
@@ -372,7 +382,7 @@ def _computed(run: FolderRun, listing: Listing) -> EpisodeSummary:
     """Returns the summary of an episode, for which each file is read."""
     files, are_whole = {}, True
     for name, (size, modified) in parts_in(run, listing).items():
-        content = (run.path / name).read_bytes()
+        content = content_of(run.path / name)
         files[name] = StoredFile(size, modified, zlib.crc32(content))
         if not name.startswith("models/"):  # those are checked when they are read
             are_whole &= content_problem(content, has_checksums=True) is None

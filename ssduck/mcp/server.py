@@ -20,6 +20,7 @@ from ssduck.errors import SelectScriptError, printable
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.mcp.answers import Answers, InterpreterAnswers, Language, WorkerError
+from ssduck.mcp.standard_streams import StandardStreamsServer
 from ssduck.mcp.texts import as_text
 from ssduck.mcp.turns import Turns
 
@@ -33,7 +34,7 @@ def create_server(ss: Interpreter | Answers, record: Path | None = None) -> MCPS
         ss: the interpreter, with its limits, or the answers of a worker (`ssduck.cli.worker`).
         record: the path of the record that it reads; None for a scene.
     """
-    server: MCPServer[Any] = MCPServer(
+    server = StandardStreamsServer(
         "ssduck",
         instructions="Ask about a robot simulation. Read `schema` first; an error says what to "
         "write instead.",

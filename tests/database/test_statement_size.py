@@ -183,3 +183,19 @@ def test_a_type_that_arrow_cannot_nest_is_an_error(strict, is_strict):
     with ssduck.Interpreter() as free, pytest.raises(SqlError, match="Recursion level"):
         (strict if is_strict else free).sql(text)
     assert strict.sql("SELECT 42").fetchall() == [(42,)]
+
+
+@pytest.mark.parametrize("text", ["", "  ", "\n"])
+def test_a_text_without_a_word_is_no_select(strict, text):
+    with pytest.raises(LimitError, match="the text has 0 statements"):
+        strict.sql(text)
+
+
+@pytest.mark.parametrize(("text", "place"), [("\ud800", 1), ("SELECT '\udc00\ud800'", 9)])
+def test_half_a_surrogate_pair_is_refused_before_anything_is_done(text, place):
+    words = f"half of a surrogate pair as its letter {place}:"
+    with (
+        ssduck.load("hall", limits=ssduck.Limits.strict()) as ss,
+        pytest.raises(SqlError, match=words),
+    ):
+        ss.sql(text)

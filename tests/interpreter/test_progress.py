@@ -17,6 +17,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import LimitError
+from ssduck.geometry.shape_comparisons import ShapeComparisons
+from ssduck.interpreter.query_runner import PlannedQuery
 from ssduck.limits import Limits
 from ssduck.recording.replay import batch_queries, progress
 from ssduck.recording.replay.batch_queries import EntityShapes
@@ -199,3 +201,46 @@ def test_the_time_limit_ends_it_between_two_batches(
         with pytest.raises(LimitError, match="1000 s"):
             ss.eval(ASKED)
         assert len(begun) == 3
+
+
+@pytest.mark.parametrize(
+    ("program", "method"),
+    [
+        ("greatest(clearance(board, ball));", "distance"),
+        ("least(penetration(board, ball));", "signed_distance"),
+    ],
+)
+def test_the_time_limit_ends_it_within_a_batch(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World, program: str, method: str
+) -> None:
+    compared: list[object] = []
+    compare = getattr(ShapeComparisons, method)
+    with _asking(world, Limits(seconds=1000)) as ss:
+
+        def count(self: ShapeComparisons, *shapes: int) -> Any:
+            compared.append(shapes)
+            if len(compared) == 2:
+                ss._database.connection.meter._deadline = 0.0
+            return compare(self, *shapes)
+
+        monkeypatch.setattr(ShapeComparisons, method, count)
+        with pytest.raises(LimitError, match="1000 s"):
+            ss.eval(program)
+    assert len(compared) == 2
+
+
+def test_the_time_limit_ends_it_while_rows_become_entities(
+    monkeypatch: pytest.MonkeyPatch, world: ssduck.World
+) -> None:
+    convert = PlannedQuery._converted
+    with _asking(world, Limits(seconds=1000)) as ss:
+
+        def late(self: PlannedQuery, *arguments: Any) -> Any:
+            ss._database.connection.meter._deadline = 0.0
+            with pytest.raises(LimitError, match="1000 s"):
+                convert(self, *arguments)
+            raise LimitError("in time")
+
+        monkeypatch.setattr(PlannedQuery, "_converted", late)
+        with pytest.raises(LimitError, match="in time"):
+            ss.eval("SELECT obj FROM sim{} AS list;")

@@ -124,6 +124,9 @@ def forged(folder, **values):
         {"ticks": 10**12},
         {"world": None},
         {"files": [{"name": "/etc/passwd", "size": 1, "modified": 1, "checksum": 1}]},
+        {"files": [{"name": "a", "size": 1 << 62, "modified": 1, "checksum": 1}] * 2},
+        {"files": [{"name": "a", "size": -1, "modified": 1, "checksum": 1}]},
+        {"files": [{"name": "a", "size": None, "modified": 1, "checksum": 1}]},
     ],
 )
 def test_a_forged_manifest_changes_no_answer_and_names_nothing_outside(folder, values):

@@ -255,6 +255,39 @@ def test_what_a_program_prints_stays_out_of_the_protocol(kitchen, capfd):
     assert (written.out, "hello" in written.err) == ("", True)
 
 
+def requests(*lines):
+    """The answers of a server to lines on standard input, by their ids."""
+    first = {
+        "protocolVersion": "2025-03-26",
+        "capabilities": {},
+        "clientInfo": {"name": "a test", "version": "1"},
+    }
+    begin = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": first}
+    written = [json.dumps(begin), *lines]
+    output = io.BytesIO()
+    with ssduck.Interpreter(recording=None) as ss, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO("\n".join(written).encode())))
+        patch.setattr(sys, "stdout", io.TextIOWrapper(output))
+        create_server(ss).run("stdio")
+        answers = [json.loads(line) for line in output.getvalue().splitlines()]
+    return {answer["id"]: answer for answer in answers}
+
+
+@pytest.mark.parametrize(("id", "key"), [("7", 7), ('"a"', "a")])
+@pytest.mark.parametrize("program", [r"x\ud800;", r"x\udc00\ud800", r"\ud83d"])
+def test_a_request_that_is_no_text_is_answered_with_an_error(id, key, program):
+    asked = '"method": "tools/call", "params": {"name": "query", "arguments": {"program": "%s"}}'
+    answers = requests(f'{{"jsonrpc": "2.0", "id": {id}, {asked % program}}}')
+    assert set(answers) == {1, key}
+    assert "half of a surrogate pair is no character" in answers[key]["error"]["message"]
+
+
+def test_what_has_no_id_that_can_be_written_is_not_answered():
+    line = r'{"jsonrpc": "2.0", "id": %s, "method": "x\ud800"}'
+    others = [line % id for id in (r'"\ud800"', "null", "[1]", "1.5")]
+    assert set(requests(*others, '{"method": "x\\ud800"}', "{no JSON", "[" * 5000)) == {1}
+
+
 def test_a_picture_highlights_what_is_selected(kitchen):
     query = "SELECT obj FROM kitchen WHERE isRobot(this)"
     is_error, content = asked(create_server(kitchen), "picture", query=query, width=240, height=180)

@@ -17,7 +17,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
-from ssduck.recording.stores import stored_columns
+from ssduck.recording.stores import checksums, stored_columns
 from ssduck.recording.stores.part_log import _LABEL, _TABLE
 from tests.support.cases import sampled
 from tests.support.forged import (
@@ -424,3 +424,62 @@ def test_a_log_of_random_bytes(made: Path, tmp_path: Path) -> None:
         except RecordError:
             failed += 1
     assert failed > 5
+
+
+@pytest.mark.parametrize("table", ["ticks", "entities", "models/entities"])
+def test_a_part_with_more_bytes_than_it_tells_of_is_not_read(
+    folder: Path, table: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sparse file of any size takes no room on the disk, and memory when it is read."""
+    monkeypatch.setattr(checksums, "_SMALL_FILE", 1 << 12)
+    file = part(folder, table)
+    content = file.read_bytes()
+    footer = checksums.footer_in(content)
+    with file.open("wb") as stream:
+        stream.write(content[: -len(footer)])
+        stream.seek(1 << 22, os.SEEK_CUR)
+        stream.write(footer)
+    size = f"{file.stat().st_size:,}"
+    read: list[Path] = []
+    whole = Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: (read.append(path), whole(path))[1])
+    with pytest.raises(RecordError, match=f"it has {size} bytes, more than it tells of") as error:
+        use(folder)
+    assert str(file) in str(error.value)
+    assert file not in read
+    assert any(size in damage.problem for damage in ssduck.check(folder))
+
+
+def test_a_log_of_too_many_bytes_is_not_read(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
+    size = max(file.stat().st_size for file in record.glob("log/*/*/*.arrow"))
+    monkeypatch.setattr(checksums, "_SMALL_FILE", 1)
+    monkeypatch.setattr(checksums, "_LARGEST_FILE", size)
+    ssduck.open(record).close()
+    monkeypatch.setattr(checksums, "_LARGEST_FILE", size - 1)
+    with pytest.raises(RecordError, match=f"it has {size:,} bytes, more than it tells of"):
+        ssduck.open(record)
+
+
+@pytest.mark.parametrize("raw", [b"\xff\xfe", b"\xed\xa0\x80"])
+def test_a_name_that_is_no_text_is_an_error(folder: Path, raw: bytes) -> None:
+    def change(rows: pa.Table) -> pa.Table:
+        names = [raw if name == "ball" else name.encode() for name in rows["name"].to_pylist()]
+        stored = pa.array(names, pa.binary())
+        texts = pa.Array.from_buffers(pa.string(), len(stored), stored.buffers())
+        return rows.set_column(rows.column_names.index("name"), "name", texts)
+
+    rewrite(part(folder, "entities"), change)
+    with ssduck.open(folder) as ss:
+        asked = [
+            lambda: ss.sql("SELECT name FROM entities_history"),
+            lambda: ss.eval("SELECT id FROM lab{} AS list;"),
+            lambda: ss.eval("SELECT tick FROM lab{} WHERE touching(this, lab.arm) AS list;"),
+        ]
+        for ask in asked:
+            with pytest.raises(RecordError, match=r"UTF8|another value than its model"):
+                ask()
+    problems = [damage.problem for damage in ssduck.check(folder)]
+    assert any("UTF8" in problem for problem in problems)

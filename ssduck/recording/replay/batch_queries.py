@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import accumulate
 
 import numpy as np
@@ -211,16 +212,18 @@ class EntityShapes:
             second: the second entity of each pair.
             question: the question.
             calls: counts comparisons.
-            advance: is called with the number of pairs that were answered since the last call.
+            advance: is called with the number of pairs that were answered since the last call, 0
+                while some are being compared.
             groups: the group of each pair, if only the least clearance of each group matters.
         """
         values = np.zeros(len(first.ids))
         is_open = np.zeros(len(first.ids), dtype=bool)
+        step = partial(advance, 0)
         for rows in self._portions(first.ids, second.ids):
             if question.is_placed:
-                values[rows] = self._placed_answers(first, second, rows, question.kind, calls)
+                values[rows] = self._placed_answers(first, second, rows, question.kind, calls, step)
             else:
-                batch = self._batch(first, second, rows, calls)
+                batch = self._batch(first, second, rows, calls, step)
                 answers = batch.answers(question, None if groups is None else groups[rows])
                 if question.kind != "resting":
                     calls.pairs += batch.compared_count
@@ -246,6 +249,7 @@ class EntityShapes:
         rows: Indices,
         kind: QuestionKind,
         calls: CallCounter,
+        step: Callable[[], object],
     ) -> Array:
         """Returns the answers about some pairs, each computed by the narrow phase.
 
@@ -261,6 +265,7 @@ class EntityShapes:
         pairs = list(zip(*numbers, strict=True))
         for a, b in pairs:
             if (a, b) not in answers:
+                step()
                 answer: float | None
                 if kind == "inside":
                     answer = queries.inside(a, b)
@@ -293,7 +298,12 @@ class EntityShapes:
         return counts
 
     def _batch(
-        self, first: PairSide, second: PairSide, rows: Indices, calls: CallCounter
+        self,
+        first: PairSide,
+        second: PairSide,
+        rows: Indices,
+        calls: CallCounter,
+        step: Callable[[], object],
     ) -> PairBatch:
         """Returns n of the pairs with their shapes; the entities of pair k are k and n + k."""
         parts = [*self._place_shapes(first, rows, 0), *self._place_shapes(second, rows, len(rows))]
@@ -315,7 +325,7 @@ class EntityShapes:
         places = ShapePlaces(positions, orientations, boxes)
         shapes = ShapeSolids(self._solids, solid_indices, margins)
         narrow = NarrowPhase(shapes, places, starts.tolist(), calls)
-        return PairBatch(scene, _cross_pairs(*sides), count, narrow, starts)
+        return PairBatch(scene, _cross_pairs(*sides), count, narrow, starts, step)
 
     def _place_shapes(
         self, side: PairSide, rows: Indices, start: int

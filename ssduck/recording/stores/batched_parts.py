@@ -8,12 +8,14 @@ are kept for the next question, which reads and checks the bytes again.
 
 from __future__ import annotations
 
+import os
 import re
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import pyarrow as pa
@@ -24,7 +26,7 @@ from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.static_tables import join_model
 from ssduck.recording.stores.base import RowBlock
-from ssduck.recording.stores.checksums import footer_in
+from ssduck.recording.stores.checksums import footer_in, size_problem
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.parquet_layout import OTHER_PART
 from ssduck.recording.stores.row_checks import RowChecks, key_types, other_model, repeated_columns
@@ -80,6 +82,9 @@ class BatchedFile:
             content = ObjectPath(self.path).read_bytes()
         else:
             with open(self.path, "rb", buffering=0) as file:  # noqa: PTH123  # faster than a Path
+                problem = size_problem(Path(self.path), os.fstat(file.fileno()).st_size)
+                if problem is not None:
+                    raise RecordError(f"{self.path} {problem}")
                 content = file.readall()
         if zlib.crc32(content) != self.checksum:
             raise RecordError(f"{self.path} was changed or damaged since the manifest was made")

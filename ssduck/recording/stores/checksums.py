@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.object_store import ObjectPath
 
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
@@ -29,6 +30,9 @@ _TAIL = 4 + len(_MAGIC)
 _MOST_FOOTERS = 1 << 15
 # The number of bytes of a file that are summed at a time: they stay in the cache of a processor.
 _PIECE = 1 << 18
+# A larger file is read whole only if its footer tells of as many bytes, and none of more than that:
+# twice the values of the largest part. A sparse file has any size, and takes no room on the disk.
+_SMALL_FILE, _LARGEST_FILE = 1 << 24, 1 << 31
 _KEY = b"ssduck checksums"
 _DIGITS = rb"[0-9a-f]{8}"
 _FOOTER_SUMS = re.compile(rb"crc32 of data (%s), of footer (%s)" % (_DIGITS, _DIGITS))
@@ -126,11 +130,16 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
 def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
     """Returns what is wrong with a Parquet file, all of which is read; None for nothing.
 
-    It is read piece by piece: memory for all of a large file takes longer than its checksum.
+    A file is read piece by piece: memory for all of a large one takes longer than its checksum. An
+    object is read at once: each piece would be a request.
 
     Raises:
         OSError: the file cannot be read.
     """
+    if isinstance(file, ObjectPath):
+        return content_problem(file.read_bytes(), has_checksums=has_checksums)
+    if (problem := size_problem(file, file.stat().st_size)) is not None:
+        return problem
     footer = footer_of(file)
     problem = footer_problem(footer, has_checksums=has_checksums)
     match = None if footer is None else _last(_FOOTER_SUMS, footer)
@@ -159,6 +168,52 @@ def checksum_of(file: Path, left_out: int = 0) -> int:
     return checksum
 
 
+def content_of(file: Path) -> bytes:
+    """Returns the bytes of a file of a record.
+
+    Raises:
+        RecordError: it has more bytes than it can have.
+        OSError: it cannot be read.
+    """
+    if not isinstance(file, ObjectPath):  # which is bounded when it is opened
+        problem = size_problem(file, file.stat().st_size)
+        if problem is not None:
+            raise RecordError(f"{file} {problem}")
+    return file.read_bytes()
+
+
+def size_problem(file: Path, size: int) -> str | None:
+    """Returns that a file of a record has more bytes than it can; None if it has not.
+
+    Args:
+        file: the file, not an object.
+        size: the number of its bytes.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    if size <= _SMALL_FILE:
+        return None
+    told = _LARGEST_FILE
+    if file.suffix == ".parquet":
+        told = min(told, 2 * _told_size(footer_of(file)) + _SMALL_FILE)
+    return None if size <= told else f"is damaged: it has {size:,} bytes, more than it tells of"
+
+
+def _told_size(footer: bytes | None) -> int:
+    """Returns the number of bytes of data of which a footer tells; 0 if it tells nothing."""
+    if footer is None:
+        return 0
+    try:
+        told = pq.ParquetFile(pa.BufferReader(footer)).metadata
+    except (pa.ArrowException, OSError):
+        return 0
+    groups = map(told.row_group, range(told.num_row_groups))
+    sizes = (g.column(n).total_compressed_size for g in groups for n in range(g.num_columns))
+    size: int = len(footer) + sum(max(size, 0) for size in sizes)
+    return size
+
+
 def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
     """Returns a Parquet file, which is in memory and was checked.
 
@@ -166,7 +221,7 @@ def verified_parquet(file: Path, *, has_checksums: bool) -> pq.ParquetFile:
         RecordError: the file is damaged.
         OSError: it cannot be read.
     """
-    content = file.read_bytes()
+    content = content_of(file)
     problem = content_problem(content, has_checksums=has_checksums)
     if problem is not None:
         raise RecordError(f"{file} {problem}")

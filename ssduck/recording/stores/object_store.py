@@ -8,12 +8,14 @@ folders, links and renames. What is created or changed by several processes goes
 from __future__ import annotations
 
 import fnmatch
+import io
 import os
 import re
 import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -29,6 +31,18 @@ _ADDRESS = re.compile(r"s3:/+(?P<key>.+)", re.DOTALL)
 _PREFIX = "s3://"
 # What the environment says of the store, beside the credentials, which the library reads itself.
 _ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL")
+# The largest size of an object that is read, bytes: twice that of the values of the largest part.
+MAX_OBJECT = 1 << 31
+# So many bytes are asked for at a time: memory is taken as they come, whatever size is claimed.
+_PIECE = 1 << 26
+
+
+class ObjectError(RecordError):
+    """An object cannot be read: the store refuses it, fails, or claims what cannot be."""
+
+
+class MissingObjectError(ObjectError, FileNotFoundError):
+    """There is no such object."""
 
 
 class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
@@ -62,7 +76,7 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
 
     @property
     def _info(self) -> FileInfo:
-        with _readable(self):
+        with reading(self):
             return self._store.get_file_info(self.key)
 
     def absolute(self) -> Self:
@@ -97,7 +111,7 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         """Returns the size of an object, as `st_size`."""
         info = self._info
         if info.type != _types().File:
-            raise FileNotFoundError(2, "there is no such object", str(self))
+            raise _missing(self)
         return SimpleNamespace(
             st_size=info.size, st_mode=stat.S_IFREG, st_mtime=info.mtime_ns / 1e9
         )
@@ -108,7 +122,7 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         """Yields what is directly below it."""
         from pyarrow.fs import FileSelector
 
-        with _readable(self):
+        with reading(self):
             found = self._store.get_file_info(FileSelector(self.key, allow_not_found=True))
         yield from (type(self)(_PREFIX + info.path) for info in found)
 
@@ -117,21 +131,34 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         yield from (entry for entry in self.iterdir() if fnmatch.fnmatchcase(entry.name, pattern))
 
     def open(self, mode: str = "r", *_: Any, **__: Any) -> Any:
-        """Opens an object to be read."""
+        """Opens an object to be read.
+
+        Raises:
+            ObjectError: it cannot be read, or is too large; so does reading.
+        """
         if mode != "rb":
             raise OSError(95, "an object is written as a whole", str(self))
-        with _readable(self):
-            return self._store.open_input_file(self.key)
+        with reading(self):
+            stream = self._store.open_input_file(self.key)
+        return ObjectStream(self, stream)
 
     def read_bytes(self) -> bytes:
-        """Returns the content of an object."""
+        """Returns the content of an object.
+
+        Raises:
+            ObjectError: it cannot be read, or is too large.
+        """
         with self.open("rb") as stream:
-            content: bytes = stream.read()
+            content: bytes = stream.readall()
         return content
 
     def write_bytes(self, content: Any) -> int:
-        """Writes an object."""
-        with _readable(self), self._store.open_output_stream(self.key) as stream:
+        """Writes an object.
+
+        Raises:
+            OSError: the store refuses it.
+        """
+        with _writing(self), self._store.open_output_stream(self.key) as stream:
             stream.write(content)
         return len(content)
 
@@ -142,31 +169,130 @@ class ObjectPath(type(Path())):  # type: ignore[misc]  # the path of this system
         """Removes an object."""
         if missing_ok and not self.exists():
             return
-        with _readable(self):
+        with _writing(self):
             self._store.delete_file(self.key)
 
     def rename(self, target: Any) -> Any:
         """Copies an object to another address, and removes it here."""
-        with _readable(self):
+        with _writing(self):
             self._store.move(self.key, ObjectPath(str(target)).key)
         return target
 
     replace = rename
 
 
-class _readable:  # noqa: N801  # a context
-    """Gives errors of the library the address, and the type that errors of files have."""
+class ObjectStream(io.RawIOBase):
+    """An object that is being read; the errors are ssduck's.
 
-    def __init__(self, path: ObjectPath) -> None:
+    Args:
+        path: its address.
+        stream: the stream of the library.
+
+    Raises:
+        ObjectError: it is too large.
+    """
+
+    def __init__(self, path: ObjectPath, stream: Any) -> None:
         self._path = path
+        self._stream = stream
+        with reading(path):
+            self.size = stream.size()
+        if self.size > MAX_OBJECT:
+            raise _cannot_read(path, f"it has {self.size:,} bytes, more than a file of a record")
 
-    def __enter__(self) -> None:
-        pass
+    def readable(self) -> bool:
+        """Returns True."""
+        return True
 
-    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        if isinstance(error, OSError) and error.strerror is None:
-            kind = FileNotFoundError if "Path does not exist" in str(error) else OSError
-            raise kind(5, f"the store says: {error}", str(self._path)) from error
+    def seekable(self) -> bool:
+        """Returns True."""
+        return True
+
+    def tell(self) -> int:
+        """Returns the place of the next byte."""
+        return int(self._stream.tell())
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Sets the place of the next byte, and returns it."""
+        return int(self._stream.seek(offset, whence))
+
+    def readinto(self, buffer: Any) -> int:
+        """Reads bytes into a buffer; returns their number, 0 at the end."""
+        with reading(self._path):
+            return int(self._stream.readinto(buffer))
+
+    def read(self, size: int | None = -1) -> bytes:
+        """Returns the next bytes, all without a size."""
+        if size is None or size < 0:
+            return self.readall()
+        with reading(self._path):
+            content: bytes = self._stream.read(size)
+        return content
+
+    def readall(self) -> bytes:
+        """Returns all bytes that follow, as many as the store claims."""
+        left = self.size - self.tell()
+        pieces = []
+        while left > 0:
+            piece = self.read(min(left, _PIECE))
+            if not piece:
+                raise _cannot_read(self._path, f"its last {left:,} bytes are missing")
+            pieces.append(piece)
+            left -= len(piece)
+        with reading(self._path):
+            return pieces[0] if len(pieces) == 1 else b"".join(pieces)
+
+    def close(self) -> None:
+        """Closes the stream of the library, too."""
+        self._stream.close()
+        super().close()
+
+
+@contextmanager
+def reading(path: ObjectPath) -> Iterator[None]:
+    """Makes errors of the library those of a record, which name the object and what to do.
+
+    Raises:
+        ObjectError: the store refuses to read, or fails.
+    """
+    try:
+        yield
+    except RecordError:
+        raise
+    except OSError as error:
+        if "Path does not exist" in str(error):
+            raise _missing(path) from error
+        raise _cannot_read(path, f"the store says: {error}") from error
+    except (OverflowError, MemoryError, ValueError, NotImplementedError) as error:
+        raise _cannot_read(path, f"{type(error).__name__}: {error}") from error
+
+
+def _missing(path: ObjectPath) -> ObjectError:
+    """Returns the error that there is no such object."""
+    reason = "it was removed meanwhile, or the store lists what is not there; put it back"
+    error = MissingObjectError(f"{path} is missing: {reason}")
+    error.strerror = reason  # as those of files have
+    return error
+
+
+def _cannot_read(path: ObjectPath, problem: str) -> ObjectError:
+    """Returns the error that an object cannot be read."""
+    advice = "check the address, the credentials (AWS_…) and the network, or try again"
+    error = ObjectError(f"{path} cannot be read: {problem}; {advice}")
+    error.strerror = f"{problem}; {advice}"
+    return error
+
+
+@contextmanager
+def _writing(path: ObjectPath) -> Iterator[None]:
+    """Gives errors of the library the address, and the type that errors of files have."""
+    try:
+        yield
+    except OSError as error:
+        if error.strerror is not None:
+            raise
+        kind = FileNotFoundError if "Path does not exist" in str(error) else OSError
+        raise kind(5, f"the store says: {error}", str(path)) from error
 
 
 def _types() -> Any:
@@ -233,5 +359,11 @@ def remove_tree(place: Path) -> None:
 
 
 def parquet_source(file: Path) -> Any:
-    """Returns what the Parquet library opens: a path, or an open object."""
-    return file.open("rb") if isinstance(file, ObjectPath) else file
+    """Returns what the Parquet library opens: a path, or the content of an object.
+
+    Raises:
+        ObjectError: an object cannot be read.
+    """
+    import pyarrow as pa
+
+    return pa.BufferReader(file.read_bytes()) if isinstance(file, ObjectPath) else file

@@ -334,9 +334,10 @@ def _rows_of_part(
         needed = {*types.names, *repeated} | ({"link"} if "joint" in types.names else set())
         names = [name for name in part.schema_arrow.names if name in needed]
         rows = part.read(columns=names, use_threads=False)  # to wake threads up takes longer
+        others = rows.select([name for name in repeated if name in present])
+        others.validate(full=True)  # a text may have any bytes
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
-    others = rows.select([name for name in repeated if name in present])
+        raise _unreadable(file, error) from error
     if "joint" in types.names:
         rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
@@ -353,7 +354,14 @@ def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
         ):
             yield pa.Table.from_batches([batch]).select(types.names).cast(types)
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+        raise _unreadable(file, error) from error
+
+
+def _unreadable(file: Path, error: Exception) -> RecordError:
+    """Returns the error that a part cannot be read, for an error of the library or of a store."""
+    if isinstance(error, RecordError):
+        return error
+    return RecordError(f"{file} cannot be read: it is damaged: {error}")
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
@@ -364,7 +372,8 @@ def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
 
 def _columns_in(file: Path) -> list[str]:
     """Returns the columns of a part, and of all others: one version of ssduck wrote them."""
-    names: list[str] = pq.read_schema(parquet_source(file.absolute())).names
+    source = file.open("rb") if isinstance(file, ObjectPath) else file.absolute()
+    names: list[str] = pq.read_schema(source).names
     return names
 
 

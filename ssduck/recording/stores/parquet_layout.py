@@ -28,7 +28,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import count, islice
 from pathlib import Path
@@ -101,6 +101,7 @@ class FolderRun:
         number: of the episode, from 0.
         left_out: the numbers of parts that are taken for removed.
         log_end: the number of files of the log that are read; None for all.
+        is_empty: whether it had no folder of ticks or of a log when the record was listed.
     """
 
     path: Path
@@ -108,6 +109,7 @@ class FolderRun:
     number: int
     left_out: frozenset[int] = frozenset()
     log_end: int | None = None
+    is_empty: bool = field(default=False, compare=False)
 
     @property
     def about_file(self) -> Path:
@@ -285,7 +287,7 @@ class FolderRun:
         Raises:
             RecordError: the file that describes the episode is damaged.
         """
-        return self._has_rows and not self.is_unfinished_export
+        return not self.is_empty and self._has_rows and not self.is_unfinished_export
 
     @property
     def _has_rows(self) -> bool:
@@ -520,6 +522,8 @@ def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
 def runs_in(path: Path) -> list[FolderRun]:
     """Returns the runs in a folder, sorted by world and number; looks at none of their files.
 
+    Of a record with any number of episodes, those without rows are found by two listings a world.
+
     Raises:
         RecordError: the folder is no record, a damaged one, or one of a newer version; or it has
             ticks of an episode, and not the file that describes it.
@@ -531,7 +535,8 @@ def runs_in(path: Path) -> list[FolderRun]:
             f"{lost.about_file} is missing, and ticks of its episode are there: put it back, or "
             f"move {lost.place('ticks')} elsewhere"
         )
-    return runs
+    with_rows = {world: _numbers_with_rows(path, world) for world in {run.world for run in runs}}
+    return [replace(run, is_empty=run.number not in with_rows[run.world]) for run in runs]
 
 
 def runs_named(path: Path) -> list[FolderRun]:
@@ -558,15 +563,18 @@ def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun
     numbers: dict[str, set[int]] = {}
     for world, number in keys:
         numbers.setdefault(world, set()).add(number)
-    places = [path / table for table in ("ticks", LOG)]
-    folders = {folder for place in places for folder in _names(place)}
+    folders = {folder for table in ("ticks", LOG) for folder in _names(path / table)}
     for folder in sorted(folders):
         world = folder.removeprefix("world=")
-        episodes = [episode for place in places for episode in _names(place / folder)]
-        matches = filter(None, map(_FOLDER.fullmatch, episodes))
-        found = {int(match.group(1)) for match in matches}
-        for number in sorted(found - numbers.get(world, set())):
+        for number in sorted(_numbers_with_rows(path, world) - numbers.get(world, set())):
             yield FolderRun(path, world, number)
+
+
+def _numbers_with_rows(path: Path, world: str) -> set[int]:
+    """Returns the numbers of the episodes of a world that have folders of ticks or of a log."""
+    places = (path / table / f"world={world}" for table in ("ticks", LOG))
+    matches = (_FOLDER.fullmatch(name) for place in places for name in _names(place))
+    return {int(match.group(1)) for match in matches if match}
 
 
 def check_about(folder: Path) -> None:

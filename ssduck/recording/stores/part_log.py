@@ -24,7 +24,7 @@ import pyarrow as pa
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
-from ssduck.recording.stores.checksums import UNSEALED, SealedFile, log_problem
+from ssduck.recording.stores.checksums import UNSEALED, SealedFile, content_of, log_problem
 from ssduck.recording.stores.stored_columns import check_stream
 from ssduck.schema import RECORDED
 
@@ -121,17 +121,21 @@ def read_log(
         end: the number of files that are read; None for all.
 
     Raises:
-        RecordError: a file is damaged, of another episode, or missing before others.
+        RecordError: a file is damaged, of another episode, missing before others, or listed by a
+            store that does not have it.
     """
+    before: list[Path] = []
     for _ in range(_ATTEMPTS):
+        listed = log_files(place)[:end]
         try:
-            files = [
+            return [
                 LogFile(file, _numbers(file)[0], _read(file, key, has_checksums=has_checksums))
-                for file in log_files(place)[:end]
+                for file in listed
             ]
-        except FileNotFoundError:  # its part was completed meanwhile
-            continue
-        return files
+        except FileNotFoundError as error:  # its part was completed meanwhile
+            if isinstance(error, RecordError) and listed == before:
+                raise
+            before = listed
     raise RecordError(f"{place} changes faster than it can be read")
 
 
@@ -202,7 +206,7 @@ def log_file_problem(file: Path, key: str, *, has_checksums: bool) -> str | None
 def _read(file: Path, key: str, *, has_checksums: bool) -> dict[str, pa.Table]:
     if not stat.S_ISREG(file.lstat().st_mode):
         raise RecordError(f"{file} is no file: put a copy in its place")
-    stored = file.read_bytes()
+    stored = content_of(file)
     content = pa.BufferReader(stored)
     tables: dict[str, pa.Table] = {}
     try:

@@ -32,7 +32,7 @@ from ssduck.recording.stores.descriptions import (
     read_description,
 )
 from ssduck.recording.stores.links import check_inside
-from ssduck.recording.stores.object_store import ObjectPath, file_system
+from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS, RECORDED, TABLES
@@ -90,7 +90,8 @@ def summary_name(run: FolderRun) -> str:
 def size_and_time(file: Path) -> tuple[int, int]:
     """Returns the size of a file, bytes, and the time of its last change, ns since 1970."""
     if isinstance(file, ObjectPath):
-        (info,) = file_system().get_file_info([file.key])
+        with reading(file):
+            (info,) = file_system().get_file_info([file.key])
         return info.size, info.mtime_ns
     status = file.stat()
     return status.st_size, status.st_mtime_ns

@@ -1,0 +1,151 @@
+"""Object stores that refuse, fail, or lie: whatever they say is an error of a record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+from tests.support.lying_store import LyingStore, lying_store
+
+pytest.importorskip("fsspec", reason="the extra s3 is not installed")
+
+RUN, LAKE = "s3://lake/run", "s3://lake"
+TICKS = "ticks/world=lab/episode=0/part-000000.parquet"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("bucket")
+    poses = np.arange(12.0).reshape(4, 1, 3)
+    ssduck.write_record(place / "run", ["cup"], poses, [0, 1, 2, 3], world="lab")
+    return place
+
+
+@pytest.fixture
+def store(folder: Path) -> Iterator[LyingStore]:
+    with lying_store(folder) as lying:
+        yield lying
+
+
+def opened(path: str) -> Any:
+    with ssduck.open(path) as ss:
+        return ss.sql("SELECT tick, x FROM entities_history ORDER BY tick").fetchall()
+
+
+def in_lake(path: str) -> list[str | None]:
+    del path
+    lake = ssduck.lake(LAKE)
+    errors: list[str | None] = lake.ask("SELECT x FROM lab{} AS list;", processes=1)["error"]
+    return errors.to_pylist()  # type: ignore[union-attr]
+
+
+ASKING = [opened, ssduck.episodes, ssduck.check]
+
+
+def test_what_is_right_is_read(store: LyingStore) -> None:
+    assert opened(RUN) == [(1, 0.0), (2, 3.0), (3, 6.0), (4, 9.0)]
+    assert ssduck.episodes(RUN)[0].ticks == 4
+    assert ssduck.check(RUN) == []
+    assert in_lake(RUN) == [None]
+
+
+def messages(ask: Callable[[str], Any]) -> str:
+    """The error of a question, or the damages that it returns."""
+    try:
+        found = ask(RUN)
+    except RecordError as error:
+        return error.message
+    assert ask in (ssduck.check, in_lake)
+    return "".join(f"{one.file} {one.problem}" if hasattr(one, "file") else one for one in found)
+
+
+@pytest.mark.parametrize(
+    ("ask", "status", "name"),
+    [
+        *((ask, 403, name) for ask in (*ASKING, in_lake) for name in (".json", ".parquet")),
+        (opened, 500, ".json"),  # it is asked for again, after a pause
+        (opened, 500, ".parquet"),
+    ],
+)
+def test_a_refusal_names_the_object_and_what_to_do(
+    store: LyingStore, ask: Callable[[str], Any], status: int, name: str
+) -> None:
+    store.statuses = {name: status}
+    message = messages(ask)
+    assert message.startswith("s3://lake/run/")
+    assert "the store says: " in message
+    assert "check the address, the credentials" in message
+    assert "None" not in message
+
+
+@pytest.mark.parametrize("ask", [opened, in_lake])
+def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -> None:
+    store.cut = (".parquet",)
+    message = messages(ask)
+    assert "cannot be read: the store says: " in message
+    assert "None" not in message
+
+
+@pytest.mark.parametrize("ask", [opened, ssduck.check, in_lake])
+@pytest.mark.parametrize("size", [1 << 40, (1 << 63) - 1])
+def test_an_object_is_not_read_whose_size_is_impossible(
+    store: LyingStore, ask: Callable[[str], Any], size: int
+) -> None:
+    store.sizes = {".parquet": size}
+    assert f"it has {size:,} bytes, more than a file of a record" in messages(ask)
+
+
+@pytest.mark.parametrize("size", [1 << 62, -5])
+def test_impossible_sizes_in_a_listing_are_an_error_of_their_episode(
+    store: LyingStore, size: int
+) -> None:
+    store.size = size
+    lake = ssduck.lake(LAKE)
+    (error,) = lake.episodes["error"].to_pylist()
+    assert "the store lists impossible sizes of the files of episode 0 of 'lab'" in error
+    assert lake.episodes["size"].to_pylist() == [0]
+
+
+@pytest.mark.parametrize("ask", ASKING)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "episodes/lab-1.json",
+        "episodes/%2e%2e-0.json",
+        "log/world=lab/episode=0/part-000001-0000.arrow",
+    ],
+)
+def test_what_is_listed_and_not_there_is_missing(
+    store: LyingStore, ask: Callable[[str], Any], name: str
+) -> None:
+    store.listed = {f"run/{name}": 10}
+    if "log" in name or ask is not opened:
+        assert messages(ask).startswith(f"s3://lake/run/{name} ")
+    else:  # it has no ticks
+        assert len(opened(RUN)) == 4
+    assert len(store.requests) < 300
+
+
+def test_a_part_that_is_gone_is_missing(store: LyingStore) -> None:
+    store.statuses = {TICKS: 404}
+    for ask in (opened, ssduck.check, in_lake):
+        message = messages(ask)
+        assert f"{TICKS} is missing" in message
+
+
+def test_episodes_without_rows_are_not_asked_for(store: LyingStore) -> None:
+    opened(RUN)
+    right = len(store.requests)
+    store.listed = {f"run/episodes/lab-{number}.json": 10 for number in range(1, 500)}
+    store.requests.clear()
+    assert len(opened(RUN)) == 4
+    assert len(store.requests) == right
+    with pytest.raises(RecordError, match="no episode 700 has ticks; episodes with ticks: 0 of"):
+        ssduck.open(RUN, episode=700)
+    assert not any("lab-4" in path for _, path in store.requests)

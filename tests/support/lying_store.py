@@ -1,0 +1,166 @@
+"""A local S3 server on the loopback that serves a folder, and may lie about it."""
+
+from __future__ import annotations
+
+import html
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import parse_qs, unquote, urlsplit
+
+import pytest
+
+from ssduck.recording.stores import object_store
+
+BUCKET = "lake"
+_DATE = "Tue, 14 Nov 2023 00:00:00 GMT"
+
+
+@dataclass
+class LyingStore:
+    """What a store says.
+
+    Attributes:
+        folder: its objects.
+        listed: further objects that it lists, with their sizes.
+        size: the size that it lists of each object; None for the right one.
+        sizes: the sizes that it claims of objects that are asked for, by the ends of their names.
+        statuses: the errors with which it answers for objects, by the ends of their names.
+        cut: the ends of the names of objects of which it sends only a half.
+        requests: the requests so far: the method and the path.
+    """
+
+    folder: Path
+    listed: Mapping[str, int] = field(default_factory=dict)
+    size: int | None = None
+    sizes: Mapping[str, int] = field(default_factory=dict)
+    statuses: Mapping[str, int] = field(default_factory=dict)
+    cut: tuple[str, ...] = ()
+    requests: list[tuple[str, str]] = field(default_factory=list)
+
+    def objects(self) -> dict[str, int]:
+        """Returns the sizes of what it lists, by name."""
+        files = {
+            file.relative_to(self.folder).as_posix(): file.stat().st_size
+            for file in self.folder.rglob("*")
+            if file.is_file()
+        }
+        listed = {**files, **self.listed}
+        return listed if self.size is None else dict.fromkeys(listed, self.size)
+
+
+@contextmanager
+def lying_store(folder: Path) -> Iterator[LyingStore]:
+    """Yields a store whose bucket has the files of a folder; the environment names it meanwhile."""
+    store = LyingStore(folder)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), {"store": store}))
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+    thread.start()
+    settings = {
+        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{server.server_port}",
+        "AWS_ACCESS_KEY_ID": "test",
+        "AWS_SECRET_ACCESS_KEY": "test",
+        "AWS_REGION": "us-east-1",
+        "AWS_EC2_METADATA_DISABLED": "true",
+        "AWS_MAX_ATTEMPTS": "1",
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in settings.items():
+            patch.setenv(name, value)
+        try:
+            yield store
+        finally:
+            server.shutdown()
+            server.server_close()
+            thread.join()
+            object_store._s3.cache_clear()
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    store: LyingStore
+
+    def log_message(self, *_: object) -> None:
+        """Says nothing."""
+
+    def do_HEAD(self) -> None:
+        """Answers what is asked of an object."""
+        self._answer()
+
+    def do_GET(self) -> None:
+        """Answers with an object, or a listing."""
+        self._answer()
+
+    def _answer(self) -> None:
+        url = urlsplit(self.path)
+        path = unquote(url.path).lstrip("/")
+        self.store.requests.append((self.command, path))
+        bucket, _, key = path.partition("/")
+        if bucket != BUCKET:
+            self._send(404, b"")
+        elif not key:
+            query = parse_qs(url.query, keep_blank_values=True)
+            self._send(200, self._listing(query.get("prefix", [""])[0], "delimiter" in query))
+        else:
+            self._object(key)
+
+    def _object(self, key: str) -> None:
+        status = _of(key, self.store.statuses)
+        file = self.store.folder / key
+        if status is not None:
+            self._send(status, b"")
+        elif not file.is_file():
+            self._send(404, b"<Error><Code>NoSuchKey</Code></Error>")
+        else:
+            content = file.read_bytes()
+            size = _of(key, self.store.sizes) or len(content)
+            asked = self.headers.get("Range")
+            if asked is not None:
+                first, _, last = asked.removeprefix("bytes=").partition("-")
+                content = content[int(first) : int(last) + 1]
+                size = len(content)
+            if key.endswith(self.store.cut):
+                content = content[: len(content) // 2]
+                self.close_connection = True
+            self._send(200 if asked is None else 206, content, size)
+
+    def _send(self, status: int, content: bytes, size: int | None = None) -> None:
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(content) if size is None else size))
+        self.send_header("Last-Modified", _DATE)
+        self.send_header("ETag", '"x"')
+        self.end_headers()
+        if self.command == "GET":
+            self.wfile.write(content)
+
+    def _listing(self, prefix: str, has_folders: bool) -> bytes:
+        files, folders = [], set[str]()
+        for key, size in sorted(self.store.objects().items()):
+            rest = key.removeprefix(prefix)
+            if not key.startswith(prefix):
+                continue
+            if has_folders and "/" in rest:
+                folders.add(f"{prefix}{rest.partition('/')[0]}/")
+            else:
+                files.append(
+                    f"<Contents><Key>{html.escape(key)}</Key><Size>{size}</Size>"
+                    "<LastModified>2023-11-14T00:00:00.000Z</LastModified></Contents>"
+                )
+        files += [
+            f"<CommonPrefixes><Prefix>{html.escape(one)}</Prefix></CommonPrefixes>"
+            for one in sorted(folders)
+        ]
+        return (
+            '<ListBucketResult xmlns="http://s3.amazonaws.com/doc/2006-03-01/">'
+            f"<Name>{BUCKET}</Name><KeyCount>{len(files)}</KeyCount><Prefix>{html.escape(prefix)}</Prefix>"
+            f"<IsTruncated>false</IsTruncated>{''.join(files)}</ListBucketResult>"
+        ).encode()
+
+
+def _of(key: str, values: Mapping[str, int]) -> int | None:
+    """Returns the value of the first end that a name has."""
+    return next((value for end, value in values.items() if key.endswith(end)), None)
