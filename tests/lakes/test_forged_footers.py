@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
+import zlib
 from pathlib import Path
 
 import duckdb
@@ -29,7 +30,8 @@ def forge(record: Path, table: str) -> None:
     footer = checksums.footer_in(content)
     assert last in footer
     changed = _SUMS.sub(rb"\g<1>00000000", footer.replace(last, first))
-    file.write_bytes(content[: -len(footer)] + checksums.with_footer_sum(changed))
+    data = content[: -len(footer)]
+    file.write_bytes(data + checksums.with_footer_sums(changed, zlib.crc32(data)))
 
 
 @pytest.mark.parametrize("table", ["entities", "ticks"])

@@ -94,9 +94,9 @@ def check_statistics(
         RecordError: a footer says what is not so, or a part has a Bloom filter or a page index.
     """
     expected, places = part_columns(table), {(f.parent.name, f.name): f for f in files}
-    found = (_stated(row) for row in connection.fetchall(_select(listed)))
-    known = [stated for stated in found if stated.column in expected]
-    for (name, group), columns in groupby(known, lambda stated: (stated.file, stated.group)):
+    found = map(_stated, connection.fetchall(_select(listed)))
+    known = sorted((stated for stated in found if stated.column in expected), key=_row_group)
+    for (name, group), columns in groupby(known, _row_group):
         own, file = list(columns), places[name]
         if any(stated.skips for stated in own):
             raise RecordError(
@@ -113,14 +113,13 @@ def check_statistics(
 
 
 def _select(listed: str) -> str:
-    """Returns the SELECT of what footers say of columns, in the order of files and row groups."""
+    """Returns the SELECT of what footers say of columns."""
     names = ", ".join((*_NAMES, *_LEAST, *_GREATEST, *_SKIPS))
-    is_exact = "coalesce(min_is_exact AND max_is_exact, true)"
-    stated = (*_LEAST, *_GREATEST, *(f"{name}::VARCHAR" for name in ("stats_null_count", *_SKIPS)))
+    bounds, counts = ", ".join((*_LEAST, *_GREATEST)), ", ".join(("stats_null_count", *_SKIPS))
     return (
-        f"SELECT {names}, {is_exact} FROM parquet_metadata({listed}) "  # noqa: S608
-        f"WHERE coalesce({', '.join(stated)}) IS NOT NULL "
-        "ORDER BY file_name, row_group_id, column_id"
+        f"SELECT {names}, coalesce(min_is_exact AND max_is_exact, true) "  # noqa: S608
+        f"FROM parquet_metadata({listed}) "
+        f"WHERE coalesce({bounds}) IS NOT NULL OR coalesce({counts}) IS NOT NULL"
     )
 
 
@@ -133,6 +132,10 @@ def _stated(row: Sequence[Any]) -> _Stated:
     skips = any(offset is not None for offset in others[4:])
     file, column = tuple(_SEPARATOR.split(place)[-2:]), path.partition(_NESTED)[0]
     return _Stated(file, group, column, count, nulls, least, greatest, is_exact, skips)
+
+
+def _row_group(stated: _Stated) -> tuple[tuple[str, ...], int]:
+    return stated.file, stated.group
 
 
 def _read(file: Path, group: int, names: Sequence[str]) -> pa.Table:
