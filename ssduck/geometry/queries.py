@@ -264,7 +264,7 @@ class ShapeQueries:
         # A link and an entity match if the link and one of the entity's links do.
         assert self._whole is not None
         first, second = self._whole.links._all_pairs(predicate)  # noqa: SLF001  # one class
-        ids = self._ids_by_number.tolist()
+        ids = self._ids.take(self._places_by_number).tolist()
         owners = np.array([self._numbers[entity_of(id)] for id in ids], np.intp)
         owner_of_first, owner_of_second = owners[first], owners[second]
         differ = owner_of_first != owner_of_second
@@ -273,13 +273,6 @@ class ShapeQueries:
         known = np.array([self._narrow.is_known(e) for e in entities.tolist()], dtype=bool)
         pairs = np.unique(np.array((entities[known], links[known])), axis=1)
         return pairs[0], pairs[1]
-
-    @cached_property
-    def _ids_by_number(self) -> Ids:
-        """The id of each number in the narrow phase; sensors share one, which no pair has."""
-        ids = np.zeros(1 + max(self._numbers.values(), default=-1), np.int64)
-        ids[list(self._numbers.values())] = list(self._numbers)
-        return ids
 
     @cached_property
     def _places_by_number(self) -> Indices:

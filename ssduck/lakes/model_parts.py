@@ -18,8 +18,6 @@ from ssduck.recording.stores.checksums import footer_in, with_footer_sums
 _SCHEMA = re.compile(rb"ARROW:schema.{1,6}?(/////[A-Za-z0-9+/]+=*)", re.DOTALL)
 # The number of a run from which on its bytes are hardly those of anything else.
 _LEAST_RUN = 1 << 40
-# The numbers of its copies in the statistics of a footer are not farther apart, bytes.
-_MOST_BETWEEN = 64
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,6 @@ class ModelPart:
             return False
         other = self._run.number_in(content)
         changed = self._run.with_number(data, other)
-        footer = footer.replace(self._run.number, other)
         return content == changed + with_footer_sums(footer, zlib.crc32(changed))
 
     def is_like(self, other: ModelPart) -> bool:
@@ -179,7 +176,7 @@ def _run_bytes(part: ReadPart, footer: _Footer) -> _RunBytes | None:
     start, end = column.dictionary_page_offset, column.data_page_offset
     data, content = footer.data, footer.content
     place = -1 if start is None else data.find(number, start, end)
-    if place < 0 or content.rfind(number) - content.find(number) > _MOST_BETWEEN:
+    if place < 0 or number in content:  # in the footer, it may stand for something else
         return None
     for begin in range(start, place + 1):  # the header is a few bytes, of unknown length
         checksum = _page_checksum(data[begin:end])

@@ -84,9 +84,10 @@ def parts_of(simulation: Any) -> tuple[Any, Any] | None:
 
 
 def parts_finder(simulation: Any) -> Callable[[], tuple[Any, Any] | None]:
-    """Returns a function that returns what `parts_of` does, again and again.
+    """Returns a function that returns a model and its data, as `parts_of` does, again and again.
 
     It looks first where it found them last: an environment may make them anew, in the same place.
+    So it stays there, even if an outer part gets a model and data later.
     """
     known: tuple[_Path, _Path] | None = None
 

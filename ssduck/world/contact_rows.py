@@ -63,9 +63,11 @@ def contact_pairs(
             (entities, links), forces, _ = columns()
             rows = (are_of((entities, links), a, b) & (forces > 0)).nonzero()[0]
             return entities.take(rows, axis=1), links.take(rows, axis=1)
-        # A sensor has no body, and no contacts.
-        handles = layout.handles.get(a, -1), layout.handles.get(b, -1)
-        bodies, links = unwritten.pressing(*handles)
+        first, second = layout.handles.get(a), layout.handles.get(b)
+        if first is None or second is None:  # a sensor has no body, and no contacts
+            none = np.zeros((2, 0), np.intp)
+            return none, none
+        bodies, links = unwritten.pressing(first, second)
         return layout.ids_of_handles[bodies.T], links.T
 
     return ContactPairs(pressing, columns)

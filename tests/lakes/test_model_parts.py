@@ -92,3 +92,20 @@ def test_a_run_that_may_be_other_bytes_is_decoded(folder, run):
     other = rewritten(part, run=[run + 1] * part.run.num_rows)
     assert not first.is_copied_in(other.content, other.file.label)
     assert first.is_like(other)
+
+
+def test_a_run_whose_bytes_are_in_the_footer_is_decoded(folder):
+    """They may stand for where a column begins, and other bytes for another place."""
+    part = part_of(folder, 0)
+    footer = part.content[-int.from_bytes(part.content[-8:-4], "little") - 8 : -8]
+    columns = footer.index(b"mass")
+    number = next(
+        footer[place : place + 8]
+        for place in range(columns, len(footer))
+        if RUN <= int.from_bytes(footer[place : place + 8], "little") < 1 << 63
+    )
+    run = [int.from_bytes(number, "little")] * part.run.num_rows
+    first, other = rewritten(part, run=run), rewritten(part_of(folder, 1), run=run)
+    assert number in first.content[-len(footer) :]
+    assert first._run is None
+    assert first.is_like(other)

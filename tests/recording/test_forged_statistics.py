@@ -7,6 +7,7 @@ import shutil
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import duckdb
@@ -18,6 +19,7 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores import part_statistics
+from ssduck.recording.stores.parquet_archive import file_list
 from ssduck.schema import MODELS
 from tests.support.forged import make_records, part, rewrite, with_column, without_checksums
 
@@ -201,6 +203,50 @@ def test_true_statistics_are_none(made: Path, kind: str) -> None:
     with ssduck.open(made / kind) as ss:
         for table in MODELS:
             assert ss.sql(f"SELECT count(*) FROM {table}_model").fetchone()[0]
+
+
+@pytest.mark.parametrize("table", ["entities", "models/entities"])
+def test_a_folder_may_be_a_link_inside_of_the_record(folder: Path, table: str) -> None:
+    episode, place = part(folder, table).parent, folder / "elsewhere" / "episode=1"
+    place.parent.mkdir()
+    shutil.move(episode, place)
+    episode.symlink_to(place)
+    with ssduck.open(folder) as ss:
+        assert len(ss.sql("SELECT * FROM entities_history"))
+
+
+def test_a_link_named_as_another_episode_is_compared_with_its_own_values(
+    folder: Path, tmp_path: Path
+) -> None:
+    """Two folders of the same name: one is a link to the other's place."""
+    true, forged = (tmp_path / name / "episode=1" / "part-000000.parquet" for name in "ab")
+    for place in (true, forged):
+        place.parent.mkdir(parents=True)
+        shutil.copy(part(folder, "entities"), place)
+    values = pq.ParquetFile(true).read()["tick"]
+    forge(forged, _bytes(greatest(values)), _bytes(least(values)))
+    (tmp_path / "link").symlink_to(forged.parent)
+    files = [tmp_path / "link" / forged.name, true]
+    connection = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
+    for some in (files, files[::-1]):
+        with pytest.raises(RecordError, match="'tick' has other values"):
+            part_statistics.check_statistics(connection, some, file_list(some), "entities")
+
+
+@pytest.mark.parametrize("table", ["joints", "models/joints"])
+def test_nan_of_a_model_may_be_beside_statistics(folder: Path, table: str) -> None:
+    """A joint's greatest effort may be NaN in its URDF."""
+    file = part(folder, table)
+    rewrite(file, lambda rows: pa.concat_tables([rows, rows]))
+    rewrite(file, with_column("max_effort", lambda values: [5.0] * (len(values) - 1) + [float("nan")]))
+    statistics = pq.read_metadata(file).row_group(0).column(_place(file, "max_effort")).statistics
+    assert statistics.has_min_max
+    connection = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
+    part_statistics.check_statistics(connection, [file], file_list([file]), table)
+
+
+def _place(file: Path, column: str) -> int:
+    return pq.read_schema(file).names.index(column)
 
 
 def test_other_writers_and_row_groups(folder: Path) -> None:

@@ -28,6 +28,8 @@ _MAGIC = b"PAR1"
 _TAIL = 4 + len(_MAGIC)
 # The size that most footers do not exceed, bytes.
 _MOST_FOOTERS = 1 << 15
+# The size that no footer exceeds: it is read before anything is known of its file.
+_LARGEST_FOOTER = 1 << 26
 # The number of bytes of a file that are summed at a time: they stay in the cache of a processor.
 _PIECE = 1 << 18
 # A larger file is read whole only if its footer tells of as many bytes, and none of more than that:
@@ -102,7 +104,7 @@ def footer_of(file: Path) -> bytes | None:
         stream.seek(-min(size, _MOST_FOOTERS), 2)
         end = stream.read()
         length = int.from_bytes(end[-_TAIL:-4], "little") + _TAIL
-        if end[-4:] != _MAGIC or length > size:
+        if end[-4:] != _MAGIC or length > min(size, _LARGEST_FOOTER):
             return None
         if length <= len(end):
             return end[-length:]

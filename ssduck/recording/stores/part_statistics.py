@@ -20,7 +20,8 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.base import StoreConnection
-from ssduck.recording.stores.object_store import parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, parquet_source
+from ssduck.recording.stores.row_checks import repeated_columns
 from ssduck.recording.stores.stored_columns import part_columns
 
 # The columns of which ssduck's parts have statistics: queries choose parts by them.
@@ -30,6 +31,8 @@ _LEAST, _GREATEST = ("stats_min", "stats_min_value"), ("stats_max", "stats_max_v
 _SKIPS = ("bloom_filter_offset", "column_index_offset", "offset_index_offset")
 # Between the names of a column and of what its lists have.
 _NESTED = ", "
+# The names of the path of an object by which it is known: its address may be written otherwise.
+_NAMES_OF_OBJECT = 2
 _SEPARATOR = re.compile(r"[/\\]")
 
 
@@ -38,7 +41,7 @@ class _Stated:
     """What a footer says of a column in a row group.
 
     Attributes:
-        file: the names of its folder and of the file.
+        file: the path of the file, by its names; of an object, the last two.
         group: the number of the row group.
         column: the name of the column.
         count: the number of its values, NULL counted.
@@ -59,15 +62,22 @@ class _Stated:
     is_exact: bool
     skips: bool
 
-    def is_true_of(self, column: pa.ChunkedArray) -> bool:
-        """Checks whether the column has such values."""
+    def is_true_of(self, column: pa.ChunkedArray, *, may_have_nan: bool) -> bool:
+        """Checks whether the column has such values.
+
+        Args:
+            column: the column.
+            may_have_nan: whether it may have NaN, which statistics leave out; what is measured is
+                stored as NULL instead, and what a model says, as a joint's greatest effort, is not.
+        """
         values = _flat(column)
         if self.nulls is not None and self.nulls != self.count - len(values) + values.null_count:
             return False
         if not self.least and not self.greatest:
             return True
-        if pa.types.is_floating(values.type) and pc.any(pc.is_nan(values)).as_py():
-            return False  # the greatest number to SQL, which statistics leave out
+        is_number = pa.types.is_floating(values.type) and not may_have_nan
+        if is_number and pc.any(pc.is_nan(values)).as_py():
+            return False  # the greatest number to SQL
         least, greatest = (bound.as_py() for bound in pc.min_max(values).values())
         return self._are(self.least, least, str.__le__) and self._are(
             self.greatest, greatest, str.__ge__
@@ -93,8 +103,10 @@ def check_statistics(
     Raises:
         RecordError: a footer says what is not so, or a part has a Bloom filter or a page index.
     """
-    expected, places = part_columns(table), {(f.parent.name, f.name): f for f in files}
-    found = map(_stated, connection.fetchall(_select(listed)))
+    expected, places = part_columns(table), _by_path(files)
+    of_models = expected if "/" in table else repeated_columns(table)
+    depth = _NAMES_OF_OBJECT if isinstance(files[0], ObjectPath) else 0
+    found = (_stated(row, depth) for row in connection.fetchall(_select(listed)))
     known = sorted((stated for stated in found if stated.column in expected), key=_row_group)
     for (name, group), columns in groupby(known, _row_group):
         own, file = list(columns), places[name]
@@ -105,7 +117,7 @@ def check_statistics(
             )
         rows = _read(file, group, [stated.column for stated in own])
         for stated in own:
-            if not stated.is_true_of(rows[stated.column]):
+            if not stated.is_true_of(rows[stated.column], may_have_nan=stated.column in of_models):
                 raise RecordError(
                     f"{file} is damaged: the column {stated.column!r} has other values than the "
                     "statistics in its footer say"
@@ -123,14 +135,26 @@ def _select(listed: str) -> str:
     )
 
 
-def _stated(row: Sequence[Any]) -> _Stated:
-    """Returns a row of `_select`."""
+def _by_path(files: Sequence[Path]) -> dict[tuple[str, ...], Path]:
+    """Returns files by the names of their paths without links, which DuckDB is given."""
+    if isinstance(files[0], ObjectPath):
+        return {(file.parent.name, file.name): file for file in files}
+    folders = {file.parent: _names_of(str(file.parent.resolve())) for file in files}
+    return {(*folders[file.parent], file.name): file for file in files}
+
+
+def _names_of(path: str) -> tuple[str, ...]:
+    return tuple(_SEPARATOR.split(path))
+
+
+def _stated(row: Sequence[Any], depth: int) -> _Stated:
+    """Returns a row of `_select`, with so many last names of the path of its file; 0 for all."""
     place, group, path, count, nulls, *others, is_exact = row
     least, greatest = (
         tuple(text for text in texts if text is not None) for texts in (others[:2], others[2:4])
     )
     skips = any(offset is not None for offset in others[4:])
-    file, column = tuple(_SEPARATOR.split(place)[-2:]), path.partition(_NESTED)[0]
+    file, column = _names_of(place)[-depth:], path.partition(_NESTED)[0]
     return _Stated(file, group, column, count, nulls, least, greatest, is_exact, skips)
 
 
