@@ -173,9 +173,9 @@ class BoundingBoxes:
         if rotated.shape[1] > GROUP_SIZE:
             # The extent of an ellipsoid along x is the length of the vector of its half axes' x.
             sides = rotated[:, GROUP_SIZE:]
-            # The sum is written out: its order is the same for one core as for several.
-            x, y, z = (sides * sides).transpose(1, 0, 2)
-            radii = radii + np.sqrt(x + y + z)
+            # Sums in one order, for one core as for several, which those of einsum are not.
+            squares = (sides * sides).transpose(1, 0, 2)
+            radii = radii + np.sqrt(sum(squares[1:], squares[0]))
         return low - radii, high + radii
 
     def _fill_groups(self, boxes: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssduck.geometry.proofs import kept_proposals, proposals
+from ssduck.geometry.proofs import proposals
 from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
 from ssduck.geometry.proofs.proposals import Proof, Proposer
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
@@ -143,7 +143,7 @@ def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept(
 
 
 def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):
-    monkeypatch.setattr(kept_proposals, "_MAX_PAIRS", 8)
+    monkeypatch.setattr(kept_columns, "_MAX_PAIRS", 8)
     kept = KeptProposals()
     for start in (0, 6, 12):
         keys = np.arange(start, start + 6)

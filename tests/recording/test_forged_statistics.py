@@ -238,7 +238,9 @@ def test_nan_of_a_model_may_be_beside_statistics(folder: Path, table: str) -> No
     """A joint's greatest effort may be NaN in its URDF."""
     file = part(folder, table)
     rewrite(file, lambda rows: pa.concat_tables([rows, rows]))
-    rewrite(file, with_column("max_effort", lambda values: [5.0] * (len(values) - 1) + [float("nan")]))
+    rewrite(
+        file, with_column("max_effort", lambda values: [5.0] * (len(values) - 1) + [float("nan")])
+    )
     statistics = pq.read_metadata(file).row_group(0).column(_place(file, "max_effort")).statistics
     assert statistics.has_min_max
     connection = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
