@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ssduck.geometry.proofs import proposals
+from ssduck.geometry.proofs import kept_columns, proposals
 from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
 from ssduck.geometry.proofs.proposals import Proof, Proposer
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
