@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeAlias
-from weakref import WeakKeyDictionary
+from weakref import ReferenceType, WeakKeyDictionary, ref
 
 from ssduck import validation
 from ssduck.database.database import Database
@@ -53,6 +54,30 @@ _Reads: TypeAlias = tuple[frozenset[str], list[World] | None]
 _PLAIN = frozenset((type(None), bool, int, float, str))
 # The largest length of lists whose elements are looked at whenever a program runs again.
 _SHORT = 16
+
+
+@dataclass(frozen=True, slots=True)
+class _LastRead:
+    """What a node read last; it keeps neither the node nor the worlds alive.
+
+    Attributes:
+        node: the node.
+        stamp: what gave its variables their meaning.
+        tables: the tables that it reads.
+        worlds: the worlds that it reads, which variables have; None for all.
+    """
+
+    node: ReferenceType[Node]
+    stamp: tuple[object, ...]
+    tables: frozenset[str]
+    worlds: list[ReferenceType[World]] | None
+
+    def reads(self) -> _Reads | None:
+        """Returns the tables and the worlds; None if one is no longer there."""
+        if self.worlds is None:
+            return self.tables, None
+        worlds = [world for one in self.worlds if (world := one()) is not None]
+        return (self.tables, worlds) if len(worlds) == len(self.worlds) else None
 
 
 class Execution(Namespace):
@@ -106,7 +131,7 @@ class Execution(Namespace):
         # The last program that is a SELECT of one row, and what a node reads, while nothing changes
         # that gives them their meaning.
         self._last_row: tuple[Program, tuple[object, ...], Query] | None = None
-        self._last_read: tuple[Node, tuple[object, ...], _Reads] | None = None
+        self._last_read: _LastRead | None = None
         self._reader = SqlReader(self)
 
     def transaction(self, program: Program) -> _Transaction:
@@ -419,8 +444,8 @@ class Execution(Namespace):
         step have. None if the node reads other variables.
         """
         last = self._last_read
-        if last is not None and last[0] is node and last[1] is self.stamp:
-            return last[2]
+        if last is not None and last.node() is node and last.stamp is self.stamp:
+            return last.reads()
         worlds: list[World] = []
         meaning: list[object] = [self.planner.generation]
         has_lists = False
@@ -440,7 +465,8 @@ class Execution(Namespace):
         _, tables, is_open = known
         reads = tables, None if is_open else worlds
         if not has_lists:  # what is in them may change
-            self._last_read = node, self.stamp, reads
+            of_worlds = None if is_open else [ref(world) for world in worlds]
+            self._last_read = _LastRead(ref(node), self.stamp, tables, of_worlds)
         return reads
 
 

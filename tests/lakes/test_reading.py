@@ -15,6 +15,7 @@ from ssduck.lakes.questions import ProgramQuestion
 from ssduck.recording.stores import batched_parts
 from ssduck.recording.stores.batched_parts import BatchedFile, ReadParts
 from ssduck.recording.stores.checksums import write_parquet
+from ssduck.recording.stores.parquet import _options as options
 from tests.support.forged import with_column
 from tests.support.lake_questions import whole_answer_of
 from tests.support.rising_cups import write_rising_cups
@@ -112,15 +113,15 @@ def changed(record: Path, name: str, value: object) -> None:
     values = rows[name].to_pylist()
     rows = with_column(name, [*values[:last], value, *values[last + 1 :]])(rows)
     about = {k: v for k, v in rows.schema.metadata.items() if k != b"ssduck checksums"}
-    write_parquet(rows.replace_schema_metadata(about), file)
+    rows = rows.replace_schema_metadata(about)
+    write_parquet(rows, file, **options(rows))
 
 
 @pytest.mark.usefixtures("together")
-@pytest.mark.parametrize("value", [99.0, float("nan")])
-def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
+def test_a_file_that_changed_is_decoded_anew(record) -> None:
     programs = PROGRAMS[:4]
     before = [asked(record, program) for program in programs]
-    changed(record, "z", value)
+    changed(record, "z", 99.0)
     for program, answers in zip(programs, before, strict=True):
         found = asked(record, program)
         assert found == by_themselves(record, program)
