@@ -11,7 +11,6 @@ from contextlib import closing
 from ssduck.database.database import Database
 from ssduck.lakes.workers import UNREADABLE
 from ssduck.recording.stores.base import StoreConnection
-from ssduck.recording.stores.parquet_archive import file_list
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.part_statistics import check_statistics
 
@@ -57,4 +56,4 @@ def _compare(connection: StoreConnection, runs: Iterable[FolderRun]) -> None:
     for table in _TABLES:
         files = [file for run in runs for file in run.listed_files(table)]
         if files:
-            check_statistics(connection, files, file_list(files), table)
+            check_statistics(connection, files, table)

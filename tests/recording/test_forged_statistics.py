@@ -19,9 +19,11 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores import part_statistics
-from ssduck.recording.stores.parquet_archive import file_list
 from ssduck.schema import MODELS
 from tests.support.forged import make_records, part, rewrite, with_column, without_checksums
+
+# A connection that reads footers.
+PLAIN = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,17 @@ def forge(file: Path, old: bytes, new: bytes) -> None:
     start = len(content) - int.from_bytes(content[-8:-4], "little") - 8
     assert old in content[start:]
     file.write_bytes(content[:start] + content[start:].replace(old, new))
+
+
+def written_by_duckdb(file: Path, option: str) -> None:
+    """Writes a part anew, as DuckDB writes it."""
+    label = pq.read_schema(file).metadata[b"ssduck record"].decode()
+    with duckdb.connect() as plain:
+        plain.register("rows", pq.ParquetFile(file).read())
+        plain.execute(
+            f"COPY rows TO '{file}' (FORMAT parquet, {option}, "
+            f"KV_METADATA {{'ssduck record': '{label}'}})"
+        )
 
 
 def hidden(file: Path, condition: str) -> int:
@@ -153,12 +166,8 @@ def test_nan_beside_statistics_is_an_error(folder: Path) -> None:
 
 def test_bloom_filters_are_refused(folder: Path) -> None:
     file = part(folder, "entities")
-    label = pq.read_schema(file).metadata[b"ssduck record"].decode()
+    written_by_duckdb(file, "WRITE_BLOOM_FILTER true")
     with duckdb.connect() as plain:
-        plain.register("rows", pq.ParquetFile(file).read())
-        plain.execute(
-            f"COPY rows TO '{file}' (FORMAT parquet, KV_METADATA {{'ssduck record': '{label}'}})"
-        )
         ((offset, length),) = plain.sql(
             "SELECT bloom_filter_offset, bloom_filter_length "
             f"FROM parquet_metadata('{file}') WHERE path_in_schema = 'id'"
@@ -227,10 +236,9 @@ def test_a_link_named_as_another_episode_is_compared_with_its_own_values(
     forge(forged, _bytes(greatest(values)), _bytes(least(values)))
     (tmp_path / "link").symlink_to(forged.parent)
     files = [tmp_path / "link" / forged.name, true]
-    connection = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
     for some in (files, files[::-1]):
         with pytest.raises(RecordError, match="'tick' has other values"):
-            part_statistics.check_statistics(connection, some, file_list(some), "entities")
+            part_statistics.check_statistics(PLAIN, some, "entities")
 
 
 @pytest.mark.parametrize("table", ["joints", "models/joints"])
@@ -243,8 +251,7 @@ def test_nan_of_a_model_may_be_beside_statistics(folder: Path, table: str) -> No
     )
     statistics = pq.read_metadata(file).row_group(0).column(_place(file, "max_effort")).statistics
     assert statistics.has_min_max
-    connection = SimpleNamespace(fetchall=lambda sql: duckdb.sql(sql).fetchall())
-    part_statistics.check_statistics(connection, [file], file_list([file]), table)
+    part_statistics.check_statistics(PLAIN, [file], table)
 
 
 def _place(file: Path, column: str) -> int:
@@ -257,13 +264,7 @@ def test_other_writers_and_row_groups(folder: Path) -> None:
         pq.ParquetFile(part(folder, "links")).read(), part(folder, "links"), row_group_size=3
     )
     file = part(folder, "entities")
-    label = pq.read_schema(file).metadata[b"ssduck record"].decode()
-    with duckdb.connect() as plain:
-        plain.register("rows", pq.ParquetFile(file).read())
-        plain.execute(
-            f"COPY rows TO '{file}' (FORMAT parquet, WRITE_BLOOM_FILTER false, "
-            f"KV_METADATA {{'ssduck record': '{label}'}})"
-        )
+    written_by_duckdb(file, "WRITE_BLOOM_FILTER false")
     assert ssduck.check(folder) == []
     with ssduck.open(folder) as ss:
         ss.sql("FROM entities_history"), ss.sql("FROM links_history")

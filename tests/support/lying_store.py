@@ -11,9 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, unquote, urlsplit
 
-import pytest
-
-from ssduck.recording.stores import object_store
+from tests.support.store_environment import store_environment
 
 BUCKET = "lake"
 _DATE = "Tue, 14 Nov 2023 00:00:00 GMT"
@@ -60,24 +58,14 @@ def lying_store(folder: Path) -> Iterator[LyingStore]:
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
     thread.start()
-    settings = {
-        "AWS_ENDPOINT_URL": f"http://127.0.0.1:{server.server_port}",
-        "AWS_ACCESS_KEY_ID": "test",
-        "AWS_SECRET_ACCESS_KEY": "test",
-        "AWS_REGION": "us-east-1",
-        "AWS_EC2_METADATA_DISABLED": "true",
-        "AWS_MAX_ATTEMPTS": "1",
-    }
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in settings.items():
-            patch.setenv(name, value)
-        try:
+    address = f"http://127.0.0.1:{server.server_port}"
+    try:
+        with store_environment(address, AWS_MAX_ATTEMPTS="1"):
             yield store
-        finally:
-            server.shutdown()
-            server.server_close()
-            thread.join()
-            object_store._s3.cache_clear()
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
 
 
 class _Handler(BaseHTTPRequestHandler):

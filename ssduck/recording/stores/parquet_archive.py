@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -14,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
-from sqlglot import exp
 
 from ssduck.errors import RecordError
 from ssduck.recording.model_checks import check_models
@@ -30,23 +27,24 @@ from ssduck.recording.stores.base import (
     TickArchive,
 )
 from ssduck.recording.stores.complete_rows import complete_rows
+from ssduck.recording.stores.file_lists import exact_path, file_list
 from ssduck.recording.stores.history_sql import (
     all_columns,
     column_list,
     near_pair_rows,
     quoted,
 )
-from ssduck.recording.stores.object_store import ObjectPath, is_address, parquet_source
+from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
 from ssduck.recording.stores.part_statistics import check_statistics
 from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
+from ssduck.recording.stores.stored_columns import unreadable
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
 # So many rows of a table without a key are checked at once: they fit the cache of a processor.
 _ROWS_AT_ONCE = 1 << 15
-_PATTERN = re.compile(r"[*?[]")
 
 
 class ParquetArchive(TickArchive):
@@ -193,7 +191,7 @@ class ParquetArchive(TickArchive):
         """
         new = [file for file in files if file not in self._compared]
         if new:
-            check_statistics(self._connection, new, file_list(new), table)
+            check_statistics(self._connection, new, table)
             self._compared.update(new)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
@@ -337,7 +335,7 @@ def _rows_of_part(
         others = rows.select([name for name in repeated if name in present])
         others.validate(full=True)  # a text may have any bytes
     except (pa.ArrowException, OSError) as error:
-        raise _unreadable(file, error) from error
+        raise unreadable(file, error) from error
     if "joint" in types.names:
         rows, present = with_joint_numbers("joints", rows), present | {"joint"}
     missing = [types.field(name) for name in types.names if name not in present]
@@ -354,14 +352,7 @@ def _rows_in(file: Path, types: pa.Schema) -> Iterator[pa.Table]:
         ):
             yield pa.Table.from_batches([batch]).select(types.names).cast(types)
     except (pa.ArrowException, OSError) as error:
-        raise _unreadable(file, error) from error
-
-
-def _unreadable(file: Path, error: Exception) -> RecordError:
-    """Returns the error that a part cannot be read, for an error of the library or of a store."""
-    if isinstance(error, RecordError):
-        return error
-    return RecordError(f"{file} cannot be read: it is damaged: {error}")
+        raise unreadable(file, error) from error
 
 
 def _between(rows: pa.Table, first: int, last: int) -> pa.Table:
@@ -380,35 +371,3 @@ def _columns_in(file: Path) -> list[str]:
 def _scan(files: Sequence[Path]) -> str:
     """Returns the rows of files of a folder, in SQL."""
     return f"read_parquet({file_list(files)}, hive_partitioning = false)"
-
-
-def file_list(files: Sequence[Path]) -> str:
-    """Returns a list of files of parts, in SQL."""
-    separator = "/" if isinstance(files[0], ObjectPath) else os.sep
-    folders = {
-        folder: exp.Literal.string(exact_path(folder) + separator).sql("duckdb")[:-1]
-        for folder in {file.parent for file in files}
-    }
-    names = ", ".join(f"{folders[file.parent]}{file.name}'" for file in files)  # by `part_name`
-    return f"[{names}]"
-
-
-def exact_path(place: Path) -> str:
-    """Returns a path with `*`, `?` and `[` escaped, which DuckDB reads as patterns.
-
-    Raises:
-        RecordError: the path also has a backslash, which DuckDB takes for a slash then.
-    """
-    return pattern_of(str(place.resolve()))
-
-
-def pattern_of(path: str) -> str:
-    """Returns the same for an absolute path without links, or an address."""
-    if not _PATTERN.search(path):
-        return path
-    if not is_address(path) and "\\" in path and os.sep != "\\":
-        raise RecordError(
-            f"{path} cannot be read: DuckDB takes a backslash in such a name for a slash; rename "
-            "the folder"
-        )
-    return _PATTERN.sub(r"[\g<0>]", path)

@@ -55,7 +55,7 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.links import check_inside, files_in
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
-from ssduck.recording.stores.stored_columns import check_parquet, part_columns
+from ssduck.recording.stores.stored_columns import check_parquet, part_columns, unreadable
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
@@ -512,10 +512,8 @@ def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
         rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
         rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
         rows.validate(full=True)
-    except RecordError:
-        raise
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+        raise unreadable(file, error) from error
     return rows
 
 

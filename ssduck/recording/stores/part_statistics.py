@@ -20,9 +20,10 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.stores.base import StoreConnection
+from ssduck.recording.stores.file_lists import file_list
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.row_checks import repeated_columns
-from ssduck.recording.stores.stored_columns import part_columns
+from ssduck.recording.stores.stored_columns import part_columns, unreadable
 
 # The columns of which ssduck's parts have statistics: queries choose parts by them.
 OWN_STATISTICS = ("tick", "time")
@@ -89,15 +90,12 @@ class _Stated:
         return all(_is_text_of(text, value) for text in texts)
 
 
-def check_statistics(
-    connection: StoreConnection, files: Sequence[Path], listed: str, table: str
-) -> None:
+def check_statistics(connection: StoreConnection, files: Sequence[Path], table: str) -> None:
     """Checks what the footers of parts say of the values of columns that are read.
 
     Args:
         connection: reads the footers, as queries do.
         files: the files, of episodes of one world.
-        listed: a list of the files in SQL.
         table: the table, or `models/<table>`.
 
     Raises:
@@ -106,7 +104,7 @@ def check_statistics(
     expected, places = part_columns(table), _by_path(files)
     of_models = expected if "/" in table else repeated_columns(table)
     depth = _NAMES_OF_OBJECT if isinstance(files[0], ObjectPath) else 0
-    found = (_stated(row, depth) for row in connection.fetchall(_select(listed)))
+    found = (_stated(row, depth) for row in connection.fetchall(_select(files)))
     known = sorted((stated for stated in found if stated.column in expected), key=_row_group)
     for (name, group), columns in groupby(known, _row_group):
         own, file = list(columns), places[name]
@@ -124,13 +122,13 @@ def check_statistics(
                 )
 
 
-def _select(listed: str) -> str:
+def _select(files: Sequence[Path]) -> str:
     """Returns the SELECT of what footers say of columns."""
     names = ", ".join((*_NAMES, *_LEAST, *_GREATEST, *_SKIPS))
     bounds, counts = ", ".join((*_LEAST, *_GREATEST)), ", ".join(("stats_null_count", *_SKIPS))
     return (
         f"SELECT {names}, coalesce(min_is_exact AND max_is_exact, true) "  # noqa: S608
-        f"FROM parquet_metadata({listed}) "
+        f"FROM parquet_metadata({file_list(files)}) "
         f"WHERE coalesce({bounds}) IS NOT NULL OR coalesce({counts}) IS NOT NULL"
     )
 
@@ -168,7 +166,7 @@ def _read(file: Path, group: int, names: Sequence[str]) -> pa.Table:
         part = pq.ParquetFile(parquet_source(file))
         return part.read_row_group(group, columns=list(names), use_threads=False)
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{file} cannot be read: it is damaged: {error}") from error
+        raise unreadable(file, error) from error
 
 
 def _flat(column: pa.ChunkedArray) -> pa.ChunkedArray:

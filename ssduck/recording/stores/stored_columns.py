@@ -104,6 +104,13 @@ def checked_parquet(source: str, content: bytes, table: str) -> pq.ParquetFile:
     return _checked(source, content, table)
 
 
+def unreadable(source: object, error: Exception) -> RecordError:
+    """Returns the error that a file cannot be read, for an error of the library or of a store."""
+    if isinstance(error, RecordError):
+        return error
+    return RecordError(f"{source} cannot be read: it is damaged: {error}")
+
+
 def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
     """Returns a part, or what its footer tells of it.
 
@@ -114,7 +121,7 @@ def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
         part = pq.ParquetFile(pa.BufferReader(content))
         schema = part.schema_arrow
     except (pa.ArrowException, OSError) as error:
-        raise RecordError(f"{source} cannot be read: it is damaged: {error}") from error
+        raise unreadable(source, error) from error
     known = _known_schemas.get(table)
     if known is None or not schema.equals(known):
         check_columns(source, arrow_columns(schema), part_columns(table))
