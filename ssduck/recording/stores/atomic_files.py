@@ -24,6 +24,11 @@ def temporary_path(place: Path) -> Path:
     return place.with_name(f".{place.name}.unfinished")
 
 
+def _own_temporary_path(place: Path) -> Path:
+    """Returns such a path that no other process has."""
+    return place.with_name(f".{secrets.token_hex(8)}.unfinished")
+
+
 def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
     """Writes a file under a temporary name, and renames it when it is on the disk."""
     if isinstance(place, ObjectPath):
@@ -68,7 +73,7 @@ def create_file(place: Path, text: str) -> bool:
     """
     if isinstance(place, ObjectPath):
         return create_object(place, text.encode())
-    temporary = place.with_name(f".{secrets.token_hex(8)}.unfinished")
+    temporary = _own_temporary_path(place)
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
@@ -95,7 +100,7 @@ def unfinished_folder(folder: Path) -> Path:
     """Returns the path of a new folder until it is complete; the same in an object store."""
     if isinstance(folder, ObjectPath):
         return folder
-    return folder.with_name(f".{secrets.token_hex(8)}.unfinished")
+    return _own_temporary_path(folder)
 
 
 def finish_folder(place: Path, folder: Path) -> None:
