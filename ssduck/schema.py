@@ -105,6 +105,11 @@ class TickColumns:
         return (*self.integers, *self.doubles, *self.booleans)
 
     @property
+    def measured(self) -> tuple[str, ...]:
+        """The doubles that may be unknown: all but the time."""
+        return self.doubles[1:]
+
+    @property
     def sql(self) -> dict[str, str]:
         """The type of each column in SQL."""
         return {

@@ -37,6 +37,7 @@ from ssduck.recording.replay.record import TIME_TOLERANCE
 from ssduck.recording.stores.batched_parts import ReadParts
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
+from ssduck.schema import RECORDED
 from ssduck.sql.sql_values import literal
 
 _Part = TypeVar("_Part", bound=exp.Expr)
@@ -236,7 +237,7 @@ class _Files:
                 conditions += " AND f.time >= e.since"
             select = exp.select(
                 exp.column(_NUMBER, table="e"),
-                *(exp.column(name, table="f", quoted=True) for name in columns),
+                *(_stored(table, name) for name in columns),
             )
             select = select.from_(self._scan(f"{path}/{table}/world={world}"))
             parts.append(select.join(exp.table_(_EPISODES, alias="e"), on=_parsed(conditions)))
@@ -254,6 +255,15 @@ class _Files:
         is_hive = exp.EQ(this=exp.column("hive_partitioning"), expression=exp.true())
         read = exp.Anonymous(this="read_parquet", expressions=[files, is_hive])
         return exp.Table(this=read, alias=alias)
+
+
+def _stored(table: str, name: str) -> exp.Expr:
+    """Returns a column of a file; NULL for NaN, which a stranger may have stored."""
+    column = exp.column(name, table="f", quoted=True)
+    if name not in RECORDED[table].tick_columns.measured:
+        return column
+    known = exp.case().when(exp.not_(exp.IsNan(this=column)), column.copy())
+    return exp.alias_(known, name, quoted=True)
 
 
 # -- the rows of the program ------------------------------------------------------------------

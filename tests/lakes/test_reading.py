@@ -118,10 +118,11 @@ def changed(record: Path, name: str, value: object) -> None:
 
 
 @pytest.mark.usefixtures("together")
-def test_a_file_that_changed_is_decoded_anew(record) -> None:
+@pytest.mark.parametrize("value", [99.0, float("nan")])
+def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
     programs = PROGRAMS[:4]
     before = [asked(record, program) for program in programs]
-    changed(record, "z", 99.0)
+    changed(record, "z", value)
     for program, answers in zip(programs, before, strict=True):
         found = asked(record, program)
         assert found == by_themselves(record, program)

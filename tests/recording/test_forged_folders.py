@@ -18,7 +18,6 @@ import pytest
 import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores import checksums, stored_columns
-from ssduck.recording.stores.part_log import _LABEL, _TABLE
 from tests.support.cases import sampled
 from tests.support.forged import (
     EPISODE,
@@ -26,6 +25,7 @@ from tests.support.forged import (
     make_records,
     part,
     rewrite,
+    rewrite_log,
     use,
     with_column,
     without_checksums,
@@ -357,26 +357,6 @@ def test_a_check_tells_of_ticks_and_models(
 # -- the index and the log ------------------------------------------------------------------------
 
 
-def _streams(file: Path) -> dict[str, pa.Table]:
-    content, tables = pa.BufferReader(file.read_bytes()), {}
-    while content.tell() < content.size():
-        table = pa.ipc.open_stream(content).read_all()
-        tables[table.schema.metadata[_TABLE].decode()] = table
-    return tables
-
-
-def _rewrite_log(record: Path, change: Callable[[dict[str, pa.Table]], None]) -> None:
-    file = next(record.glob("log/*/*/part-000000-0000.arrow"))
-    tables = _streams(file)
-    label = tables["ticks"].schema.metadata[_LABEL]
-    change(tables)
-    with pa.OSFile(str(file), "wb") as sink:
-        for name, table in tables.items():
-            labelled = table.replace_schema_metadata({_LABEL: label, _TABLE: name})
-            with pa.ipc.new_stream(sink, labelled.schema) as writer:
-                writer.write_table(labelled)
-
-
 def _change(table: str, change: Callable[[pa.Table], pa.Table]) -> Callable[[Any], None]:
     return lambda tables: tables.update({table: change(tables[table])})
 
@@ -405,7 +385,7 @@ def test_a_forged_log_is_an_error(
     made: Path, tmp_path: Path, change: Callable[[Any], Any], words: str
 ) -> None:
     record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
-    _rewrite_log(record, change)
+    rewrite_log(record, change)
     with pytest.raises(RecordError, match=words) as error:
         use(record)
     assert "unfinished" in str(error.value)

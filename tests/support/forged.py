@@ -14,6 +14,7 @@ import pybullet
 
 import ssduck
 from ssduck import Recording
+from ssduck.recording.stores.part_log import _LABEL, _TABLE
 from ssduck.schema import HISTORIES, MODELS, RECORDABLE
 from tests.support.recorded import lively
 
@@ -113,3 +114,24 @@ def describe(file: Path, **values: Any) -> None:
     content = json.loads(file.read_text()) | values
     content.pop("crc32", None)
     file.write_text(json.dumps(content))
+
+
+def _streams(file: Path) -> dict[str, pa.Table]:
+    content, tables = pa.BufferReader(file.read_bytes()), {}
+    while content.tell() < content.size():
+        table = pa.ipc.open_stream(content).read_all()
+        tables[table.schema.metadata[_TABLE].decode()] = table
+    return tables
+
+
+def rewrite_log(record: Path, change: Callable[[dict[str, pa.Table]], None]) -> None:
+    """Changes the tables of the first file of a log, by name; it keeps its label."""
+    file = next(record.glob("log/*/*/part-000000-0000.arrow"))
+    tables = _streams(file)
+    label = tables["ticks"].schema.metadata[_LABEL]
+    change(tables)
+    with pa.OSFile(str(file), "wb") as sink:
+        for name, table in tables.items():
+            labelled = table.replace_schema_metadata({_LABEL: label, _TABLE: name})
+            with pa.ipc.new_stream(sink, labelled.schema) as writer:
+                writer.write_table(labelled)

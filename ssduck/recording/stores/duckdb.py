@@ -291,7 +291,7 @@ class DuckDBStore(TickStore, TickArchive):
     def _source_of_slot(self, table: str, slot: int) -> str:
         """Returns the stored rows of a slot, in SQL, after a check of those of a file.
 
-        Older records lack some columns, which are added.
+        Columns that older records lack are added, and a stranger's NaN is NULL.
         """
         place = self._slot(table, slot)
         if self._file is None:
@@ -301,12 +301,10 @@ class DuckDBStore(TickStore, TickArchive):
             types["until"] = "integer"
         name = f"{table} {slot}"
         present = self._file.columns(self._connection, self._models.schema, name, types)
-        if present >= types.keys():
-            return place
-        columns = RECORDED[table].tick_columns.sql
-        if "until" in types:
-            columns |= {"until": "BIGINT"}
-        return f"({all_columns(place, columns, present, {'joint': JOINT_OF_LINK})})"
+        stored = RECORDED[table].tick_columns
+        columns = stored.sql | ({"until": "BIGINT"} if "until" in types else {})
+        missing = {"joint": JOINT_OF_LINK}
+        return f"({all_columns(place, columns, present, missing, stored.measured)})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:

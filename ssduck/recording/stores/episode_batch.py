@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ssduck.errors import RecordError
 from ssduck.geometry.arrays import Array
@@ -35,6 +34,7 @@ from ssduck.recording.stores.batched_parts import (
 from ssduck.recording.stores.history_sql import near_pair_rows, quoted
 from ssduck.recording.stores.parquet_archive import arrow_types, multi_link_bodies
 from ssduck.recording.stores.row_checks import TABLES_OF_BODIES, RowChecks
+from ssduck.recording.stores.stored_columns import with_nulls
 from ssduck.schema import MODELS, TABLES
 from ssduck.world.live_tables import ARROW_TYPES
 
@@ -258,13 +258,13 @@ class EpisodeBatch(TickArchive):
         """
         files = [episode.files[table] for episode in self._episodes]
         if not all(file in self.parts for own in files for file in own):
-            yield from map(_with_nulls, self._pieces(table, indices, columns))
+            yield from map(with_nulls, self._pieces(table, indices, columns))
             return
         whole = self._whole.setdefault(table, {})
         missing = [name for name in columns if name not in whole]
         if missing:  # the same for all statements of a batch
             pieces = self._pieces(table, range(len(files)), missing)
-            rows = _with_nulls(pa.concat_tables(pieces).combine_chunks())
+            rows = with_nulls(pa.concat_tables(pieces).combine_chunks())
             whole.update(zip(missing, rows.columns, strict=True))
         counts = [sum(self.parts.read(file).row_count for file in own) for own in files]
         first, end = sum(counts[: indices.start]), sum(counts[: indices.stop])
@@ -370,17 +370,6 @@ def model_table(table: str) -> str:
 def _rows_name(table: str) -> str:
     """Returns the name under which the rows of a table are registered with the connection."""
     return f"batch: {table}"
-
-
-def _with_nulls(rows: pa.Table) -> pa.Table:
-    """Returns rows with NULL for unknown numbers, which may be NaN: SQL takes that for a number."""
-    for place, column in enumerate(rows.columns):
-        if pa.types.is_floating(column.type):
-            unknown = pc.is_nan(column)
-            if pc.any(unknown).as_py():
-                known = pc.if_else(unknown, pa.scalar(None, column.type), column)
-                rows = rows.set_column(place, rows.column_names[place], known)
-    return rows
 
 
 def _rows(part: ReadPart, types: pa.Schema, offset: int, first: int, last: int) -> pa.Table:

@@ -25,7 +25,7 @@ import pyarrow as pa
 from ssduck.errors import RecordError
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.checksums import UNSEALED, SealedFile, content_of, log_problem
-from ssduck.recording.stores.stored_columns import check_stream
+from ssduck.recording.stores.stored_columns import check_stream, with_nulls
 from ssduck.schema import RECORDED
 
 _FILE = re.compile(r"part-([0-9]{6,9})-([0-9]{4,9})\.arrow")
@@ -224,7 +224,8 @@ def _read(file: Path, key: str, *, has_checksums: bool) -> dict[str, pa.Table]:
             if table in tables or table not in RECORDED:
                 raise RecordError(f"{file} is damaged: {table!r} is no table, or there twice")
             check_stream(f"{file}, {table}", stream.schema, table)
-            tables[table] = _validated(stream.read_all()).replace_schema_metadata()
+            rows = _validated(stream.read_all()).replace_schema_metadata()
+            tables[table] = with_nulls(rows)
     except (pa.ArrowException, OSError, KeyError, UnicodeDecodeError) as error:
         if isinstance(error, RecordError):
             raise

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
@@ -183,3 +184,14 @@ def _is_list(type: pa.DataType) -> bool:
     return bool(
         pa.types.is_list(type) or pa.types.is_large_list(type) or pa.types.is_fixed_size_list(type)
     )
+
+
+def with_nulls(rows: pa.Table) -> pa.Table:
+    """Returns rows with NULL for unknown numbers, which may be NaN: SQL takes that for a number."""
+    for place, column in enumerate(rows.columns):
+        if pa.types.is_floating(column.type):
+            unknown = pc.is_nan(column)
+            if pc.any(unknown).as_py():
+                known = pc.if_else(unknown, pa.scalar(None, column.type), column)
+                rows = rows.set_column(place, rows.column_names[place], known)
+    return rows

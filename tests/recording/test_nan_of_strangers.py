@@ -1,0 +1,168 @@
+"""Measured numbers that a stranger stored as NaN are unknown, whichever way they are asked for."""
+
+import math
+import shutil
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import ssduck
+from ssduck.recording.stores.checksums import write_parquet
+from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums
+from tests.support.rising_cups import write_rising_cups
+
+KINDS = ("folder", "unfinished", "file.duckdb")
+# Columns of each table that a simulation measures.
+NUMBERS = {
+    "entities": ("z", "vx", "zmax"),
+    "links": ("z", "wx"),
+    "joints": ("position",),
+    "contacts": ("force",),
+}
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("records")
+    make_records(place)
+    return place
+
+
+def some_nan(rows: pa.Table, columns: tuple[str, ...]) -> pa.Table:
+    """Returns rows with NaN in some columns of every other row."""
+    for name in columns:
+        values = rows[name].to_numpy().copy()
+        values[::2] = np.nan
+        rows = with_column(name, pa.array(values))(rows)
+    return rows
+
+
+def store_nan(record: Path, table: str) -> None:
+    columns = NUMBERS[table]
+    if record.suffix:
+        place = f'lab_record_0."{table} 0"'
+        values = ", ".join(f"{name} = 'nan'" for name in columns)
+        with duckdb.connect(record) as plain:
+            plain.execute(f"UPDATE {place} SET {values} WHERE rowid % 2 = 0")
+    elif record.name == "unfinished":
+        rewrite_log(record, lambda t: t.update({table: some_nan(t[table], columns)}))
+    else:
+        without_checksums(record)
+        file = part(record, table)
+        rows = pq.ParquetFile(file).read()
+        write_parquet(some_nan(rows, columns), file, write_statistics=False)
+
+
+@pytest.fixture
+def record(records: Path, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    source = records / request.param
+    copy = shutil.copytree if source.is_dir() else shutil.copy
+    return Path(copy(source, tmp_path / source.name))
+
+
+# The first file of the log has no contacts.
+CASES = [(kind, table) for kind in KINDS for table in NUMBERS]
+CASES.remove(("unfinished", "contacts"))
+
+
+@pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])
+def test_sql_reads_null(record: Path, table: str) -> None:
+    history = f"{table}_history"
+    with ssduck.open(record) as ss:
+        before = dict(ss.sql(f"SELECT column_name, null FROM (DESCRIBE {history})").fetchall())
+        (counts,) = ss.sql(f"SELECT {_counts(table)} FROM {history}").fetchall()
+    assert not any(counts)
+    store_nan(record, table)
+    with ssduck.open(record) as ss:
+        (counts,) = ss.sql(f"SELECT {_counts(table)} FROM {history}").fetchall()
+        assert all(counts)
+        for name in NUMBERS[table]:
+            assert ss.sql(f"SELECT * FROM {history} WHERE isnan({name})").fetchall() == []
+            ((largest,),) = ss.sql(f"SELECT max({name}) FROM {history}").fetchall()
+            assert math.isfinite(largest)
+        assert before == dict(
+            ss.sql(f"SELECT column_name, null FROM (DESCRIBE {history})").fetchall()
+        )
+
+
+def _counts(table: str) -> str:
+    """Returns the numbers of unknown values of columns, in SQL."""
+    return ", ".join(f"count(*) FILTER ({name} IS NULL)" for name in NUMBERS[table])
+
+
+PROGRAMS = (
+    "SELECT tick, id FROM lab{} WHERE z(this) > 0.05 AS list;",
+    "SELECT tick, id FROM lab{} WHERE NOT z(this) > 0.05 AS list;",
+    "SELECT tick, z(this) FROM lab{} ORDER BY z(this) DESC, tick, id AS list;",
+    "holds(z(lab.ball) < 1000);",
+    "greatest(z(lab.ball));",
+    "SELECT tick, id FROM lab{} WHERE above(this, lab.arm) AS list;",
+    "SELECT tick, id FROM lab{} WHERE near(this, lab.arm, 1) AS list;",
+)
+
+
+@pytest.mark.parametrize("record", KINDS, indirect=True)
+def test_selectscript_answers_as_for_null(record: Path, tmp_path: Path) -> None:
+    """The oracle is the same record with NULL in their place, as ssduck stores them."""
+    store_nan(record, "entities")
+    other = tmp_path / "null" / record.name
+    (shutil.copytree if record.is_dir() else _copied)(record, other)
+    _with_null(other)
+    with ssduck.open(record) as ss, ssduck.open(other) as expected:
+        for program in PROGRAMS:
+            assert ss.eval(program) == expected.eval(program), program
+
+
+def _copied(source: Path, target: Path) -> None:
+    target.parent.mkdir()
+    shutil.copy(source, target)
+
+
+def _nan_in_entities(rows: pa.Table) -> pa.Table:
+    return some_nan(rows, NUMBERS["entities"])
+
+
+def _null_in_entities(rows: pa.Table) -> pa.Table:
+    rows = _nan_in_entities(rows)
+    for name in NUMBERS["entities"]:
+        rows = with_column(name, pa.array(rows[name].to_numpy(), from_pandas=True))(rows)
+    return rows
+
+
+def _with_null(record: Path) -> None:
+    """Replaces NaN by NULL in the entities of a record."""
+    if record.suffix:
+        with duckdb.connect(record) as plain:
+            for name in NUMBERS["entities"]:
+                value = f"nullif({name}, 'nan')"
+                plain.execute(f'UPDATE lab_record_0."entities 0" SET {name} = {value}')
+    elif record.name == "unfinished":
+        rewrite_log(record, lambda t: t.update(entities=_null_in_entities(t["entities"])))
+    else:
+        file = part(record, "entities")
+        write_parquet(_null_in_entities(pq.ParquetFile(file).read()), file, write_statistics=False)
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
+    records = [write_rising_cups(tmp_path / name / "record", 2, 4) for name in ("nan", "null")]
+    for record, change in zip(records, (_nan_in_entities, _null_in_entities), strict=True):
+        file = part(record, "entities")
+        rows = pq.ParquetFile(file).read()
+        about = {k: v for k, v in rows.schema.metadata.items() if k != b"ssduck checksums"}
+        write_parquet(change(rows).replace_schema_metadata(about), file, write_statistics=False)
+    lake, expected = map(ssduck.lake, records)
+    program = program.replace("ball", "pot").replace("arm", "cup")
+    found, wanted = (one.ask(program, processes=1).to_pylist() for one in (lake, expected))
+    assert [row["error"] for row in found] == [None, None]
+    assert [row["answer"] for row in found] == [row["answer"] for row in wanted]
+    if "near" not in program:  # no formula
+        found, wanted = (
+            duckdb.sql(one.sql(program.replace(" AS list", ""))).df().drop(columns="path")
+            for one in (lake, expected)
+        )
+        assert found.equals(wanted)
