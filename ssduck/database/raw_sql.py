@@ -11,6 +11,7 @@ from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
 from ssduck.database.own_catalog import OwnCatalog
 from ssduck.database.referenced_tables import (
+    COMMENT,
     ReadData,
     ReferencedTables,
     StatementWords,
@@ -26,7 +27,6 @@ from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.schema import HISTORIES, MARGINS, MASSES, ON_DEMAND, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
-_COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
 _NAME = r'(?:"[^"]*"|\w+)'
 # What a statement defines, changes or drops, with the schemas before it.
 _DEFINED = re.compile(
@@ -185,7 +185,8 @@ class RawSql:
             with self._own_catalog.guarded(sql):
                 return self._connection.table(sql, parameters)
         finally:
-            self._update(sql)
+            if not self._connection.meter.limits.select_only:  # else it is no SQL
+                self._update(sql)
 
     def _names(self) -> WorldNames:
         """Returns the names of the worlds; forgets all statements when these have changed."""
@@ -210,7 +211,7 @@ class RawSql:
         """Takes note of a statement that may have changed what names and settings mean."""
         self._world_names = None
         self._may_have_own_names = True
-        defined = _DEFINED.findall(_COMMENT.sub(" ", sql))
+        defined = _DEFINED.findall(COMMENT.sub(" ", sql))
         self._redefined |= {name.rpartition(".")[2].strip().strip('"').lower() for name in defined}
         if _ATTACHES.search(sql) and self._connection.is_open:
             self._note_stored_queries(of_attached=True)

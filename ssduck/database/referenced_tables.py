@@ -13,6 +13,7 @@ import duckdb
 from ssduck.database.binding import BoundWorld
 from ssduck.database.macros import TABLE_MACROS
 from ssduck.errors import LimitError, SourceSpan, SqlError
+from ssduck.formatting import short_repr
 from ssduck.schema import MARGINS, MASSES, TABLES
 from ssduck.sql.relations.registry import RELATIONS
 
@@ -57,6 +58,7 @@ _READS_CATALOG = re.compile(
 )
 # The words by which the schema of another world than the first may be omitted.
 _CHANGES_SEARCH_PATH = re.compile(r"\b(USE|search_path|schema)\b", re.IGNORECASE)
+COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
 
 # DuckDB's parser, which cannot be interrupted, takes long for more words or more nested brackets.
 MAX_TOKENS = 20_000
@@ -125,7 +127,8 @@ def types_and_texts(
     except (duckdb.Error, TypeError):  # TypeError: it is no text in UTF-8
         return None
     except ValueError as error:  # UPDATE EXTENSIONS
-        raise SqlError(f"SQL has no such statement here: {error}") from error
+        shown = short_repr(" ".join(sql.split()))
+        raise SqlError(f"SQL has no such statement here: {shown}") from error
 
 
 def _type_and_text(statement: duckdb.Statement) -> tuple[str, str]:

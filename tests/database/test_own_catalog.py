@@ -101,7 +101,7 @@ MISTAKES = [
     ("SET \"Schema\" /* = 'main' */ = lower('ROOM_') || 'record_0'", "SET schema takes a name"),
     ("PRAGMA search_path = concat('room_', 'record_0')", "SET search_path takes a name"),
     ("SET VARIABLE x = 'room_'; SET schema = getvariable('x')", "SET schema takes a name"),
-    ("UPDATE EXTENSIONS", "SQL has no such statement here"),
+    ("UPDATE EXTENSIONS", "SQL has no such statement here: 'UPDATE EXTENSIONS'$"),
     ("ATTACH IF NOT EXISTS ':memory:' AS other; USE other", "name its tables in full"),
     ('PREPARE mine AS DELETE FROM room_record_0."entities model"', RECORD),
     ('PREPARE "ssduck statement 1 entities" AS SELECT 1', "are ssduck's own"),
@@ -130,6 +130,18 @@ def test_a_mistake_is_an_error_and_all_else_goes_on(lasting, text, words):
     ss.call_variable("room").tick()
     assert answers(ss) == before
     ss.sql("DROP TABLE IF EXISTS mine")
+
+
+@pytest.mark.parametrize("text", ["SET schema = DEFAULT", "RESET schema", "RESET search_path"])
+def test_the_schemas_of_duckdb_change_nothing_of_worlds(ss, text):
+    """Only the schema that may be left out is another one, until `USE` names it again."""
+    before = ss.sql("SELECT count(*) FROM entities").fetchall(), answers(ss)
+    ss.sql(text)
+    with pytest.raises(SqlError, match=r'Did you mean "room\.entities"'):
+        ss.sql("SELECT count(*) FROM entities")
+    assert ss.sql("SELECT count(*) FROM room.entities").fetchall() == before[0]
+    ss.sql("USE room")
+    assert (ss.sql("SELECT count(*) FROM entities").fetchall(), answers(ss)) == before
 
 
 @pytest.mark.slow

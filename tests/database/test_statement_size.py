@@ -157,6 +157,24 @@ def test_the_bound_of_a_join(strict, text):
         strict.sql(text)
 
 
+# What a SELECT of the greatest size joins, and one of the next.
+EDGES = {
+    "tables": lambda n: f"SELECT 1 FROM {', '.join(f'ticks t{i}' for i in range(n))}",
+    "values": lambda n: f"SELECT {', '.join(['(SELECT max(id) FROM entities)'] * n)}",
+    "values without FROM": lambda n: f"SELECT {', '.join(['(SELECT 1)'] * n)}",
+    "values of a table": lambda n: f"SELECT {', '.join(['(SELECT 1)'] * (n - 1))} FROM ticks",
+    "a union": lambda n: f"SELECT {', '.join(['(SELECT 1)'] * n)} UNION {'SELECT 1' + ', 1' * (n - 1)}",
+    "a nested query": lambda n: f"FROM (SELECT {', '.join(['(SELECT 1)'] * (n - 1))})",
+}
+
+
+@pytest.mark.parametrize("text", EDGES.values(), ids=EDGES)
+def test_a_select_joins_as_many_tables_as_the_message_says(strict, text):
+    assert strict.sql(text(100)).fetchall()
+    with pytest.raises(LimitError, match="joins at most 100 tables and nested queries"):
+        strict.sql(text(101))
+
+
 def test_many_relations_are_not_rewritten():
     """The time to rewrite them grew with the square of their number, and was not limited."""
     count = 25

@@ -6,6 +6,7 @@ The check walks the tree of DuckDB's own parser, so that both read the text in t
 from __future__ import annotations
 
 import json
+import re
 from collections import OrderedDict
 from collections.abc import Collection, Iterator, Mapping
 from collections.abc import Set as AbstractSet
@@ -16,6 +17,7 @@ from ssduck.database.binding import BoundWorld
 from ssduck.database.connection import Connection
 from ssduck.database.folding import folded
 from ssduck.database.macros import TABLE_MACROS
+from ssduck.database.referenced_tables import COMMENT
 from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
@@ -130,7 +132,9 @@ class SelectCheck:
             example = "PIVOT t ON x IN ('a', 'b') USING count(*)"
             raise LimitError(f"PIVOT needs its values here: {example} (Limits: select_only)")
         if kind not in ("SELECT", "WITH"):  # the tree tells what is in WITH
-            raise LimitError(f"SQL is one SELECT here, not {kind} (Limits: select_only)")
+            word = _first_word(statements[0][1])
+            what = kind if word in ("", "WITH") else word
+            raise LimitError(f"SQL is one SELECT here, not {what} (Limits: select_only)")
         ((text,),) = self._connection.internal_rows(_TREE, [sql])
         try:
             tree = json.loads(text)
@@ -318,6 +322,12 @@ class _Walk:
             span=span,
             suggestions=nearest(name, known),
         )
+
+
+def _first_word(text: str) -> str:
+    """Returns the first word of a statement, in capitals; empty if it begins with none."""
+    match = re.match(r"\W*(\w+)", COMMENT.sub(" ", text))
+    return "" if match is None else match.group(1).upper()
 
 
 def _is_written_out(argument: Node) -> bool:

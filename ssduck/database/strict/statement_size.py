@@ -63,6 +63,7 @@ class _Columns:
         total: the size of all together.
         tables: the number of tables in the plan.
         joined: the largest number of them that are joined.
+        bare: 1 for a SELECT without FROM, which a SELECT around it joins as well; else 0.
         is_inlined: whether each mention of the query repeats its plan.
     """
 
@@ -70,7 +71,14 @@ class _Columns:
     total: int = 1
     tables: int = 1
     joined: int = 1
+    bare: int = 0
     is_inlined: bool = False
+
+
+    @property
+    def nested(self) -> _Columns:
+        """The columns of the query as a part of another one."""
+        return replace(self, joined=self.joined + self.bare, bare=0)
 
 
 _Queries: TypeAlias = Mapping[str, _Columns]
@@ -123,7 +131,8 @@ def _columns(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Column
     names = parts[0].sizes if parts else {}
     tables = sum(part.tables for part in parts)
     joined = max((part.joined for part in parts), default=1)
-    return _checked(_Columns(dict.fromkeys(names, largest), largest, tables, joined))
+    bare = max((part.bare for part in parts), default=0)
+    return _checked(_Columns(dict.fromkeys(names, largest), largest, tables, joined, bare))
 
 
 def _queries_in(node: Node) -> list[Node]:
@@ -157,8 +166,9 @@ def _selected(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Colum
         part for key, part in node.items() if key not in ("select_list", "from_table", "cte_map")
     ]
     _checked(_Columns(total=walk.size(rest)))
-    tables, joined = source.tables + walk.tables, source.joined + walk.joined
-    return _checked(_Columns(sizes, max(total, 1), tables, joined))
+    bare = int(node["from_table"]["type"] == "EMPTY")
+    tables, joined = source.tables + walk.tables, source.joined + walk.joined - bare
+    return _checked(_Columns(sizes, max(total, 1), tables, joined, bare))
 
 
 def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns:
@@ -169,10 +179,10 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
         columns = _Columns(total=_COLUMNS)
         if not node.get("schema_name") and name in queries:
             query = queries[name]
-            columns = query if query.is_inlined else _Columns(query.sizes, query.total)
+            columns = query.nested if query.is_inlined else _Columns(query.sizes, query.total)
         alias = node.get("alias") or name
     elif kind == "SUBQUERY":
-        columns = _columns(node["subquery"]["node"], queries, outer)
+        columns = _columns(node["subquery"]["node"], queries, outer).nested
         alias = node.get("alias") or ""
     elif kind == "JOIN":
         left = _source(node["left"], queries, outer)
@@ -241,7 +251,7 @@ class _Expressions:
         if not isinstance(part, dict):
             return 0
         if str(part.get("type")).endswith("_NODE"):  # the query of DESCRIBE
-            columns = _columns(part, self._queries, self._names)
+            columns = _columns(part, self._queries, self._names).nested
             self._count(columns.tables, columns.joined)
             return columns.total
         match part.get("class"):
