@@ -1,8 +1,7 @@
 """Answers agents in a process of its own, which is ended when a program exceeds its limits.
 
 The two processes exchange lines of JSON: a question names a method of `Answers` and its arguments;
-an answer is a text, the bytes of a picture, or an error. `python -m ssduck.cli.worker` is the
-process.
+an answer is a text, the bytes of a picture, or an error. `main` is what the process runs.
 """
 
 from __future__ import annotations
@@ -26,6 +25,12 @@ from ssduck.limits import GRACE, Limits, limit_process_memory
 from ssduck.mcp.answers import InterpreterAnswers, Language, WorkerError
 from ssduck.simulators.scenes import find_scene
 
+# Starts the worker with the path of its parent. The current folder, which may be a stranger's, is
+# not on it unless it is on the parent's.
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
+    "from ssduck.cli.worker import main; main()"
+)
 # The line that stops the question before it.
 _STOP = "stop"
 _GONE = "variables that programs have set are gone"
@@ -168,8 +173,9 @@ class WorkerAnswers:
         return answer["value"]
 
     def _start(self) -> None:
+        path, source = list(map(str, sys.path)), asdict(self._source)
         self._process = subprocess.Popen(  # noqa: S603  # this file
-            [sys.executable, "-m", "ssduck.cli.worker", json.dumps(asdict(self._source))],
+            [sys.executable, "-P", "-c", _START, json.dumps(path), json.dumps(source)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -268,7 +274,3 @@ def _streams() -> tuple[TextIO, TextIO]:
 def _write(stream: TextIO, answer: dict[str, Any]) -> None:
     stream.write(f"{json.dumps(answer)}\n")
     stream.flush()
-
-
-if __name__ == "__main__":
-    main()

@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
 from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
-from ssduck.lakes.pool import pools
+from ssduck.lakes.pool import end_at_once, pools
 from ssduck.lakes.questions import Question
 from ssduck.lakes.workers import Answer, answer_episodes
 
@@ -89,7 +89,7 @@ def _answers_of_pool(
             yield index, answers
     finally:
         if unanswered:
-            pool.shutdown(cancel_futures=True)
+            end_at_once(pool)
         else:
             pools.keep(pool, processes)
 

@@ -11,10 +11,13 @@ import multiprocessing
 import os
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.connection import wait
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +25,8 @@ from typing import Any
 COLD = 140
 # Each process that is there already has so many episodes at least.
 WARM = 25
+# Makes Python leave the current folder out of the path of a process that it starts.
+_SAFE = "PYTHONSAFEPATH"
 # How long processes are kept that answer nothing, s.
 IDLE = 300.0
 
@@ -46,6 +51,51 @@ class _Kept:
         """Ends the processes."""
         self.timer.cancel()
         self.executor.shutdown()
+
+
+# -- starting and ending --------------------------------------------------------------------------
+
+_starting = threading.Lock()
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Lets processes that start not import from the current folder, which may be a stranger's.
+
+    They get the path of their parent before they import more than the standard library.
+    """
+    with _starting:
+        before = os.environ.get(_SAFE)
+        os.environ[_SAFE] = "1"
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[_SAFE]
+            else:
+                os.environ[_SAFE] = before
+
+
+class _Process(SpawnProcess):
+    """A process that begins without the current folder on its path."""
+
+    @staticmethod
+    def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802  # of the library
+        with _safe_path():
+            return SpawnProcess._Popen(process_obj)  # type: ignore[attr-defined]  # noqa: SLF001
+
+
+class _Context(SpawnContext):
+    """Starts such processes. A forked one would lack the threads of DuckDB."""
+
+    Process = _Process
+
+
+def end_at_once(executor: ProcessPoolExecutor) -> None:
+    """Ends processes, whatever they are doing."""
+    for process in list((executor._processes or {}).values()):  # noqa: SLF001
+        process.terminate()
+    executor.shutdown(cancel_futures=True)
 
 
 class ProcessPools:
@@ -79,9 +129,8 @@ class ProcessPools:
                 kept.timer.cancel()
                 return kept.executor, True
             kept.end()
-        # A forked process lacks the threads of DuckDB.
-        context = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(count, context, _end_with_parent), False
+        with _safe_path():
+            return ProcessPoolExecutor(count, _Context(), _end_with_parent), False
 
     def keep(self, executor: ProcessPoolExecutor, count: int) -> None:
         """Keeps processes that have answered for the next question, in place of others."""

@@ -1,0 +1,84 @@
+"""Processes import nothing from the current folder, which may be a stranger's, and end at once."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ssduck
+from ssduck.cli.worker import Source, WorkerAnswers
+from tests.support.rising_cups import write_rising_cups
+
+# What Python imports when a process starts, and what ssduck does.
+MODULES = ("multiprocessing", "queue", "html", "json", "selectors", "base64", "ssduck")
+
+
+@pytest.fixture
+def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder: a record, and files with the names of modules."""
+    folder = tmp_path / "foreign"
+    write_rising_cups(folder / "record", 3, 4)
+    for name in MODULES:
+        mark = f"open({str(tmp_path / 'run')!r}, 'a').write({name!r})\n"
+        (folder / f"{name}.py").write_text(mark)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def test_an_agent_starts_no_file_of_the_folder(foreign: Path) -> None:
+    code = "import sys; sys.path.insert(0, ''); import queue"
+    subprocess.run([sys.executable, "-c", code], check=False)
+    assert (foreign.parent / "run").exists()  # as Python does by itself
+    (foreign.parent / "run").unlink()
+    limits = ssduck.Limits.strict()
+    answers = WorkerAnswers(Source("record", None, None, limits))
+    try:
+        assert "3" in answers.query("1 + 2;", "selectscript", 10)
+    finally:
+        answers.close()
+    assert not (foreign.parent / "run").exists()
+
+
+def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
+    rows = ssduck.lake("record").ask("z(lab.cup) > 0.5;", processes=2, batch=1)
+    assert rows["error"].to_pylist() == [None] * 3
+    assert not (foreign.parent / "run").exists()
+
+
+# A product of billions of rows: no batch of it ends.
+ENDLESS = "count(SELECT a.x FROM " + ", ".join(f"{name}=lab{{}}" for name in "abcdefghijkl")
+ENDLESS += " WHERE a.x + l.x > 1e9 AS list);"
+ASKING = f"""
+import sys, ssduck
+if __name__ == "__main__":
+    lake = ssduck.lake(sys.argv[1])
+    lake.ask("1;", processes=2, batch=1)
+    print("asks", flush=True)
+    try:
+        lake.ask({ENDLESS!r}, processes=2, batch=1)
+    except KeyboardInterrupt:
+        print(lake.ask("2;", processes=2, batch=1)["answer"].to_pylist(), flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
+    """They are not in the group of a notebook's process that is interrupted."""
+    record = write_rising_cups(tmp_path / "record", 3, 12)
+    script = tmp_path / "asks.py"
+    script.write_text(ASKING)
+    process = subprocess.Popen(
+        [sys.executable, script, record], stdout=subprocess.PIPE, text=True
+    )
+    with process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "asks\n"
+            process.send_signal(signal.SIGINT)
+            assert process.stdout.readline() == "[2, 2, 2]\n"
+        finally:
+            process.kill()
