@@ -9,7 +9,7 @@ from itertools import islice
 from reprlib import Repr
 from typing import Any
 
-from ssduck.errors import EvaluationError, SourceSpan
+from ssduck.errors import EvaluationError, SourceSpan, printable
 
 # The largest numbers of elements and of characters of a value in a message.
 MAX_SHOWN_ELEMENTS = 20
@@ -148,4 +148,4 @@ def contents_of(entities: Sequence[tuple[str, str]]) -> str:
         return total
     counts = Counter(kind for _, kind in entities)
     kinds = ", ".join(count_of(number, kind) for kind, number in counts.items())
-    return f"{total} ({kinds}: {first_names([name for name, _ in entities])})"
+    return f"{total} ({kinds}: {first_names([printable(name) for name, _ in entities])})"

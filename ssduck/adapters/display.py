@@ -13,6 +13,7 @@ from functools import partial
 from itertools import chain, zip_longest
 from typing import TYPE_CHECKING, Any
 
+from ssduck.errors import printable
 from ssduck.formatting import short_repr
 
 if TYPE_CHECKING:
@@ -365,7 +366,7 @@ def table_lines(table: DisplayTable, width: int | None = None) -> Iterable[str]:
 
 def _value_lines(table: DisplayTable) -> list[str]:
     """Returns the texts of plain values, which may have several lines each."""
-    lines = [readable(row[0]) for row in table.rows]
+    lines = [on_lines(row[0]) for row in table.rows]
     if table.omitted:
         lines.insert((len(lines) + 1) // 2, ROW_MARK)
     return lines
@@ -425,3 +426,8 @@ def on_one_line(value: Any) -> str:
     """Returns the text of `readable` with line ends and control characters escaped."""
     text = readable(value)
     return text if text.isprintable() else repr(text)[1:-1]
+
+
+def on_lines(value: Any) -> str:
+    """Returns the text of `readable` with control characters escaped but line ends and tabs."""
+    return printable(readable(value), kept="\n\t")

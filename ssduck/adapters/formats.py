@@ -27,7 +27,7 @@ from ssduck.adapters.display import (
     table_lines,
 )
 from ssduck.adapters.files import replace_file
-from ssduck.errors import ArgumentError, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, UnknownNameError, nearest, printable
 
 # Characters that Markdown would interpret: [ only in links, _ only beside a word.
 _MARKDOWN = re.compile(r"[\\`*|~]|\[(?=[^]]*\]\()|(?<!\w)_|_(?!\w)")
@@ -56,9 +56,21 @@ def _json(value: Any, stream: TextIO) -> None:
     stream.write("\n]\n")
 
 
+@dataclass(frozen=True)
+class _LineEnds:
+    """Writes lines that end with two characters to a stream, with a line feed in their place."""
+
+    stream: TextIO
+
+    def write(self, line: str) -> None:
+        """Writes a line."""
+        self.stream.write(f"{line[:-2]}\n")
+
+
 def _csv(value: Any, stream: TextIO) -> None:
     table = display_table(value)
-    writer = csv.writer(stream, lineterminator="\n")
+    # The module quotes the characters of the line end, and readers take \r alone for one, too.
+    writer = csv.writer(_LineEnds(stream), lineterminator="\r\n")
     if table.columns:
         writer.writerow(table.columns)
     writer.writerows([cell_text(element) for element in row] for row in table.rows)
@@ -197,6 +209,19 @@ def save(value: Any, path: Path, format: Format | None = None) -> Path:
     return path
 
 
+class _Terminal(io.TextIOBase):
+    """Standard output, with control characters escaped: names may come from strangers."""
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """The encoding of standard output."""
+        return sys.stdout.encoding
+
+    def write(self, text: str) -> int:
+        """Writes a text."""
+        return sys.stdout.write(printable(text, kept="\n\t"))
+
+
 def print_value(value: Any, format: Format, max_rows: int | None = None) -> None:
     """Writes a value to standard output.
 
@@ -206,6 +231,7 @@ def print_value(value: Any, format: Format, max_rows: int | None = None) -> None
         max_rows: the maximal number of rows of a table; None for all.
     """
     if format.name != "table":
-        format.write(value, sys.stdout)
+        is_terminal = sys.stdout.isatty()
+        format.write(value, _Terminal() if is_terminal else sys.stdout)
     elif value is not None:
         print_table(readable_table(value, max_rows))

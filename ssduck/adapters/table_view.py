@@ -9,7 +9,7 @@ from ssduck import validation
 from ssduck.adapters.display import (
     ROW_MARK,
     fitted_table,
-    readable,
+    on_lines,
     readable_table,
     table_lines,
     terminal_width,
@@ -98,5 +98,5 @@ def _html_row(tag: str, cells: Any) -> str:
 
 
 def _escaped(value: Any) -> str:
-    text = html.escape(readable(value))
+    text = html.escape(on_lines(value))
     return f"<pre>{text}</pre>" if "\n" in text else text

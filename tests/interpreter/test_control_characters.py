@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import sys
 import warnings
+from collections.abc import Iterator
 
+import pybullet
 import pytest
 
 import ssduck
+from ssduck.adapters.formats import FORMATS, print_value, text_of
+from ssduck.adapters.table_view import TableView
 from ssduck.errors import ArgumentError, ProgramWarning, UnknownNameError, warn
 
 HOSTILE = "cup\x1b[2J\x9b31m\u202e\r"
@@ -51,3 +59,61 @@ def test_lines_of_a_program_stay_lines() -> None:
     with ssduck.Interpreter() as ss, pytest.raises(UnknownNameError) as caught:
         ss.eval("\tnothing;")
     assert str(caught.value).endswith("    \tnothing;\n    \t^^^^^^^")
+
+
+@pytest.fixture
+def hostile() -> Iterator[ssduck.Interpreter]:
+    client = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, 0.1, physicsClientId=client)
+    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("lab", ssduck.World.attach(client, names={body: HOSTILE}))
+        yield ss
+    pybullet.disconnect(client)
+
+
+class Terminal(io.StringIO):
+    encoding = "utf-8"
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize("format", ["table", "csv", "json", "markdown"])
+@pytest.mark.parametrize(
+    "program", ["SELECT id FROM lab AS list;", "SELECT id FROM lab;", "SELECT this FROM lab;"]
+)
+def test_answers_on_a_terminal(
+    hostile: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch, format: str, program: str
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
+    print_value(hostile.eval(program), FORMATS[format])
+    text = terminal.getvalue()
+    assert "[2J" in text
+    # A terminal gets the letters of heads in bold.
+    for sequence in ("\x1b[2J", "\x9b", "\u202e", "\r"):
+        assert sequence not in text
+    if format == "json":
+        (row,) = json.loads(text)
+        assert HOSTILE in (row if isinstance(row, str) else row.values())
+
+
+def test_files_have_names_as_they_are(hostile: ssduck.Interpreter) -> None:
+    value = hostile.eval("SELECT id FROM lab;")
+    assert json.loads(text_of(value, FORMATS["json"])) == [{"id": HOSTILE}]
+    assert list(csv.reader(io.StringIO(text_of(value, FORMATS["csv"]), newline="")))[1] == [HOSTILE]
+
+
+def test_what_python_shows(hostile: ssduck.Interpreter) -> None:
+    world = hostile.call_variable("lab")
+    values = hostile.eval("SELECT id FROM lab AS list;")
+    view = TableView(values)
+    shown = [repr(world), repr(list(world)), view.text(), view._repr_html_()]
+    for text in shown:
+        assert "[2J" in text
+        assert text.replace("\n", "").isprintable()
+
+
+def test_lines_of_values_stay_lines() -> None:
+    assert TableView(["a\n\tb\x07"]).text() == "a\n\tb\\u0007"
