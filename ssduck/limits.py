@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +16,8 @@ from ssduck.errors import LimitError
 
 # The time after which a program that does not end by itself is ended with its process, s.
 GRACE = 2.0
+# A record may take so long to be opened, however short the time of programs is, s.
+LEAST_OPENING = 10.0
 # Linux's file with the sizes of this process, and what a process may take beside its programs.
 _SIZES, _SPARE = Path("/proc/self/statm"), 10**9
 # The largest number of words and signs of a program under a limit of time.
@@ -113,6 +117,40 @@ def limit_process_memory(limits: Limits) -> None:
     size = pages * resource.getpagesize() + 2 * limits.memory + _SPARE
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (size, hard))
+
+
+# -- opening ----------------------------------------------------------------------------------
+
+# When the time of opening a record is up, by the monotonic clock, s, and how long it was, s.
+_opening: ContextVar[tuple[float, float] | None] = ContextVar("opening", default=None)
+
+
+@contextmanager
+def time_of_opening(limits: Limits | None) -> Iterator[None]:
+    """Limits the time in which a record is opened: `seconds`, or `LEAST_OPENING` if that is more.
+
+    The time is checked before each file or table that is read (`check_opening`).
+    """
+    if limits is None or limits.seconds is None:
+        yield
+        return
+    seconds = max(limits.seconds, LEAST_OPENING)
+    token = _opening.set((time.monotonic() + seconds, seconds))
+    try:
+        yield
+    finally:
+        _opening.reset(token)
+
+
+def check_opening() -> None:
+    """Checks that there is time left if a record is being opened under limits.
+
+    Raises:
+        LimitError: the time is up.
+    """
+    opening = _opening.get()
+    if opening is not None and time.monotonic() > opening[0]:
+        raise LimitError(f"opening the record took more than {opening[1]:g} s (Limits: seconds)")
 
 
 class UsageMeter:

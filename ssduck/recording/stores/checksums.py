@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
+from ssduck.limits import check_opening
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.object_store import ObjectPath
 
@@ -97,6 +98,7 @@ def _write_all(stream: Any, content: memoryview) -> None:
 
 def footer_of(file: Path) -> bytes | None:
     """Returns the footer of a Parquet file; None if the file does not end in one."""
+    check_opening()
     with file.open("rb", buffering=0) as stream:
         size = stream.seek(0, 2)
         if size < _TAIL + len(_MAGIC):
@@ -177,6 +179,7 @@ def content_of(file: Path) -> bytes:
         RecordError: it has more bytes than it can have.
         OSError: it cannot be read.
     """
+    check_opening()
     if not isinstance(file, ObjectPath):  # which is bounded when it is opened
         problem = size_problem(file, file.stat().st_size)
         if problem is not None:

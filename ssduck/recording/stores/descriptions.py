@@ -14,6 +14,7 @@ from typing import Any
 
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
+from ssduck.limits import check_opening
 from ssduck.recording.recorded_visuals import is_camera
 from ssduck.recording.stores.atomic_files import sole_writer, write_atomically
 from ssduck.recording.stores.checksums import (
@@ -124,6 +125,7 @@ def read_description(file: Path) -> dict[str, Any]:
     Raises:
         RecordError: the file cannot be read, or has no JSON object.
     """
+    check_opening()
     if not file.is_file():  # a pipe would be waited for
         raise RecordError(f"{file} cannot be read: there is no such file")
     try:

@@ -15,6 +15,7 @@ import pyarrow as pa
 from sqlglot import exp
 
 from ssduck.errors import RecordError
+from ssduck.limits import check_opening
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.stored_columns import MAX_VALUES, arrow_columns, check_columns
@@ -85,6 +86,7 @@ class RecordFile:
         """
         key = schema, table
         if key not in self._columns:
+            check_opening()
             place, source = self.place(schema, table), f"{self.path}: {schema}.{table!r}"
             if key not in self.rows:
                 raise RecordError(
