@@ -1,6 +1,6 @@
 """Checks that a damaged record gives the right answers, or an error.
 
-`python -m tools.flip [COUNT] [--seed N] [--jobs N]` damages COUNT copies of small records: folders
+`python -m tools.flip [COUNT] [--seed N]` damages COUNT copies of small records: folders
 and DuckDB files, closed ones and ones whose recorder was killed. 2,000 take about 15 minutes on two
 busy cores. The exit status is 1 if there are faults.
 

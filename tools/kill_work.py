@@ -2,13 +2,13 @@
 
 `python -m tools.kill_work [COUNT] [--seed N] [--work NAME]` kills COUNT processes in the middle of
 their work, in turn: while they export a record, close a recording, open a record and ask it, begin
-another episode in a record, repair one, and upgrade one of two episodes. 500 take about ten minutes
-on two busy cores. The exit status is 1 if there are faults. `python -m tools.kill` kills recorders
+another episode in a record, repair one, upgrade one of two episodes, and import an MCAP file (extra
+`mcap`). 500 take about ten minutes on two busy cores. The exit status is 1 if there are faults. `python -m tools.kill` kills recorders
 while they record and flush.
 
 Records are folders and DuckDB files, in turn. A process is killed at a random moment of the time
 that its work takes. After that, every tick that was stored before must be there with the same rows,
-an export and an upgraded record must be whole or not there at all, only an episode with all its
+an export, an import and an upgraded record must be whole or not there at all, only an episode with all its
 ticks may be `complete`, and the same work must succeed when it is done again.
 """
 
@@ -21,6 +21,7 @@ import shutil
 import sys
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
@@ -32,7 +33,9 @@ import ssduck
 from ssduck import Recording
 from ssduck.database import recorders
 from ssduck.errors import RecordError
+from ssduck.interchange.conversion import write_runs
 from ssduck.recording.stores import parquet
+from ssduck.recording.stores.parquet_layout import FolderRun
 from tools.kill import TABLES, new_world
 
 TICKS = 120
@@ -249,6 +252,57 @@ def _after_upgrade(case: Case, _: list[str]) -> Iterator[str]:
         yield "the upgraded record has other rows"
 
 
+def _import(case: Case, report: Report) -> None:
+    source = case.folder / "poses.mcap"
+    if not source.exists():
+        run = FolderRun(_folder_of(case), "lab", 0)
+        write_runs([run], source, "mcap")
+    report("begun")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what such a file does not tell
+        ssduck.import_poses(source, _imported(case))
+
+
+def _folder_of(case: Case) -> Path:
+    """Returns a record in a folder, from which an MCAP file is written."""
+    if case.kind == "folder":
+        return case.path
+    with ssduck.open(case.path) as ss:
+        ss.export(case.folder / "source")
+    return case.folder / "source"
+
+
+def _imported(case: Case) -> Path:
+    """Returns the folder of an import: a new one, or the record, which gets another episode."""
+    return case.path if case.kind == "folder" else case.folder / "imported"
+
+
+def _after_import(case: Case, _: list[str]) -> Iterator[str]:
+    yield from case.unharmed()
+    target, first = _imported(case), int(case.kind == "folder")
+    try:
+        made = _complete(target)
+    except RecordError:  # it is no record yet
+        made = {}
+    made = {number: is_whole for number, is_whole in made.items() if number >= first}
+    found = {number: _imported_rows(target, number) for number in made}
+    _import(case, lambda _: None)
+    again = max(_complete(target))
+    if not all(made.values()):
+        yield f"of imported episodes, some are not complete: {made}"
+    if any(rows != _imported_rows(target, again) for rows in found.values()):
+        yield "an import has a part of the rows"
+    if len(_imported_rows(target, again)["ticks"]) != len(case.before["ticks"]):
+        yield "another import has other ticks"
+
+
+def _imported_rows(path: Path, number: int) -> dict[str, list[tuple[Any, ...]]]:
+    """Returns all rows of an imported episode, by table; it has few of them."""
+    (tables,) = (each.tables for each in ssduck.episodes(path) if each.number == number)
+    with ssduck.open(path, "lab", number) as ss:
+        return {table: ss.sql(ROWS.format(table)).fetchall() for table in ("ticks", *tables)}
+
+
 @dataclass(frozen=True)
 class Work:
     """Work on a record.
@@ -271,6 +325,7 @@ WORK = {
     "begin": Work(_begin, _after_begin),
     "repair": Work(_repair, _after_repair),
     "upgrade": Work(_upgrade, _after_upgrade),
+    "import": Work(_import, _after_import),
 }
 
 
