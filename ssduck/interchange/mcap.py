@@ -28,6 +28,7 @@ from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.mcap_records import records_of
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
+from ssduck.recording.stores.atomic_files import own_temporary_path
 from ssduck.schema import POSE
 
 WORLD_FRAME = "world"
@@ -63,7 +64,7 @@ def write_mcap(file: Path, motion: Motion) -> Path:
             f"episode {motion.run.number} of {motion.run.world!r} has a tick at {wrong[0]:g} s: "
             "times in an MCAP file are from 0 s to 292 years"
         )
-    temporary = file.with_name(f".{file.name}.unfinished")
+    temporary = own_temporary_path(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         try:

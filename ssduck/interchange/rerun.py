@@ -16,6 +16,7 @@ from ssduck.errors import RecordError
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Motion
+from ssduck.recording.stores.atomic_files import own_temporary_path
 
 
 def write_rrd(file: Path, motion: Motion) -> Path:
@@ -29,7 +30,7 @@ def write_rrd(file: Path, motion: Motion) -> Path:
         RecordError: the file cannot be written.
     """
     rerun = library("rerun", "rerun")
-    temporary = file.with_name(f".{file.name}.unfinished")
+    temporary = own_temporary_path(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         try:

@@ -14,6 +14,7 @@ from PIL import Image
 
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError, UnsupportedError, nearest
+from ssduck.recording.stores.atomic_files import own_temporary_path
 from ssduck.render.canvas import Picture
 
 # The colours of a picture of a GIF.
@@ -58,7 +59,7 @@ def write_film(path: Path, pictures: Iterator[Picture], fps: float) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    unfinished = path.with_name(f".{path.name}.unfinished")
+    unfinished = own_temporary_path(path)
     try:
         _WRITERS[path.suffix.lower()](unfinished, pictures, fps)
         unfinished.replace(path)

@@ -16,6 +16,7 @@ from ssduck.interchange.pairs import COLUMNS, write_pairs
 from ssduck.recording import episode_steps
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import descriptions
+from ssduck.recording.stores.atomic_files import temporary_path
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.forged import EPISODE, describe, make_records, part
 
@@ -219,3 +220,42 @@ def test_an_upgrade_copies_no_other_file(
         ssduck.upgrade(record, tmp_path / "new")
     assert STEPS in str(error.value)
     assert not (tmp_path / "new").exists()
+
+
+def _tag(record: Path) -> None:
+    assert ssduck.lake(record).set_tags({"kept": 1}) == 1
+
+
+def _steps(record: Path) -> None:
+    EpisodeSteps({}, times=[0.0]).write(record, "lab", 0)
+
+
+def _mend(record: Path) -> None:
+    part(record, "joints").write_bytes(b"broken")
+    assert ssduck.check(record, repair=True)
+
+
+@pytest.mark.parametrize(
+    ("work", "places"),
+    [
+        (_tag, ["episodes/lab-0.json"]),
+        (_mend, ["episodes/lab-0.json"]),
+        (_steps, ["gym/lab-0.json"]),
+        (lambda record: _write(record, record), ["episodes/lab-1.json"]),
+    ],
+)
+def test_nothing_is_written_through_a_link_that_has_a_temporary_name(
+    made: Path, tmp_path: Path, work: Callable[[Path], None], places: list[str]
+) -> None:
+    record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
+    mine = tmp_path / "mine.txt"
+    mine.write_text("mine")
+    for place in map(record.joinpath, places):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        temporary_path(place).symlink_to(mine)
+    work(record)
+    assert mine.read_text() == "mine"
+    for place in map(record.joinpath, places):
+        assert place.is_file()
+        assert not place.is_symlink()
+        assert not temporary_path(place).is_symlink()

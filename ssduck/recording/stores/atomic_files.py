@@ -24,7 +24,7 @@ def temporary_path(place: Path) -> Path:
     return place.with_name(f".{place.name}.unfinished")
 
 
-def _own_temporary_path(place: Path) -> Path:
+def own_temporary_path(place: Path) -> Path:
     """Returns such a path that no other process has."""
     return place.with_name(f".{secrets.token_hex(8)}.unfinished")
 
@@ -36,6 +36,7 @@ def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
         return
     temporary = temporary_path(place)
     try:
+        temporary.unlink(missing_ok=True)  # a link of a stranger would be written through
         write(temporary)
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
@@ -73,7 +74,7 @@ def create_file(place: Path, text: str) -> bool:
     """
     if isinstance(place, ObjectPath):
         return create_object(place, text.encode())
-    temporary = _own_temporary_path(place)
+    temporary = own_temporary_path(place)
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
@@ -100,7 +101,7 @@ def unfinished_folder(folder: Path) -> Path:
     """Returns the path of a new folder until it is complete; the same in an object store."""
     if isinstance(folder, ObjectPath):
         return folder
-    return _own_temporary_path(folder)
+    return own_temporary_path(folder)
 
 
 def finish_folder(place: Path, folder: Path) -> None:
