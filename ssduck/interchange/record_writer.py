@@ -98,8 +98,8 @@ def write_record(
     batch = batch_of(writer.frames, poses, times, velocities, None)
     if not len(batch.times):
         raise ArgumentError("poses: there is no tick")
-    writer.begin(is_export=True)
     try:
+        writer.begin(is_export=True)
         writer.write(batch)
         return writer.close()
     except BaseException:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import ssduck
 from ssduck.database import database
 from ssduck.errors import RecordError
 from ssduck.interpreter import recording, upgrading
+from ssduck.recording import folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
+from ssduck.recording.stores import parquet
 from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.forged import rewrite, without_checksums
 
@@ -139,3 +142,43 @@ def test_pairs_that_cannot_be_written_leave_no_episode(
     with ssduck.load("hall") as ss, pytest.raises(RecordError, match="the disk is full"):
         ss.export(tmp_path / "new", pairs=0.1)
     assert not (tmp_path / "new").exists()
+
+
+def no_room(*_: Any, **__: Any) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("name", ["create_file", "change_description", "write_parquet"])
+@pytest.mark.parametrize("new", ["out", "new/out"])
+def test_a_full_disk_leaves_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, new: str
+) -> None:
+    record = recorded(tmp_path / "record")
+    monkeypatch.setattr(parquet, name, no_room)
+    with ssduck.open(record) as ss, pytest.raises(RecordError, match="No space left"):
+        ss.export(tmp_path / new)
+    with pytest.raises(RecordError, match="No space left"):
+        recorded(tmp_path / new)
+    assert list(tmp_path.iterdir()) == [record]
+
+
+def test_a_full_disk_leaves_folders_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "out").mkdir()
+    monkeypatch.setattr(parquet, "create_file", no_room)
+    with pytest.raises(RecordError, match="No space left"):
+        recorded(tmp_path / "out")
+    assert (tmp_path / "out").is_dir()
+
+
+def test_a_repair_on_a_full_disk_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = recorded(tmp_path / "record", 2)
+    (record / "entities/world=lab/episode=1/part-000000.parquet").write_bytes(b"torn")
+    before = files_in(record)
+    monkeypatch.setattr(folder_check, "write_atomically", no_room)
+    with pytest.raises(RecordError, match="record cannot be repaired: No space left on device"):
+        ssduck.check(record, repair=True)
+    assert files_in(record) == before

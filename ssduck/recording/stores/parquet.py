@@ -104,7 +104,12 @@ class ParquetStore(TickStore):
         if camera is not None:
             described["camera"] = camera_text(camera)
         self._made = _missing_folders(self.path)
-        self.run = _begin_episode(self.path, world, described | dict(about or {}))
+        try:
+            self.run = _begin_episode(self.path, world, described | dict(about or {}))
+        except BaseException:
+            if self._made and self.path.exists():
+                _remove_empty(self.path, self._made)
+            raise
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
         # The numbers of parts of the tables and of the models.
@@ -471,8 +476,9 @@ def _remove_empty(path: Path, made: Sequence[Path]) -> None:
     Another recorder may have begun an episode in it; then it stays.
     """
     with suppress(OSError):
-        (path / "episodes").rmdir()
-        (path / ABOUT).unlink()
+        with suppress(FileNotFoundError):  # the disk was full before
+            (path / "episodes").rmdir()
+        (path / ABOUT).unlink(missing_ok=True)
         for name, _, _ in os.walk(path, topdown=False):
             if Path(name) != path:
                 Path(name).rmdir()
