@@ -3,13 +3,13 @@
 `python -m tools.kill_work [COUNT] [--seed N] [--work NAME]` kills COUNT processes in the middle of
 their work, in turn: while they export a record, close a recording, open a record and ask it, begin
 another episode in a record, repair one, upgrade one of two episodes, and import an MCAP file (extra
-`mcap`). 500 take about ten minutes on two busy cores. The exit status is 1 if there are faults. `python -m tools.kill` kills recorders
-while they record and flush.
+`mcap`). 500 take about ten minutes on two busy cores. The exit status is 1 if there are faults.
+`python -m tools.kill` kills recorders while they record and flush.
 
 Records are folders and DuckDB files, in turn. A process is killed at a random moment of the time
 that its work takes. After that, every tick that was stored before must be there with the same rows,
-an export, an import and an upgraded record must be whole or not there at all, only an episode with all its
-ticks may be `complete`, and the same work must succeed when it is done again.
+an export, an import and an upgraded record must be whole or not there at all, only an episode with
+all its ticks may be `complete`, and the same work must succeed when it is done again.
 """
 
 from __future__ import annotations

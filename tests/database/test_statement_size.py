@@ -163,7 +163,9 @@ EDGES = {
     "values": lambda n: f"SELECT {', '.join(['(SELECT max(id) FROM entities)'] * n)}",
     "values without FROM": lambda n: f"SELECT {', '.join(['(SELECT 1)'] * n)}",
     "values of a table": lambda n: f"SELECT {', '.join(['(SELECT 1)'] * (n - 1))} FROM ticks",
-    "a union": lambda n: f"SELECT {', '.join(['(SELECT 1)'] * n)} UNION {'SELECT 1' + ', 1' * (n - 1)}",
+    "a union": lambda n: (
+        f"SELECT {', '.join(['(SELECT 1)'] * n)} UNION {'SELECT 1' + ', 1' * (n - 1)}"
+    ),
     "a nested query": lambda n: f"FROM (SELECT {', '.join(['(SELECT 1)'] * (n - 1))})",
 }
 

@@ -71,9 +71,7 @@ def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
     record = write_rising_cups(tmp_path / "record", 3, 12)
     script = tmp_path / "asks.py"
     script.write_text(ASKING)
-    process = subprocess.Popen(
-        [sys.executable, script, record], stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([sys.executable, script, record], stdout=subprocess.PIPE, text=True)
     with process:
         try:
             assert process.stdout is not None

@@ -74,7 +74,6 @@ class _Columns:
     bare: int = 0
     is_inlined: bool = False
 
-
     @property
     def nested(self) -> _Columns:
         """The columns of the query as a part of another one."""
