@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 
 from ssduck.errors import RecordError, warn
@@ -103,9 +102,10 @@ def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
         found = list(damages_of(run))
         damages += _repair_run(run, found) if repair else found
     for damage in _step_damages(path):
-        if repair and "newer" not in damage.problem:
-            damage = _repaired(damage, partial(set_aside, damage.file))
-        damages.append(damage)
+        is_repaired = repair and "newer" not in damage.problem
+        if is_repaired:
+            set_aside(damage.file)
+        damages.append(replace(damage, is_repaired=is_repaired))
     return damages
 
 
