@@ -30,6 +30,7 @@ from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.mcap_records import records_of
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
+from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.schema import POSE
 
 WORLD_FRAME = "world"
@@ -65,21 +66,20 @@ def write_mcap(file: Path, motion: Motion) -> Path:
             f"episode {motion.run.number} of {motion.run.world!r} has a tick at {wrong[0]:g} s: "
             "times in an MCAP file are from 0 s to 292 years"
         )
-    temporary = file.with_name(f".{file.name}.unfinished")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open("wb") as stream:
-                _write(stream, motion)
-            temporary.replace(file)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_atomically(file, lambda place: _write(place, motion))
     except OSError as error:
         raise RecordError(f"{file} cannot be written: {error.strerror}") from error
     return file
 
 
-def _write(stream: Any, motion: Motion) -> None:
+def _write(place: Path, motion: Motion) -> None:
+    with place.open("wb") as stream:
+        _write_messages(stream, motion)
+
+
+def _write_messages(stream: Any, motion: Motion) -> None:
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
     from mcap.writer import Writer

@@ -86,6 +86,14 @@ def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
     Raises:
         RecordError: the folder is no record, or one of a newer version; or it cannot be written.
     """
+    try:
+        return _checked_folder(path, repair=repair)
+    except OSError as error:
+        verb = "repaired" if repair else "read"
+        raise RecordError(f"{path} cannot be {verb}: {error.strerror or error}") from error
+
+
+def _checked_folder(path: Path, *, repair: bool) -> list[Damage]:
     damages: list[Damage] = []
     about = path / ABOUT
     try:

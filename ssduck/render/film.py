@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
@@ -58,7 +59,8 @@ def write_film(path: Path, pictures: Iterator[Picture], fps: float) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    unfinished = path.with_name(f".{path.name}.unfinished")
+    # A name that nobody can have put a link under, which would be written through.
+    unfinished = path.with_name(f".{secrets.token_hex(8)}.unfinished")
     try:
         _WRITERS[path.suffix.lower()](unfinished, pictures, fps)
         unfinished.replace(path)
@@ -112,7 +114,7 @@ def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:
                 process.stdin.close()
             raise
     if process.returncode:
-        raise OSError(f"ffmpeg could not write {path.name}: {said}")
+        raise OSError(f"ffmpeg could not write the film: {said}")
 
 
 def _ffmpeg() -> str:

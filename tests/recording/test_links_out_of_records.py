@@ -12,11 +12,12 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from ssduck.interchange.conversion import write_runs
 from ssduck.interchange.pairs import COLUMNS, write_pairs
-from ssduck.recording import episode_steps
+from ssduck.recording import episode_steps, folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import descriptions
-from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from tests.support.forged import EPISODE, describe, make_records, part
 
 EPISODES = "episodes/lab-0.json"
@@ -219,3 +220,36 @@ def test_an_upgrade_copies_no_other_file(
         ssduck.upgrade(record, tmp_path / "new")
     assert STEPS in str(error.value)
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
+    made: Path, tmp_path: Path
+) -> None:
+    record, outside = Path(shutil.copytree(made / "folder", tmp_path / "record")), tmp_path / "mine"
+    part(record, "ticks").write_bytes(b"torn")
+    outside.write_text("mine")
+    names = [record / "a.mcap", *(file for file in record.rglob("*") if file.is_file())]
+    for file in names:
+        file.with_name(f".{file.name}.unfinished").symlink_to(outside)
+    ssduck.check(record, repair=True)
+    ssduck.lake(record).set_tags({"mine": 1})
+    run = runs_in(made / "folder")[0]
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    write_runs([run], record / "a.mcap", "mcap")
+    assert outside.read_text() == "mine"
+    assert (record / "a.mcap").is_file()
+
+
+def test_a_repair_that_cannot_write_is_an_error_of_the_record(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
+    part(record, "ticks").write_bytes(b"torn")
+
+    def fails(file: Path) -> None:
+        raise OSError(27, "File too large")
+
+    monkeypatch.setattr(folder_check, "set_aside", fails)
+    with pytest.raises(RecordError, match=f"{record} cannot be repaired: File too large"):
+        ssduck.check(record, repair=True)

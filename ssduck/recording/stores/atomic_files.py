@@ -20,12 +20,10 @@ _lock = threading.Lock()
 
 
 def temporary_path(place: Path) -> Path:
-    """Returns the path of a file until it is complete."""
-    return place.with_name(f".{place.name}.unfinished")
+    """Returns the path of a file or a folder until it is complete.
 
-
-def _own_temporary_path(place: Path) -> Path:
-    """Returns such a path that no other process has."""
+    No other process has it, and nobody can have put a link there, which would be written through.
+    """
     return place.with_name(f".{secrets.token_hex(8)}.unfinished")
 
 
@@ -73,7 +71,7 @@ def create_file(place: Path, text: str) -> bool:
     """
     if isinstance(place, ObjectPath):
         return create_object(place, text.encode())
-    temporary = _own_temporary_path(place)
+    temporary = temporary_path(place)
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
@@ -100,7 +98,7 @@ def unfinished_folder(folder: Path) -> Path:
     """Returns the path of a new folder until it is complete; the same in an object store."""
     if isinstance(folder, ObjectPath):
         return folder
-    return _own_temporary_path(folder)
+    return temporary_path(folder)
 
 
 def finish_folder(place: Path, folder: Path) -> None:
