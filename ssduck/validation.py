@@ -20,6 +20,8 @@ from ssduck.formatting import short_repr
 
 # More steps than this would take years: the number is a mistake.
 MAX_STEPS = 10**12
+# The schemas and databases that DuckDB has already.
+_SCHEMAS = frozenset(("main", "memory", "temp", "system", "pg_catalog", "information_schema"))
 # The largest width and height of a picture, pixels.
 MAX_PIXELS = 8192
 
@@ -360,6 +362,20 @@ def identifier(value: Any, owner: str) -> str:
             f"{short_repr(value)} cannot be {owner}'s name: letters, digits and _ only"
         )
     return value
+
+
+def world_name(name: Any) -> str:
+    """Returns the name of a world, whose tables are a schema of that name.
+
+    Raises:
+        ArgumentError: it is no name, or DuckDB has a schema or database of that name.
+    """
+    if identifier(name, "a world").casefold() in _SCHEMAS:
+        raise ArgumentError(
+            f"a world cannot have the name {name!r}: DuckDB has a schema or database so named, "
+            "and a world's tables are a schema; choose another name"
+        )
+    return str(name)
 
 
 def text(value: Any, rule: str) -> str:

@@ -9,6 +9,7 @@ from itertools import chain, count
 
 from sqlglot import exp
 
+from ssduck import validation
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.recorders import Recorders
@@ -24,11 +25,6 @@ from ssduck.world.construction import UNNAMED
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.snapshot import Snapshot
 from ssduck.world.world import World
-
-# The schemas and databases that DuckDB has already.
-_RESERVED_NAMES = frozenset(
-    ("main", "memory", "temp", "system", "pg_catalog", "information_schema")
-)
 
 
 class WorldRegistry:
@@ -144,11 +140,7 @@ class WorldRegistry:
             ArgumentError: DuckDB has a schema or database of that name, or another world has one
                 that differs in case only.
         """
-        if name.casefold() in _RESERVED_NAMES:
-            raise ArgumentError(
-                f"a world cannot have the name {name!r}: DuckDB has a schema or database so named, "
-                "and a world's tables are a schema; choose another name"
-            )
+        validation.world_name(name)
         run_schemas: Sequence[tuple[str]] = ()
         if self._connection.has_records and RUN_SCHEMA in name.casefold():
             runs = "SELECT schema_name FROM duckdb_tables() WHERE table_name = ?"

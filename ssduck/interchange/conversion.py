@@ -106,7 +106,12 @@ def import_poses(
         if told.get("task") is not None:
             tags.setdefault("task", told["task"])
         name = world or told.get("world") or "world"
-        written.append(write_record(folder, described, rows, world=name, tags=tags))
+        try:
+            written.append(write_record(folder, described, rows, world=name, tags=tags))
+        except ArgumentError as error:
+            if entities is not None or world is not None:  # the caller's arguments
+                raise
+            raise RecordError(f"{place}: {error.message}") from error
     warn(_missing(place, episodes[0][1], has_entities=entities is not None))
     return written
 

@@ -29,6 +29,10 @@ from ssduck.schema import POSE
 _INDEX = re.compile(r"\{(chunk_index|file_index)(?::0?([0-9]{1,2})d)?\}")
 # The fewest and the most frames per second that stand for any.
 _FPS = (1e-6, 1e6)
+# The columns of `meta/episodes` that are read; others have the statistics of features.
+_LISTED = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_index", "ssduck/tags")
+# A file has at most so many rows, and one more for each of its bytes.
+MAX_ROWS = 1_000_000
 # How far a timestamp may be from its frame, s, as LeRobot has it; and a float of 32 bits, relative.
 _TOLERANCE, _ROUNDING = 1e-4, 2.0**-23
 
@@ -62,7 +66,7 @@ def read_poses(folder: Path) -> Iterator[tuple[pa.Table, dict[str, Any]]]:
         yield from dataset.episodes()
     except (
         *(pa.ArrowException, OSError, KeyError, TypeError, ValueError),
-        *(IndexError, OverflowError, RecursionError),
+        *(IndexError, OverflowError, RecursionError, MemoryError),
     ) as error:
         if isinstance(error, RecordError):
             raise
@@ -103,7 +107,7 @@ class _Dataset:
     def _listed(self) -> list[dict[str, Any]]:
         listed = sorted((self.folder / "meta/episodes").glob("*/*.parquet"))
         files = [_own_file(self.folder, str(file.relative_to(self.folder))) for file in listed]
-        return [row for file in files for row in pq.read_table(file).to_pylist()]
+        return [row for file in files for row in _rows_of(file, _LISTED).to_pylist()]
 
     def _names(self, feature: str) -> list[Any]:
         about = self.features[feature]
@@ -163,7 +167,12 @@ class _Dataset:
             raise RecordError(
                 f"{self.folder}: the tasks of the episode {number} are {short_repr(tasks)}, no list"
             )
-        return tasks[0] if tasks else None
+        task = tasks[0] if tasks else None
+        if task is not None and not isinstance(task, str):
+            raise RecordError(
+                f"{self.folder}: the task of the episode {number} is {short_repr(task)}, no text"
+            )
+        return task
 
     def _frames_of(
         self, episode: Mapping[str, Any], number: int, used: Sequence[str], fps: float
@@ -175,19 +184,15 @@ class _Dataset:
         # A stranger's pattern may ask str.format for attributes, or for a text of any length.
         path = _INDEX.sub(lambda m: f"{indices[m[1]]:0{m[2] or 0}d}", str(self.info["data_path"]))
         file = _own_file(self.folder, path)
-        has_number = "frame_index" in pq.read_schema(file).names
-        order = ["frame_index"] if has_number else []
-        rows = pq.read_table(
-            file,
-            columns=[*used, "timestamp", *order],
-            filters=[("episode_index", "=", number)],
-        )
+        columns = [*used, "timestamp", "frame_index"]
+        rows = _rows_of(file, columns, filters=[("episode_index", "=", number)])
         which = f"the episode {number} of {self.folder}"
         told = episode.get("length")
         if not rows.num_rows or told not in (None, rows.num_rows):
             length = "" if told is None else f", and its length is {short_repr(told)}"
             raise RecordError(f"{which} has {rows.num_rows} frames in {path}{length}")
-        rows = rows.sort_by(order[0] if order else "timestamp")
+        has_number = "frame_index" in rows.column_names
+        rows = rows.sort_by("frame_index" if has_number else "timestamp")
         times = _times(rows, fps, which)
         values = {name: _values(rows[name], name, self._names(name), which) for name in used}
         return _Frames(times, values)
@@ -275,6 +280,22 @@ def _poses(frames: _Frames, places: _Places) -> pa.Table:
         ]
         columns[column] = np.stack(stacked, axis=1).reshape(-1)
     return pa.table(columns)
+
+
+def _rows_of(file: Path, columns: Sequence[str], **chosen: Any) -> pa.Table:
+    """Returns the rows of a file, with those of the columns that it has.
+
+    Raises:
+        RecordError: a file of few bytes claims to have very many.
+    """
+    metadata, most = pq.read_metadata(file), MAX_ROWS + file.stat().st_size
+    if metadata.num_rows > most:
+        raise RecordError(
+            f"{file} has {metadata.num_rows:,} rows: ssduck reads {MAX_ROWS:,} rows of a file, and "
+            "one more for each of its bytes"
+        )
+    names = metadata.schema.to_arrow_schema().names
+    return pq.read_table(file, columns=[name for name in columns if name in names], **chosen)
 
 
 def _own_file(folder: Path, name: str) -> Path:

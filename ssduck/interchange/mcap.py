@@ -14,6 +14,7 @@ libraries.
 from __future__ import annotations
 
 import json
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,11 +25,12 @@ import pyarrow as pa
 
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError, RecordError, SelectScriptError
+from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.mcap_records import records_of
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
-from ssduck.recording.stores.atomic_files import own_temporary_path
+from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.schema import POSE
 
 WORLD_FRAME = "world"
@@ -64,21 +66,20 @@ def write_mcap(file: Path, motion: Motion) -> Path:
             f"episode {motion.run.number} of {motion.run.world!r} has a tick at {wrong[0]:g} s: "
             "times in an MCAP file are from 0 s to 292 years"
         )
-    temporary = own_temporary_path(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open("wb") as stream:
-                _write(stream, motion)
-            temporary.replace(file)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_atomically(file, lambda place: _write(place, motion))
     except OSError as error:
         raise RecordError(f"{file} cannot be written: {error.strerror}") from error
     return file
 
 
-def _write(stream: Any, motion: Motion) -> None:
+def _write(place: Path, motion: Motion) -> None:
+    with place.open("wb") as stream:
+        _write_messages(stream, motion)
+
+
+def _write_messages(stream: Any, motion: Motion) -> None:
     from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
     from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
     from mcap.writer import Writer
@@ -235,10 +236,13 @@ def _decoders() -> Any:
 class _Poses:
     """The poses that a file tells of, message after message."""
 
-    names: list[str] = field(default_factory=list)
-    poses: list[tuple[float, ...]] = field(default_factory=list)
-    moments: list[int] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
+    # Arrays, since a pose may take some bytes of a file only.
+    poses: array[float] = field(default_factory=lambda: array("d"))
+    moments: array[int] = field(default_factory=lambda: array("q"))
+    times: array[float] = field(default_factory=lambda: array("d"))
+    # The place of each pose's frame in the frames.
+    places: array[int] = field(default_factory=lambda: array("q"))
+    frames: dict[str, int] = field(default_factory=dict)
     ignored: set[str] = field(default_factory=set)
     # Frames by the frame that they are relative to; a file may change it from message to message.
     children: dict[str, str] = field(default_factory=dict)
@@ -247,14 +251,26 @@ class _Poses:
     decoders: Any = field(default_factory=_decoders)
 
     def add(self, moment: int, parent: str, name: str, position: Any, turn: Any) -> None:
-        """Adds the pose of a frame in another one at a time, ns."""
+        """Adds the pose of a frame in another one at a time, ns.
+
+        Raises:
+            ValueError: the frame has no name, the time is out of bounds, or the pose is no pose.
+        """
+        if not name:
+            raise ValueError("a message tells of a frame without a name")
         if abs(moment) >= _END * _NANO:
             raise ValueError(f"a message of {name!r} has a time of {moment} ns")
+        pose = position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z
+        wrong = [number for number in pose if type(number) not in (float, int)]
+        if wrong:
+            raise ValueError(f"a message of {name!r} has {short_repr(wrong[0])} for a number")
+        if not any(pose[3:]):
+            raise ValueError(f"a message of {name!r} has the quaternion 0, 0, 0, 0: no orientation")
+        self.poses.extend(pose)
         self.children.setdefault(parent, name)
         self.moments.append(moment)
         self.times.append(moment / _NANO)
-        self.names.append(name)
-        self.poses.append((position.x, position.y, position.z, turn.w, turn.x, turn.y, turn.z))
+        self.places.append(self.frames.setdefault(name, len(self.frames)))
 
     def tell_tick(self, moment: int, time: float) -> None:
         """Gives the poses of a tick its time to the last digit, s.
@@ -328,8 +344,21 @@ def _add_message(found: _Poses, schema: Any, channel: Any, message: Any) -> None
     _READERS[kind](found, channel.topic, message.log_time, decode(message.data))
 
 
+def _moment_of(told: Any) -> int:
+    """Returns the time of a message, ns.
+
+    Raises:
+        ValueError: it is a text or another value by the schema, which the file brings itself.
+    """
+    seconds, nanos = told.timestamp.seconds, told.timestamp.nanos
+    if type(seconds) is not int or type(nanos) is not int:
+        wrong = nanos if type(seconds) is int else seconds
+        raise ValueError(f"a message has the time {short_repr(wrong)}, which is no whole number")
+    return seconds * _NANO + nanos
+
+
 def _add_transform(found: _Poses, _: str, __: int, told: Any) -> None:
-    moment = told.timestamp.seconds * _NANO + told.timestamp.nanos
+    moment = _moment_of(told)
     found.add(moment, told.parent_frame_id, told.child_frame_id, told.translation, told.rotation)
 
 
@@ -339,7 +368,7 @@ def _add_transforms(found: _Poses, topic: str, moment: int, told: Any) -> None:
 
 
 def _add_pose(found: _Poses, topic: str, _: int, told: Any) -> None:
-    moment = told.timestamp.seconds * _NANO + told.timestamp.nanos
+    moment = _moment_of(told)
     found.add(moment, told.frame_id, topic.strip("/"), told.pose.position, told.pose.orientation)
 
 
@@ -351,7 +380,7 @@ _READERS = {
 
 
 def _table(found: _Poses, about: Mapping[str, Any], file: Path) -> tuple[pa.Table, dict[str, Any]]:
-    if not found.names:
+    if not found.frames:
         others = ", ".join(sorted(found.ignored)) or "none"
         raise RecordError(
             f"{file} has no poses of named frames ({', '.join(_READERS)}); its other topics: "
@@ -366,11 +395,11 @@ def _table(found: _Poses, about: Mapping[str, Any], file: Path) -> tuple[pa.Tabl
         )
     times = np.array(found.times)
     order = np.argsort(times, kind="stable")
-    poses = np.array(found.poses)[order]
+    poses = np.array(found.poses).reshape(-1, len(POSE))[order]
     rows = pa.table(
         {
             "time": times[order],
-            "name": pa.array(found.names).take(pa.array(order)),
+            "name": pa.array([*found.frames]).take(pa.array(np.array(found.places)[order])),
             **{name: poses[:, place] for place, name in enumerate(POSE)},
         }
     )

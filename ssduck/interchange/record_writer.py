@@ -141,7 +141,7 @@ class RecordWriter:
         tags: Tags | None = None,
     ) -> None:
         self._path = expand_path(folder).absolute()
-        self._world = validation.identifier(world, "a world")
+        self._world = validation.world_name(world)
         self._tags = checked_tags(tags)
         self._entities = entities_of(entities)
         self.frames = Frames.of(self._entities)

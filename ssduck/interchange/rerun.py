@@ -16,7 +16,7 @@ from ssduck.errors import RecordError
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Motion
-from ssduck.recording.stores.atomic_files import own_temporary_path
+from ssduck.recording.stores.atomic_files import write_atomically
 
 
 def write_rrd(file: Path, motion: Motion) -> Path:
@@ -30,14 +30,9 @@ def write_rrd(file: Path, motion: Motion) -> Path:
         RecordError: the file cannot be written.
     """
     rerun = library("rerun", "rerun")
-    temporary = own_temporary_path(file)
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            _write(rerun, temporary, motion)
-            temporary.replace(file)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_atomically(file, lambda place: _write(rerun, place, motion))
     except OSError as error:
         raise RecordError(f"{file} cannot be written: {error.strerror}") from error
     return file

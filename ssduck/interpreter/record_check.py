@@ -42,13 +42,7 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     validation.boolean(repair, "check: repair")
     place = expand_path(path).absolute()
     if place.is_dir():
-        try:
-            return check_folder(place, repair=repair) or list(_wrong_rows(place))
-        except OSError as error:
-            if isinstance(error, RecordError):
-                raise
-            problem = "repaired" if repair else "read"
-            raise RecordError(f"{place} cannot be {problem}: {error.strerror}") from error
+        return check_folder(place, repair=repair) or list(_wrong_rows(place))
     try:
         return list(_damages_of_file(place)) or list(_wrong_rows(place))
     except RecordError as error:

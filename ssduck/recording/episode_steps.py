@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,9 @@ from ssduck.recording.tags import Tag
 # The folder of these files in a record.
 FOLDER = "gym"
 VERSION = 1
+# How deep the lists of a variable may be within each other; numpy's arrays have as many dimensions.
+_MAX_DEPTH = 64
+_MAX_TIME = 1e300
 _FILE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 
 
@@ -35,8 +39,20 @@ def _is_list(value: Any) -> bool:
     return isinstance(value, list)
 
 
+def _is_seed(value: Any) -> bool:
+    return value is None or type(value) is int
+
+
 def _is_numbers(value: Any) -> bool:
     return isinstance(value, list) and all(validation.is_number(number) for number in value)
+
+
+def _are_times(value: Any) -> bool:
+    return (
+        _is_numbers(value)
+        and all(abs(time) <= _MAX_TIME for time in value)
+        and all(before <= after for before, after in pairwise(value))
+    )
 
 
 def _are_actions(value: Any) -> bool:
@@ -49,8 +65,9 @@ def _are_actions(value: Any) -> bool:
 # What a file has of an episode.
 _DESCRIPTION = {
     "version": Value("a number", lambda value: type(value) is int and value >= 1),
+    "seed": Value("an integer or null", _is_seed, is_required=False),
     "terms": Value("an object", lambda value: isinstance(value, dict)),
-    "times": Value("a list of numbers", _is_numbers),
+    "times": Value("a list of finite times, in order", _are_times),
     "variables": Value(
         "an object of lists",
         lambda value: isinstance(value, dict) and all(map(_is_list, value.values())),
@@ -132,7 +149,7 @@ class EpisodeSteps:
             "rewards": self.rewards,
             "actions": self.actions,
         }
-        file = folder / FOLDER / f"{world}-{number}.json"
+        file = steps_file(folder, world, number)
         check_inside(folder, file)
         try:
             file.parent.mkdir(exist_ok=True)
@@ -147,7 +164,7 @@ class EpisodeSteps:
         Raises:
             RecordError: it is damaged, or of a later version.
         """
-        file = folder / FOLDER / f"{world}-{number}.json"
+        file = steps_file(folder, world, number)
         check_inside(folder, file)
         content = read_description(file)
         check_description(content, _DESCRIPTION, str(file), "the steps of the episode")
@@ -164,7 +181,9 @@ class EpisodeSteps:
             raise RecordError(f"{file} is damaged: its lists have different lengths")
         try:
             variables = {
-                validation.identifier(name, "a variable"): plain(values, f"variables[{name!r}]")
+                validation.identifier(name, "a variable"): [
+                    plain(value, f"variables[{name!r}]") for value in values
+                ]
                 for name, values in variables.items()
             }
         except ArgumentError as error:
@@ -181,6 +200,11 @@ class EpisodeSteps:
         )
 
 
+def steps_file(folder: Path, world: str, number: int) -> Path:
+    """Returns the file of the steps of an episode of a record."""
+    return folder / FOLDER / f"{world}-{number}.json"
+
+
 def recorded_steps(folder: Path) -> list[tuple[str, int]]:
     """Returns the worlds and numbers of the episodes of which a record keeps the steps."""
     place = folder / FOLDER
@@ -190,15 +214,16 @@ def recorded_steps(folder: Path) -> list[tuple[str, int]]:
     return sorted((match.group(1), int(match.group(2))) for match in matches)
 
 
-def plain(value: Any, key: str) -> Any:
+def plain(value: Any, key: str, depth: int = 0) -> Any:
     """Returns the value of a variable as one of SelectScript and JSON.
 
     Args:
         value: True, False, a number, a text, or a list or an array of such.
         key: what has the value, to begin the message.
+        depth: the number of lists that the value is in.
 
     Raises:
-        ArgumentError: it is another value.
+        ArgumentError: it is another value, or has lists in each other more than 64 deep.
     """
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
@@ -207,7 +232,9 @@ def plain(value: Any, key: str) -> Any:
     if isinstance(value, float):
         return value
     if isinstance(value, list | tuple):
-        return [plain(item, key) for item in value]
+        if depth == _MAX_DEPTH:
+            raise ArgumentError(f"{key} has lists in each other more than {_MAX_DEPTH} deep")
+        return [plain(item, key, depth + 1) for item in value]
     raise ArgumentError(
         f"{key} is {short_repr(value)}: a variable is True, False, a number, a text, or a list or "
         "an array of such"

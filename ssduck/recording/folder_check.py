@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ssduck.errors import RecordError, warn
+from ssduck.recording.episode_steps import FOLDER, EpisodeSteps, recorded_steps, steps_file
 from ssduck.recording.stores.atomic_files import create_file, write_atomically
 from ssduck.recording.stores.checksums import (
     footer_of,
@@ -85,6 +86,14 @@ def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
     Raises:
         RecordError: the folder is no record, or one of a newer version; or it cannot be written.
     """
+    try:
+        return _checked_folder(path, repair=repair)
+    except OSError as error:
+        verb = "repaired" if repair else "read"
+        raise RecordError(f"{path} cannot be {verb}: {error.strerror or error}") from error
+
+
+def _checked_folder(path: Path, *, repair: bool) -> list[Damage]:
     damages: list[Damage] = []
     about = path / ABOUT
     try:
@@ -100,7 +109,28 @@ def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
     for run in runs:
         found = list(damages_of(run))
         damages += _repair_run(run, found) if repair else found
+    for damage in _step_damages(path):
+        is_repaired = repair and "newer" not in damage.problem
+        if is_repaired:
+            set_aside(damage.file)
+        damages.append(replace(damage, is_repaired=is_repaired))
     return damages
+
+
+def _step_damages(path: Path) -> Iterator[Damage]:
+    """Yields the damaged files of the steps of environments."""
+    try:
+        episodes = recorded_steps(path)
+    except RecordError as error:  # a link, which leads out of the record
+        yield Damage(path / FOLDER, _problem_of(error, path / FOLDER), "all steps of environments")
+        return
+    for world, number in episodes:
+        file = steps_file(path, world, number)
+        try:
+            EpisodeSteps.read(path, world, number)
+        except RecordError as error:
+            loss = f"the variables, actions and rewards of episode {number} of {world!r}"
+            yield Damage(file, _problem_of(error, file), loss)
 
 
 def partial_run(run: FolderRun) -> FolderRun:

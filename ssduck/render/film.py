@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
@@ -14,7 +15,6 @@ from PIL import Image
 
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError, UnsupportedError, nearest
-from ssduck.recording.stores.atomic_files import own_temporary_path
 from ssduck.render.canvas import Picture
 
 # The colours of a picture of a GIF.
@@ -59,7 +59,8 @@ def write_film(path: Path, pictures: Iterator[Picture], fps: float) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    unfinished = own_temporary_path(path)
+    # A name that nobody can have put a link under, which would be written through.
+    unfinished = path.with_name(f".{secrets.token_hex(8)}.unfinished")
     try:
         _WRITERS[path.suffix.lower()](unfinished, pictures, fps)
         unfinished.replace(path)
@@ -113,7 +114,7 @@ def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:
                 process.stdin.close()
             raise
     if process.returncode:
-        raise OSError(f"ffmpeg could not write {path.name}: {said}")
+        raise OSError(f"ffmpeg could not write the film: {said}")
 
 
 def _ffmpeg() -> str:

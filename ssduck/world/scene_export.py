@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -29,6 +30,8 @@ _SCENE = ("description", "simulator", "gravity", "timestep", "time", "elastic")
 def new_folder(folder: Path) -> Iterator[None]:
     """Creates a folder for a scene; errors in the body of the with statement name the folder.
 
+    After an error, it has no files.
+
     Raises:
         SceneError: the folder is not empty, or something cannot be written.
     """
@@ -36,7 +39,11 @@ def new_folder(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise SceneError(f"{folder} is not empty: a scene is saved into a folder of its own")
-        yield
+        try:
+            yield
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
     except SceneError:
         raise
     except (OSError, ValueError) as error:  # a null character is a ValueError

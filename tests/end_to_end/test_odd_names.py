@@ -166,7 +166,7 @@ def test_a_duckdb_file_in_a_folder_with_a_question_mark(client, tmp_path):
 def test_a_world_of_a_name_that_no_file_can_have(client, tmp_path, letter):
     """Just as long as there is room for, a byte more, and far too long."""
     world = ssduck.World.attach(client)
-    room = os.pathconf(tmp_path, "PC_NAME_MAX") - len("..-1000000.json.unfinished") + 1
+    room = os.pathconf(tmp_path, "PC_NAME_MAX") - len("-1000000.json.damaged-10")
     size = len(letter.encode())
     fits, too_long = letter * (room // size), letter * (room // size + 1)
     for name in (too_long, letter * 1000):

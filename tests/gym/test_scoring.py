@@ -1,6 +1,7 @@
 """`score` gives for recorded episodes what `QueryWrapper` gave live, to the last digit."""
 
 import json
+import math
 import shutil
 
 import numpy as np
@@ -28,6 +29,14 @@ TERMS = {
 # Terms of today, for the episodes of yesterday.
 OTHER = {"success": "heldFor(x(sim.ball) > goal[0] / 2) >= 0.02", "reward": "-z(sim.pusher)"}
 EPISODES = generated(8)
+
+
+def nested(depth):
+    """Returns lists in each other."""
+    value = 1.0
+    for _ in range(depth):
+        value = [value]
+    return value
 
 
 def run(env, generator, number):
@@ -120,20 +129,46 @@ def test_a_wrong_name_is_an_error(few):
         ({"version": 2}, "later|newer"),
         ({"rewards": [1.0]}, "different lengths"),
         ({"times": "now"}, "'times'"),
+        ({"times": [math.nan] * 7}, "'times'"),
+        ({"times": [10**400] * 7}, "'times'"),
+        ({"times": [0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.0]}, "'times'"),
+        ({"seed": {"a": 1}}, "'seed'"),
         ({"variables": {"goal": 3}}, "'variables'"),
+        ({"variables": {"goal": [nested(900)] * 7}}, "more than 64 deep"),
     ],
 )
-def test_damaged_steps_are_errors(few, change, message):
-    file = few / "gym/sim-0.json"
-    before = file.read_text()
-    content = json.loads(before) | change
+def test_damaged_steps_are_errors(few, tmp_path, change, message):
+    folder = shutil.copytree(few, tmp_path / "damaged")
+    file = folder / "gym/sim-0.json"
+    content = json.loads(file.read_text()) | change
     del content["crc32"]
     file.write_text(json.dumps(content))
-    try:
-        with pytest.raises(RecordError, match=message):
-            next(score(few, reward="x(sim.ball)"))
-    finally:
-        file.write_text(before)
+    with pytest.raises(RecordError, match=message) as caught:
+        next(score(folder, reward="x(sim.ball)"))
+    assert str(file) in str(caught.value)
+    (damage,) = ssduck.check(folder)
+    assert damage.file == file
+    assert damage.problem in str(caught.value)
+    (repaired,) = ssduck.check(folder, repair=True)
+    if "newer" in message:  # a newer ssduck reads it
+        assert not repaired.is_repaired
+        assert file.exists()
+        return
+    assert repaired.is_repaired
+    assert not ssduck.check(folder)
+    assert [one.episode for one in score(folder, reward="x(sim.ball)")] == [1]
+
+
+def test_steps_that_cannot_be_read_are_damages(few, tmp_path):
+    folder = shutil.copytree(few, tmp_path / "damaged")
+    for file, content in zip(sorted((folder / "gym").iterdir()), ("", "{}"), strict=True):
+        file.write_text(content)
+    assert [one.file.name for one in ssduck.check(folder)] == ["sim-0.json", "sim-1.json"]
+
+
+def test_variables_are_arrays_of_any_dimension_numpy_has(few, tmp_path):
+    folder = forged(few, tmp_path, v=nested(64))
+    assert next(score(folder, success="z(sim.ball) > -9")).success
 
 
 def test_a_record_without_steps_is_an_error(few):

@@ -175,6 +175,10 @@ WRONG: dict[str, tuple[Any, str]] = {
         "whose data/file_index is -1",
     ),
     "another length": ({"episodes": [EPISODE | {"length": 99}]}, "its length is 99"),
+    "a number as a task": (
+        {"episodes": [EPISODE | {"tasks": [5]}]},
+        "the task of the episode 0 is 5",
+    ),
     "a text of tasks": ({"episodes": [EPISODE | {"tasks": "lift"}]}, "are 'lift', no list"),
 } | {
     f"fps {fps!r}": ({"info": {"fps": fps}}, "frames per second (fps in")
@@ -189,4 +193,18 @@ def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path: Path, name: str
     with pytest.raises(RecordError) as raised:
         ssduck.import_poses(dataset, tmp_path / "r")
     assert message in str(raised.value)
+    assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize("place", ["data", "meta/episodes"])
+def test_a_small_file_of_very_many_rows_is_not_read(tmp_path: Path, place: str) -> None:
+    dataset = written(tmp_path / "d")
+    (file,) = (dataset / place).glob("*/*.parquet")
+    repeated = pq.read_table(file).take([0] * 400_000)
+    with pq.ParquetWriter(file, repeated.schema, compression="zstd") as writer:
+        for _ in range(3):
+            writer.write_table(repeated)
+    assert file.stat().st_size < 200_000
+    with pytest.raises(RecordError, match="1,200,000 rows: ssduck reads 1,000,000 rows of a file"):
+        ssduck.import_poses(dataset, tmp_path / "r")
     assert not (tmp_path / "r").exists()

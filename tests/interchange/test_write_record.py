@@ -345,3 +345,10 @@ def test_a_column_of_lists_is_no_column_of_numbers(tmp_path: Path) -> None:
     rows = [{"time": [0.0], "name": "a", "x": 0.0, "y": 0.0, "z": 0.0}]
     with pytest.raises(ArgumentError, match="'time' has other values than numbers"):
         ssduck.write_record(tmp_path / "r", {"a": {"sphere": 0.1}}, pa.Table.from_pylist(rows))
+
+
+@pytest.mark.parametrize("name", ["memory", "Main", "pg_catalog", "a b", ""])
+def test_a_world_that_could_not_be_opened_is_not_written(tmp_path, name):
+    with pytest.raises(ArgumentError, match=r"cannot have the name|cannot be a world's name"):
+        ssduck.write_record(tmp_path / "r", ["cup"], np.zeros((1, 1, 3)), [0.0], world=name)
+    assert not (tmp_path / "r").exists()

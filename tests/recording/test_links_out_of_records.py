@@ -12,12 +12,12 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from ssduck.interchange.conversion import write_runs
 from ssduck.interchange.pairs import COLUMNS, write_pairs
-from ssduck.recording import episode_steps
+from ssduck.recording import episode_steps, folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import descriptions
-from ssduck.recording.stores.atomic_files import temporary_path
-from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from tests.support.forged import EPISODE, describe, make_records, part
 
 EPISODES = "episodes/lab-0.json"
@@ -222,40 +222,34 @@ def test_an_upgrade_copies_no_other_file(
     assert not (tmp_path / "new").exists()
 
 
-def _tag(record: Path) -> None:
-    assert ssduck.lake(record).set_tags({"kept": 1}) == 1
+@pytest.mark.filterwarnings("ignore")
+def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
+    made: Path, tmp_path: Path
+) -> None:
+    record, outside = Path(shutil.copytree(made / "folder", tmp_path / "record")), tmp_path / "mine"
+    part(record, "ticks").write_bytes(b"torn")
+    outside.write_text("mine")
+    names = [record / "a.mcap", *(file for file in record.rglob("*") if file.is_file())]
+    for file in names:
+        file.with_name(f".{file.name}.unfinished").symlink_to(outside)
+    ssduck.check(record, repair=True)
+    ssduck.lake(record).set_tags({"mine": 1})
+    run = runs_in(made / "folder")[0]
+    pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
+    write_runs([run], record / "a.mcap", "mcap")
+    assert outside.read_text() == "mine"
+    assert (record / "a.mcap").is_file()
 
 
-def _steps(record: Path) -> None:
-    EpisodeSteps({}, times=[0.0]).write(record, "lab", 0)
-
-
-def _mend(record: Path) -> None:
-    part(record, "joints").write_bytes(b"broken")
-    assert ssduck.check(record, repair=True)
-
-
-@pytest.mark.parametrize(
-    ("work", "places"),
-    [
-        (_tag, ["episodes/lab-0.json"]),
-        (_mend, ["episodes/lab-0.json"]),
-        (_steps, ["gym/lab-0.json"]),
-        (lambda record: _write(record, record), ["episodes/lab-1.json"]),
-    ],
-)
-def test_nothing_is_written_through_a_link_that_has_a_temporary_name(
-    made: Path, tmp_path: Path, work: Callable[[Path], None], places: list[str]
+def test_a_repair_that_cannot_write_is_an_error_of_the_record(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
-    mine = tmp_path / "mine.txt"
-    mine.write_text("mine")
-    for place in map(record.joinpath, places):
-        place.parent.mkdir(parents=True, exist_ok=True)
-        temporary_path(place).symlink_to(mine)
-    work(record)
-    assert mine.read_text() == "mine"
-    for place in map(record.joinpath, places):
-        assert place.is_file()
-        assert not place.is_symlink()
-        assert not temporary_path(place).is_symlink()
+    part(record, "ticks").write_bytes(b"torn")
+
+    def fails(file: Path) -> None:
+        raise OSError(27, "File too large")
+
+    monkeypatch.setattr(folder_check, "set_aside", fails)
+    with pytest.raises(RecordError, match=f"{record} cannot be repaired: File too large"):
+        ssduck.check(record, repair=True)

@@ -20,12 +20,10 @@ _lock = threading.Lock()
 
 
 def temporary_path(place: Path) -> Path:
-    """Returns the path of a file until it is complete."""
-    return place.with_name(f".{place.name}.unfinished")
+    """Returns the path of a file or a folder until it is complete.
 
-
-def own_temporary_path(place: Path) -> Path:
-    """Returns such a path that no other process has."""
+    No other process has it, and nobody can have put a link there, which would be written through.
+    """
     return place.with_name(f".{secrets.token_hex(8)}.unfinished")
 
 
@@ -36,7 +34,6 @@ def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
         return
     temporary = temporary_path(place)
     try:
-        temporary.unlink(missing_ok=True)  # a link of a stranger would be written through
         write(temporary)
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
@@ -74,7 +71,7 @@ def create_file(place: Path, text: str) -> bool:
     """
     if isinstance(place, ObjectPath):
         return create_object(place, text.encode())
-    temporary = own_temporary_path(place)
+    temporary = temporary_path(place)
     try:
         with temporary.open("w", encoding="utf-8") as file:
             file.write(text)
@@ -101,7 +98,7 @@ def unfinished_folder(folder: Path) -> Path:
     """Returns the path of a new folder until it is complete; the same in an object store."""
     if isinstance(folder, ObjectPath):
         return folder
-    return own_temporary_path(folder)
+    return temporary_path(folder)
 
 
 def finish_folder(place: Path, folder: Path) -> None:

@@ -31,7 +31,6 @@ from ssduck.recording.stores.atomic_files import (
     create_file,
     is_temporary,
     sync_folder,
-    temporary_path,
 )
 from ssduck.recording.stores.base import TickStore
 from ssduck.recording.stores.checksums import json_text, write_parquet
@@ -535,8 +534,10 @@ def _check_name_length(path: Path, world: str) -> None:
     if hasattr(os, "pathconf"):
         with suppress(OSError, ValueError):
             maximum = os.pathconf(path, "PC_NAME_MAX")
-    # The longest file name of an episode, with as many digits as its number may have.
-    room = maximum - len(os.fsencode(temporary_path(FolderRun(path, "", 10**6).about_file).name))
+    # The longest file name of an episode, with as many digits as its number may have: that of a
+    # damaged description, which a repair has set aside.
+    longest = f"{FolderRun(path, '', 10**6).about_file.name}.damaged-10"
+    room = maximum - len(longest)
     length = len(os.fsencode(world))
     if length > room:
         raise RecordError(

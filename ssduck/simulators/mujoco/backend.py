@@ -50,7 +50,8 @@ def load(scene: Scene) -> MuJoCoSimulator:
         add_spare_welds(spec)
         compiled = spec.compile()
         data = mujoco.MjData(compiled)
-    except (ValueError, MemoryError, mujoco.FatalError) as error:
+    # MuJoCo's binding turns what it does not know, as an end of the memory, into a RuntimeError.
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
     if not (compiled.opt.timestep > 0 and math.isfinite(compiled.opt.timestep)):
         raise SceneError(f"{scene.path}: the timestep is not a number above 0")

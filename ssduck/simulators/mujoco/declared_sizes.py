@@ -8,28 +8,41 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ssduck.errors import SceneError
 from ssduck.simulators.model_xml import parse_xml
 
-# The largest number of elements of a model, with copies; of pixels, heights and user's numbers.
-MAX_ELEMENTS, MAX_NUMBERS = 1_000_000, 100_000_000
-# The attributes whose product is a number of bodies or of numbers.
+# The largest number of elements of a model, with copies; of pixels, heights, measured values and
+# user's numbers, in all; of bytes of MuJoCo's own memory for a step.
+MAX_ELEMENTS, MAX_NUMBERS, MAX_MEMORY = 1_000_000, 100_000_000, 4 << 30
+# The attributes whose product is a number of bodies.
 _COUNTS = {
     "replicate": ("count",),
     "composite": ("count",),
-    "flexcomp": ("count",),
+    "flexcomp": ("count", "cellcount"),
 }
+# A point of <flexcomp> is a body of up to six tetrahedra, for each of which MuJoCo works as long.
+_ELEMENTS_OF_A_POINT = 10
+# The attributes whose product is a number of numbers.
 _NUMBERS = {
-    "texture": ("width", "height"),
+    "texture": ("width", "height", "nchannel"),
     "hfield": ("nrow", "ncol"),
+    "numeric": ("size",),
+    "mesh": ("params",),
+    "global": ("offwidth", "offheight"),
 }
+# The same, of whatever is within these elements.
+_NUMBERS_WITHIN = {"sensor": ("dim", "num", "nsample"), "actuator": ("actdim", "nsample")}
+# The textures of which MuJoCo makes six squares, and meshes whose first number counts twice.
+_CUBES, _SQUARES = ("cube", "skybox"), ("supersphere", "supertorus")
 # The attributes of <size> that are numbers of numbers.
 _SIZES = ("nuserdata", "nkey", "njmax", "nconmax", "nstack")
 _SIZES_EACH = "nuser_"
+_UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40, "P": 1 << 50, "E": 1 << 60}
 
 # The largest number of iterations of a kind in a step, and of those within each other.
 MAX_ITERATIONS, MAX_PRODUCT = 10_000, 1_000_000
@@ -48,10 +61,16 @@ def check_declared_sizes(file: Path) -> None:
     Raises:
         SceneError: they describe more.
     """
-    if _Models().count(file) > MAX_ELEMENTS:
+    size = _Models().size(file)
+    if size.elements > MAX_ELEMENTS:
         raise SceneError(
             f"{file}: the model has more than {MAX_ELEMENTS:,} elements, counting those that "
             "replicate, composite, flexcomp and attach make"
+        )
+    if size.numbers > MAX_NUMBERS:
+        raise SceneError(
+            f"{file}: the model has more than {MAX_NUMBERS:,} numbers in all, counting those of "
+            "textures, meshes, height fields, sensors and actuators"
         )
 
 
@@ -79,40 +98,58 @@ def check_iterations(options: Any, file: Path) -> None:
             )
 
 
+@dataclass(frozen=True)
+class _Size:
+    """Numbers of elements and of numbers, at most one more than the bounds."""
+
+    elements: int = 0
+    numbers: int = 0
+
+    def __add__(self, other: _Size) -> _Size:
+        return self.plus(other)
+
+    def plus(self, other: _Size, copies: int = 1) -> _Size:
+        """Returns this size and copies of another."""
+        return _Size(
+            min(self.elements + copies * other.elements, MAX_ELEMENTS + 1),
+            min(self.numbers + copies * other.numbers, MAX_NUMBERS + 1),
+        )
+
+
 class _Models:
-    """Counts the elements of model files, which may attach others."""
+    """Measures model files, which may attach others."""
 
     def __init__(self) -> None:
-        # The numbers of elements by file; None while a file is counted.
-        self._counts: dict[Path, int | None] = {}
+        # The sizes by file; None while a file is measured.
+        self._sizes: dict[Path, _Size | None] = {}
 
-    def count(self, file: Path) -> int:
-        """Returns the number of elements of a model, at most one more than the bound.
+    def size(self, file: Path) -> _Size:
+        """Returns the size of a model.
 
         Raises:
             SceneError: it attaches itself, which MuJoCo would read until the stack overflows.
         """
         key = file.resolve()
-        if key not in self._counts:
-            self._counts[key] = None
+        if key not in self._sizes:
+            self._sizes[key] = None
             root = _with_included(file, file, {key})
             attached = {} if root is None else self._attached(root, file)
             # Each is read, and copied wherever it is attached.
-            total = sum(attached.values()) + _count(root, file, attached)
-            self._counts[key] = min(total, MAX_ELEMENTS + 1)
-        count = self._counts[key]
-        if count is None:
+            own = _Size() if root is None else _size(root, file, attached)
+            self._sizes[key] = sum(attached.values(), own)
+        size = self._sizes[key]
+        if size is None:
             raise SceneError(f"{file}: <model>: the model attaches itself")
-        return count
+        return size
 
-    def _attached(self, root: ET.Element, file: Path) -> dict[str, int]:
-        """Returns the numbers of elements of the models that a model may attach, by name."""
-        counts: dict[str, int] = {}
+    def _attached(self, root: ET.Element, file: Path) -> dict[str, _Size]:
+        """Returns the sizes of the models that a model may attach, by name."""
+        sizes: dict[str, _Size] = {}
         for element in root.iter("model"):
             if (name := element.get("file")) is not None:
                 place = file.parent / name
-                counts[element.get("name") or _model_name(place)] = self.count(place)
-        return counts
+                sizes[element.get("name") or _model_name(place)] = self.size(place)
+        return sizes
 
 
 def _read(file: Path) -> ET.Element | None:
@@ -141,49 +178,98 @@ def _with_included(file: Path, main: Path, files: set[Path]) -> ET.Element | Non
     return root
 
 
-def _count(root: ET.Element | None, main: Path, attached: Mapping[str, int]) -> int:
-    """Returns the number of elements of a model, with all copies."""
-    total = 0
-    waiting = [] if root is None else [(root, 1)]
+def _size(root: ET.Element, main: Path, attached: Mapping[str, _Size]) -> _Size:
+    """Returns the size of a model, with all copies."""
+    total = _Size(numbers=_declared_numbers(root, main))
+    waiting = [(root, 1)]
     while waiting:
         element, copies = waiting.pop()
-        total += copies
-        if total > MAX_ELEMENTS:
+        total = total.plus(_Size(elements=1), copies)
+        if total.elements > MAX_ELEMENTS:
             return total
-        _check_numbers(element, main)
         copies *= _product(element, _COUNTS.get(element.tag, ()))
         if element.tag in ("composite", "flexcomp"):
-            total += copies
+            points = _ELEMENTS_OF_A_POINT if element.tag == "flexcomp" else 1
+            total = total.plus(_Size(elements=points), copies)
             copies = 1
         elif element.tag == "attach":
-            total += copies * attached.get(element.get("model", ""), 0)
+            total = total.plus(attached.get(element.get("model", ""), _Size()), copies)
         waiting += [(child, copies) for child in element]
     return total
 
 
-def _check_numbers(element: ET.Element, main: Path) -> None:
-    names = [(name,) for name in element.attrib if _is_size(element, name)]
-    for together in (*names, _NUMBERS.get(element.tag, ())):
-        if _product(element, together) > MAX_NUMBERS:
-            what = " times ".join(together)
-            raise SceneError(f"{main}: <{element.tag}>: {what} is more than {MAX_NUMBERS:,}")
+def _declared_numbers(root: ET.Element, main: Path) -> int:
+    """Returns how many numbers the assets, sensors, actuators and sizes of a model have.
+
+    Raises:
+        SceneError: one of them has too many by itself.
+    """
+    within = {
+        child: names
+        for tag, names in _NUMBERS_WITHIN.items()
+        for parent in root.iter(tag)
+        for child in parent.iter()
+    }
+    pixels = max((_product(camera, ("resolution",)) for camera in root.iter("camera")), default=1)
+    elements = list(root.iter())
+    total = 0
+    for element in elements:
+        for names, count in _numbers(element, within.get(element, ())):
+            _check_bound(count, MAX_NUMBERS, element, names, main)
+            total += count
+        if element.tag == "rangefinder" and element.get("camera") is not None:
+            total += pixels
+        if element.tag == "size":
+            _check_bound(_memory(element), MAX_MEMORY, element, "memory", main)
+    # Any element may be an actuator with the largest default.
+    defaults = (child for parent in root.iter("default") for child in parent.iter())
+    largest = max((_product(child, _NUMBERS_WITHIN["actuator"]) for child in defaults), default=1)
+    return total + len(elements) * (largest - 1)
 
 
-def _is_size(element: ET.Element, name: str) -> bool:
-    return element.tag == "size" and (name in _SIZES or name.startswith(_SIZES_EACH))
+def _numbers(element: ET.Element, names_within: tuple[str, ...]) -> Iterator[tuple[str, int]]:
+    """Yields what an element tells of, and how many numbers that has, if more than one."""
+    names = _NUMBERS.get(element.tag, names_within)
+    count = _product(element, names)
+    if element.tag == "texture" and element.get("type", "cube") in _CUBES:
+        count = 6 * _product(element, ("width", "width", "nchannel"))
+    elif element.tag == "mesh" and element.get("builtin") in _SQUARES:
+        count *= _number(element.get("params", "").split()[:1])
+    if count > 1:
+        yield " times ".join(name for name in names if name in element.attrib), count
+    if element.tag == "size":
+        for name in element.attrib:
+            if name in _SIZES or name.startswith(_SIZES_EACH):
+                yield name, _product(element, (name,))
+
+
+def _check_bound(count: int, bound: int, element: ET.Element, what: str, main: Path) -> None:
+    if count > bound:
+        raise SceneError(f"{main}: <{element.tag}>: {what} is more than {bound:,}")
+
+
+def _memory(element: ET.Element) -> int:
+    """Returns the bytes that <size> asks for in its attribute memory, as in 10M."""
+    text = element.get("memory", "").strip()
+    unit = _UNITS.get(text[-1:].upper(), 1)
+    return _number([text.rstrip("KMGTPEkmgtpe")]) * unit
 
 
 def _product(element: ET.Element, names: tuple[str, ...]) -> int:
-    """Returns the product of the numbers in attributes; what is no number counts as 1."""
+    """Returns the product of the numbers in attributes."""
+    return math.prod(_number(element.get(name, "").split()) for name in names)
+
+
+def _number(words: list[str]) -> int:
+    """Returns the product of numbers; what is no number, or less than 1, counts as 1."""
     product = 1
-    for name in names:
-        for word in element.get(name, "").split():
-            try:
-                number = float(word)
-            except ValueError:
-                continue
-            if math.isfinite(number):
-                product *= max(1, int(min(number, 1e12)))
-            elif number > 0:
-                product *= 10**12
+    for word in words:
+        try:
+            number = float(word)
+        except ValueError:
+            continue
+        if math.isfinite(number):
+            product *= max(1, int(min(number, 1e12)))
+        elif number > 0:
+            product *= 10**12
     return product

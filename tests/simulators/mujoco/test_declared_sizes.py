@@ -23,11 +23,43 @@ TOO_LARGE = {
     "in a frame": f'<replicate count="2000"><frame><replicate count="2000">{GEOM}</replicate></frame></replicate>',
     "composite": '<body><composite type="cable" count="100000000 1 1" size="1"/></body>',
     "flexcomp": '<flexcomp name="f" type="grid" count="900 900 900" spacing="1 1 1"/>',
+    "points of flexcomp": '<flexcomp name="f" type="grid" count="100 100 99" spacing="1 1 1"/>',
+    "cells of flexcomp": '<flexcomp name="f" type="grid" count="4 4 4" cellcount="90 90 90" spacing="1 1 1"/>',
     "flexcomp in replicate": '<replicate count="900"><flexcomp name="f" type="grid" count="90 90 1"/></replicate>',
 }
 ASSETS = {
     "texture": '<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>',
+    "channels": '<texture name="t" type="2d" builtin="flat" width="10000" height="1000" nchannel="100"/>',
+    "skybox": '<texture name="t" type="skybox" builtin="flat" width="30000"/>',
+    "cube": '<texture name="t" builtin="flat" width="30000" height="1"/>',
     "hfield": '<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>',
+    "cone": '<mesh name="m" builtin="cone" params="200000000 1"/>',
+    "plate": '<mesh name="m" builtin="plate" params="30000 30000"/>',
+    "wedge": '<mesh name="m" builtin="wedge" params="30000 30000 60 60 0"/>',
+    "supersphere": '<mesh name="m" builtin="supersphere" params="30000 1 1"/>',
+    "supertorus": '<mesh name="m" builtin="supertorus" params="30000 1 1 1"/>',
+}
+SECTIONS = {
+    "user": '<sensor><user name="n" dim="200000000"/></sensor>',
+    "contact": '<sensor><contact name="n" geom1="g" num="200000000"/></sensor>',
+    "delay of a sensor": '<sensor><jointpos name="n" joint="j" nsample="200000000" delay=".1"/></sensor>',
+    "delay of an actuator": '<actuator><motor name="n" joint="j" nsample="200000000" delay=".1"/></actuator>',
+    "activations": '<actuator><general name="a" joint="j" dyntype="user" actdim="500000000"/></actuator>',
+    "numeric": '<custom><numeric name="n" size="200000000" data="1"/></custom>',
+    "memory": '<size memory="10T"/>',
+    "bytes of memory": '<size memory="5000000000"/>',
+    "off-screen": '<visual><global offwidth="100000" offheight="100000"/></visual>',
+}
+# Each is small enough by itself.
+MANY = {
+    "textures": "<asset>{}</asset>",
+    "height fields": "<asset>{}</asset>",
+    "user's sensors": "<sensor>{}</sensor>",
+}
+EACH = {
+    "textures": '<texture name="t{}" type="2d" builtin="flat" width="10000" height="1000"/>',
+    "height fields": '<hfield name="t{}" nrow="10000" ncol="1000" size="1 1 1 1"/>',
+    "user's sensors": '<user name="t{}" dim="10000000"/>',
 }
 SIZES = [
     'nuserdata="2000000000"',
@@ -54,7 +86,41 @@ def test_millions_of_elements_are_refused(tmp_path, name):
 
 @pytest.mark.parametrize("name", ASSETS)
 def test_large_assets_are_refused(tmp_path, name):
-    refused(tmp_path, f"<mujoco><asset>{ASSETS[name]}</asset></mujoco>", "times .* more than")
+    refused(tmp_path, f"<mujoco><asset>{ASSETS[name]}</asset></mujoco>", "is more than 100,000,000")
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_large_sections_are_refused(tmp_path, name):
+    refused(tmp_path, f"<mujoco>{SECTIONS[name]}</mujoco>", ">: .* is more than")
+
+
+@pytest.mark.parametrize("name", MANY)
+def test_many_numbers_in_all_are_refused(tmp_path, name):
+    many = "".join(EACH[name].format(number) for number in range(11))
+    refused(tmp_path, f"<mujoco>{MANY[name].format(many)}</mujoco>", "100,000,000 numbers in all")
+
+
+def test_defaults_of_actuators_count_for_each(tmp_path):
+    default = '<default><general actdim="50000000" dyntype="user"/></default>'
+    actuators = "".join(f'<general name="a{number}" joint="j"/>' for number in range(3))
+    text = f"<mujoco>{default}<actuator>{actuators}</actuator></mujoco>"
+    refused(tmp_path, text, "100,000,000 numbers in all")
+
+
+def test_rays_of_a_range_finder_count(tmp_path):
+    camera = '<worldbody><camera name="c" resolution="30000 30000"/></worldbody>'
+    (tmp_path / "camera.xml").write_text(f"<mujoco>{camera}</mujoco>")
+    check_declared_sizes(tmp_path / "camera.xml")
+    finder = '<sensor><rangefinder name="r" camera="c" data="dist"/></sensor>'
+    refused(tmp_path, f"<mujoco>{camera}{finder}</mujoco>", "100,000,000 numbers in all")
+
+
+def test_what_mujoco_does_not_know_is_an_error_of_the_scene(tmp_path, monkeypatch):
+    def fails(path):
+        raise RuntimeError("Caught an unknown exception!")
+
+    monkeypatch.setattr(mujoco.MjSpec, "from_file", fails)
+    refused(tmp_path, f"<mujoco>{BALL}</mujoco>", "cannot be loaded: Caught an unknown exception")
 
 
 @pytest.mark.parametrize("size", SIZES)

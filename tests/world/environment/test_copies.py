@@ -392,6 +392,18 @@ def test_nothing_is_saved_over(kitchen, tmp_path):
         kitchen.save(tmp_path)
     with pytest.raises(SceneError, match="mine"):
         kitchen.save(tmp_path / "mine")
+    assert [file.name for file in tmp_path.iterdir()] == ["mine"]
+
+
+def test_half_a_scene_is_not_left(kitchen, tmp_path, monkeypatch):
+    def fails(scene, folder):
+        assert any(folder.rglob("*"))
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("ssduck.world.world.write_scene", fails)
+    with pytest.raises(SceneError, match="scene: No space left on device"):
+        kitchen.save(tmp_path / "scene")
+    assert not (tmp_path / "scene").exists()
 
 
 @pytest.mark.parametrize(
