@@ -19,6 +19,8 @@ from ssduck.simulators.model_xml import parse_xml
 # The largest number of elements of a model, with copies; of pixels, heights, measured values and
 # user's numbers, in all; of bytes of MuJoCo's own memory for a step.
 MAX_ELEMENTS, MAX_NUMBERS, MAX_MEMORY = 1_000_000, 100_000_000, 4 << 30
+# The largest number of files that a model includes, and of models that are attached.
+MAX_FILES = 200
 # The attributes whose product is a number of bodies.
 _COUNTS = {
     "replicate": ("count",),
@@ -132,8 +134,11 @@ class _Models:
         key = file.resolve()
         if key not in self._sizes:
             self._sizes[key] = None
-            root = _with_included(file, file, {key})
-            attached = {} if root is None else self._attached(root, file)
+            if len(self._sizes) > MAX_FILES:
+                raise SceneError(f"{file}: <model>: more than {MAX_FILES} models are attached")
+            files = _Files(file)
+            root = files.read(file)
+            attached = {} if root is None else self._attached(root, files)
             # Each is read, and copied wherever it is attached.
             own = _Size() if root is None else _size(root, file, attached)
             self._sizes[key] = sum(attached.values(), own)
@@ -142,14 +147,55 @@ class _Models:
             raise SceneError(f"{file}: <model>: the model attaches itself")
         return size
 
-    def _attached(self, root: ET.Element, file: Path) -> dict[str, _Size]:
+    def _attached(self, root: ET.Element, files: _Files) -> dict[str, _Size]:
         """Returns the sizes of the models that a model may attach, by name."""
         sizes: dict[str, _Size] = {}
         for element in root.iter("model"):
-            if (name := element.get("file")) is not None:
-                place = file.parent / name
-                sizes[element.get("name") or _model_name(place)] = self.size(place)
+            for place in files.places(element.get("file")):
+                name = element.get("name") or _model_name(place)
+                sizes[name] = sizes.get(name, _Size()) + self.size(place)
         return sizes
+
+
+class _Files:
+    """The files of a model: the main one, and those that it includes.
+
+    Args:
+        main: the main file.
+    """
+
+    def __init__(self, main: Path) -> None:
+        self._main = main
+        # The files that were read, and their folders, in this order.
+        self._read: set[Path] = set()
+        self._folders: dict[Path, None] = {}
+
+    def places(self, name: str | None) -> list[Path]:
+        """Returns the files of a name, as a file of this model may mean them.
+
+        MuJoCo looks beside the main file, then beside that with the name; a backslash is a slash.
+        """
+        places = [folder / (name or "").replace("\\", "/") for folder in self._folders]
+        return [place for place in places if name and place.is_file()]
+
+    def read(self, file: Path) -> ET.Element | None:
+        """Returns the root of a file, with those of included files within each <include>.
+
+        Raises:
+            SceneError: there are more files than usual.
+        """
+        self._read.add(file.resolve())
+        self._folders[file.parent] = None
+        if len(self._read) > MAX_FILES:
+            raise SceneError(f"{self._main}: <include>: more than {MAX_FILES} files are included")
+        root = _read(file)
+        for element in [] if root is None else list(root.iter("include")):
+            for inner in self.places(element.get("file")):
+                if inner.resolve() not in self._read:
+                    included = self.read(inner)
+                    if included is not None:
+                        element.append(included)
+        return root
 
 
 def _read(file: Path) -> ET.Element | None:
@@ -163,19 +209,6 @@ def _read(file: Path) -> ET.Element | None:
 def _model_name(file: Path) -> str:
     root = _read(file)
     return "" if root is None else root.get("model", "")
-
-
-def _with_included(file: Path, main: Path, files: set[Path]) -> ET.Element | None:
-    """Returns the root of a file, with those of included files within each <include>."""
-    root = _read(file)
-    for element in [] if root is None else list(root.iter("include")):
-        inner = main.parent / element.get("file", "")
-        if inner.resolve() not in files:
-            files.add(inner.resolve())
-            included = _with_included(inner, main, files)
-            if included is not None:
-                element.append(included)
-    return root
 
 
 def _size(root: ET.Element, main: Path, attached: Mapping[str, _Size]) -> _Size:

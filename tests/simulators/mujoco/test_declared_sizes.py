@@ -134,6 +134,57 @@ def test_copies_of_an_included_file_count(tmp_path):
     refused(tmp_path, text, "more than 1,000,000 elements", inner=inner)
 
 
+HEAVY = f'<worldbody><replicate count="1100000">{GEOM}</replicate></worldbody>'
+ATTACH = '<worldbody><attach model="m" prefix="p"/></worldbody>'
+# (the main file, other files)
+ELSEWHERE = {
+    "beside the including file": (
+        '<include file="sub/a.xml"/>',
+        {"sub/a.xml": '<include file="b.xml"/>', "sub/b.xml": HEAVY},
+    ),
+    "three deep": (
+        '<include file="sub/a.xml"/>',
+        {
+            "sub/a.xml": '<include file="c/d.xml"/>',
+            "sub/c/d.xml": '<include file="e.xml"/>',
+            "sub/c/e.xml": HEAVY,
+        },
+    ),
+    "a model beside an included file": (
+        f'<include file="sub/a.xml"/>{ATTACH}',
+        {"sub/a.xml": '<asset><model name="m" file="m.xml"/></asset>', "sub/m.xml": HEAVY},
+    ),
+    "a backslash": ('<include file="sub\\a.xml"/>', {"sub/a.xml": HEAVY}),
+}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_files_are_looked_for_where_mujoco_looks(tmp_path, name):
+    text, files = ELSEWHERE[name]
+    for file, content in files.items():
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        tag = "mujoco" if file.endswith("m.xml") else "mujocoinclude"
+        (tmp_path / file).write_text(f"<{tag}>{content}</{tag}>")
+    refused(tmp_path, f"<mujoco>{text}</mujoco>", "more than 1,000,000 elements")
+
+
+@pytest.mark.parametrize(
+    ("form", "words"),
+    [
+        ('<include file="{}"/>', "more than 200 files are included"),
+        ('<asset><model name="m" file="{}"/></asset>', "more than 200 models are attached"),
+    ],
+)
+def test_a_chain_of_files_ends(tmp_path, form, words):
+    tag = "mujocoinclude" if "include" in form else "mujoco"
+    for number in range(1_500):
+        text = f"<{tag}>{form.format(f'{number + 1}.xml')}</{tag}>"
+        (tmp_path / f"{number}.xml").write_text(text)
+    (tmp_path / "bomb.xml").write_text(f"<mujoco>{form.format('0.xml')}</mujoco>")
+    with pytest.raises(SceneError, match=words):
+        check_declared_sizes(tmp_path / "bomb.xml")
+
+
 ATTACHED = f'<mujoco model="own"><worldbody><replicate count="2000"><body name="b">{GEOM}</body></replicate></worldbody></mujoco>'
 
 
