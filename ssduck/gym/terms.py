@@ -212,7 +212,7 @@ class Judge:
         interpreter: runs them; it has the world.
         world: the name of the world.
         variables: the names of the variables that are set at each step.
-        if_unknown: what to do about a name that no variable has, for messages; {name} stands for it.
+        if_unknown: what to do about a name that no variable has, with {name} for it.
 
     Attributes:
         terms: the terms.

@@ -380,11 +380,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
                 paths_of = {link: f"{owner}.{link}" for owner, link in links}
                 near = tuple(paths_of[link] for link in nearest(name, paths_of))
             return UnknownNameError(message, suggestions=near)
-        paths = ((self.name, owner, name) for owner in owners[:_MAX_OWNERS])
-        choices = " or ".join(
-            ".".join(path) if all(map(str.isidentifier, path)) else f"{path[0]}[{path[1]!r}][{name!r}]"
-            for path in paths
-        )
+        choices = " or ".join(_path(self.name, owner, name) for owner in owners[:_MAX_OWNERS])
         return UnknownNameError(f"{message}; a part of another one has that name: write {choices}")
 
     def entity(self, id: int) -> Entity:
@@ -548,3 +544,10 @@ def _plain(value: Any) -> Any:
         return {key: _plain(part) for key, part in value.items()}
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
     return [_plain(part) for part in value] if is_list else value
+
+
+def _path(world: str, entity: str, part: str) -> str:
+    """Returns how a program names a link or a site."""
+    if all(map(str.isidentifier, (world, entity, part))):
+        return f"{world}.{entity}.{part}"
+    return f"{world}[{entity!r}][{part!r}]"

@@ -192,8 +192,16 @@ def test_pybullet(wrap, reconnects):
         ({"success": "joint(sim.pusher, 'psuh') > 1"}, SelectScriptError, "'psuh'; .*'push'"),
         ({"success": "x(sim.ball) > goal", "variables": {"gaol": len}}, UnknownNameError, "'gaol'"),
         ({}, ArgumentError, "give a term"),
-        ({"success": "z(sim.ball) > hight"}, UnknownNameError, r"variables=\{'hight': lambda env: "),
-        ({"reward": {"a": "-x(sim.ball) - goal[0]"}}, UnknownNameError, r"\['a'\]: .* variables=\{'goal'"),
+        (
+            {"success": "z(sim.ball) > hight"},
+            UnknownNameError,
+            r"variables=\{'hight': lambda env: ",
+        ),
+        (
+            {"reward": {"a": "-x(sim.ball) - goal[0]"}},
+            UnknownNameError,
+            r"\['a'\]: .* variables=\{'goal'",
+        ),
         ({"success": "z(ball) > 1"}, UnknownNameError, "'ball'; for the entity, write sim.ball$"),
         ({"success": "z(sim.tray) > 1"}, UnknownNameError, r"'tray'; .* write sim\.pusher\.tray$"),
         ({"success": "z(sim.trai) > 1"}, UnknownNameError, r"did you mean 'pusher\.tray'\?"),
@@ -246,7 +254,9 @@ def test_a_list_that_changes_in_place_is_read_at_each_step(wrap, tmp_path, rewar
 
 def test_a_score_tells_which_variables_are_recorded(wrap, tmp_path):
     for name, variables in (("without", {}), ("with", {"goal": lambda env: env.goal})):
-        env = wrap(Push(), success="x(sim.ball) > 1", variables=variables, record_to=tmp_path / name)
+        env = wrap(
+            Push(), success="x(sim.ball) > 1", variables=variables, record_to=tmp_path / name
+        )
         list(episode(env, 0, 2))
         env.close()
     for name, message in (("without", "has no variables"), ("with", "has the variables goal")):

@@ -59,7 +59,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "hasContact",
         A_B,
         "boolean",
-        f"a.id <> b.id AND {_PAIR} IN (SELECT contacts.a, contacts.b FROM contacts)",
+        f"a.id <> b.id AND {_PAIR} IN (SELECT contacts.a, contacts.b FROM contacts)",  # noqa: S608
         "Checks if the physics solver listed a contact of a and b in the last step: their shapes "
         "meet, even if they do not press, as when they are moving apart, or they press at a "
         "distance, which margins allow.",
@@ -67,7 +67,8 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
         f"AND len({recorded_numbers('contact_forces', 'a', 'b')}) > 0",
-        link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] FROM ({_PAIRS}) AS pairs)",
+        link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] "  # noqa: S608
+        f"FROM ({_PAIRS}) AS pairs)",
         of_contacts=ContactPairs.is_listed,
     ),
     Relation(

@@ -72,7 +72,9 @@ def test_it_is_the_list_of_the_simulator_at_every_step(lab, tmp_path):
     """A bowl that is lifted meets the plate for some steps without pressing."""
     pairs = list(itertools.combinations(("floor", "plate", "bowl", "arm"), 2))
     columns = ", ".join(
-        f"{relation}(lab.{a}, lab.{b})" for a, b in pairs for relation in ("hasContact", "inContact")
+        f"{relation}(lab.{a}, lab.{b})"
+        for a, b in pairs
+        for relation in ("hasContact", "inContact")
     )
     program = lab.ss.compile(f"SELECT {columns} FROM [0] AS list;")
     query = "SELECT hasContact(lab.plate, this) FROM lab WHERE id(this) == 'bowl' AS value;"
