@@ -122,6 +122,7 @@ the body was first recorded. Which relation to use:
 | does b rest on a? | `on(a, b)`, which includes margins |
 | do they touch? | `touching(a, b)`, which includes margins |
 | are they pressed together? | `inContact(a, b)`: the solver found a force |
+| does the simulator list a contact? | `hasContact(a, b)`: even if they are moving apart |
 | how near are the surfaces? | `clearance(a, b)`, `near(a, b, d)`: the shapes alone |
 | is one in the other? | `collides(a, b, 1e-3)`: deeper than 1 mm, not only at rest |
 
@@ -132,7 +133,8 @@ records.
 ## On, in and beside
 
 These relations use shapes and poses alone. So they are the same live, at a past tick, in a record
-and in a what-if world. `inContact` and `contactForce` report what the physics solver found.
+and in a what-if world. `inContact`, `hasContact` and `contactForce` report what the physics solver
+found.
 
 - `on(a, b)`: b stands on a by itself, because its centre is over a. `supports(a, b)`: a carries
   b, alone or with others, wherever b's centre is; two blocks both support the plank that bridges

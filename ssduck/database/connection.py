@@ -66,6 +66,8 @@ NO_RANGE_JOINS = "SET nested_loop_join_threshold = 1000000000"
 # The name of an attached file with a record; no world can have it.
 _ATTACHED = "ssduck record file"
 _ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
+# A forked process keeps its parent's connections: freeing them would wait for threads it lacks.
+_LEFT_TO_PARENT: list[Sequence[duckdb.DuckDBPyConnection]] = []
 
 
 class Connection:
@@ -568,6 +570,7 @@ def _finish(
 ) -> None:
     """Stores the waiting ticks and closes; in a forked process, leaves that to the parent."""
     if os.getpid() != process:
+        _LEFT_TO_PARENT.append(connections)
         return
     if any(
         recorder.is_writer_thread for recorder in recorders

@@ -114,7 +114,11 @@ def score_with(
     Raises:
         SelectScriptError: a term is wrong, or ticks are missing.
     """
-    judge = Judge(terms, interpreter, world, tuple(steps.variables))
+    recorded = tuple(steps.variables)
+    if_unknown = "the record has no variables"
+    if recorded:
+        if_unknown = f"the record has the variables {', '.join(recorded)}"
+    judge = Judge(terms, interpreter, world, recorded, if_unknown=if_unknown)
     judgements = list(_judgements(interpreter, world, judge, steps))
 
     def series(name: str) -> tuple[Any, ...]:

@@ -116,8 +116,10 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
             self._check_steps()
             for name, value in task.variables.items():
                 self._interpreter.add_variable(name, value)
-            self._judge = Judge(task.terms, self._interpreter, WORLD, ())
-            self._observer = Judge(task.observation, self._interpreter, WORLD, ())
+            self._judge, self._observer = (
+                Judge(terms, self._interpreter, WORLD, (), if_unknown="set it in [variables]")
+                for terms in (task.terms, task.observation)
+            )
             self._record_past()
             self._judge.check()
             self._observer.check(may_be_constant=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SelectScriptError
+from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError
 from ssduck.formatting import short_repr
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.program import CompiledProgram
@@ -212,6 +212,7 @@ class Judge:
         interpreter: runs them; it has the world.
         world: the name of the world.
         variables: the names of the variables that are set at each step.
+        if_unknown: what to do about a name that no variable has, with {name} for it.
 
     Attributes:
         terms: the terms.
@@ -219,9 +220,16 @@ class Judge:
     """
 
     def __init__(
-        self, terms: Terms, interpreter: Interpreter, world: str, variables: Sequence[str]
+        self,
+        terms: Terms,
+        interpreter: Interpreter,
+        world: str,
+        variables: Sequence[str],
+        *,
+        if_unknown: str,
     ) -> None:
         _check_variables(variables, terms, world)
+        self._if_unknown = if_unknown
         self.terms = terms
         self._interpreter, self._world = interpreter, world
         self._elements: dict[str, set[int]] = {name: set() for name in variables}
@@ -306,8 +314,20 @@ class Judge:
         try:
             return self._interpreter.eval(program)
         except SelectScriptError as error:
-            error.message = f"{term.key}: {error.message}"
+            error.message = f"{term.key}: {error.message}{self._what_to_do(error, program)}"
             raise
+
+    def _what_to_do(self, error: SelectScriptError, program: str | CompiledProgram) -> str:
+        """Returns what to do about a name that no variable has, and that is like none; else ''."""
+        if isinstance(program, str) or not isinstance(error, UnknownNameError):
+            return ""
+        world = self._interpreter[self._world]
+        for node in program.tree.statements[0].walk():
+            if isinstance(node, Name) and node.span == error.span:
+                is_entity = isinstance(world, World) and node.name in world
+                is_hinted = is_entity or error.suggestions or node.name in self._interpreter
+                return "" if is_hinted else f"; {self._if_unknown.format(name=node.name)}"
+        return ""
 
     def _compiled(self, key: str, text: str) -> CompiledProgram:
         try:

@@ -24,6 +24,10 @@ from ssduck.world.world import World
 
 # The key of a step's `info`.
 INFO = "ssduck"
+# What to do about a variable that there is not.
+_IF_UNKNOWN = (
+    "for a value of the environment, give variables={{'{name}': lambda env: env.{name}}}, say"
+)
 # Returns what only Python knows: the value of a variable, from the environment.
 VariableReader: TypeAlias = Callable[[gymnasium.Env[Any, Any]], Any]
 
@@ -106,7 +110,13 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._client = self._attach()
-            self._judge = Judge(self._terms, self._interpreter, world, tuple(self._variables))
+            self._judge = Judge(
+                self._terms,
+                self._interpreter,
+                world,
+                tuple(self._variables),
+                if_unknown=_IF_UNKNOWN,
+            )
             # The first reset may build the simulation, or give variables their values.
             self._is_checked = False
             if len(self._simulation):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.schema import LINK_FACTOR, entity_of, link_of
@@ -19,6 +19,13 @@ Sides: TypeAlias = tuple[Indices, Indices]
 Columns: TypeAlias = tuple[Sides, Array, Array]
 
 
+class ContactsBetween(Protocol):
+    """Returns the contacts of two entities, in any order: all, or those that press."""
+
+    def __call__(self, a: int, b: int, *, pressing: bool) -> Sides:
+        """Returns them."""
+
+
 @dataclass(frozen=True, eq=False)
 class ContactPairs:
     """The contacts of a tick.
@@ -26,12 +33,12 @@ class ContactPairs:
     The values are those of the relations' formulas in SQL, to the last bit.
 
     Attributes:
-        pressing: a function that returns the contacts of two entities that press, in any order.
+        between: a function that returns the contacts of two entities.
         columns: a function that returns the contacts in the order of their table, whose sums
             depend on it. The normals are of length 1.
     """
 
-    pressing: Callable[[int, int], Sides]
+    between: ContactsBetween
     columns: Callable[[], Columns]
 
     def _ordered(self, a: int, b: int) -> tuple[Array, Array]:
@@ -42,7 +49,16 @@ class ContactPairs:
 
     def is_pressing(self, a: int, b: int) -> bool:
         """Checks whether a contact of two entities or links presses."""
-        sides = self.pressing(entity_of(a), entity_of(b))
+        return self._is_there(a, b, pressing=True)
+
+    def is_listed(self, a: int, b: int) -> bool:
+        """Checks whether two entities or links have a contact, which may press or not."""
+        return self._is_there(a, b, pressing=False)
+
+    def _is_there(self, a: int, b: int, *, pressing: bool) -> bool:
+        if a == b:
+            return False
+        sides = self.between(entity_of(a), entity_of(b), pressing=pressing)
         if not sides[0].size or max(a, b) < LINK_FACTOR:
             return bool(sides[0].size)
         return bool(are_of(sides, a, b).any())

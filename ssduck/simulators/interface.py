@@ -239,11 +239,13 @@ class ContactPoints:
         """Returns all of them; see `Contacts`."""
         return self
 
-    def pressing(self, a: int, b: int) -> tuple[Indices, Indices]:
-        """Returns the bodies and links of those of two bodies that press; see `Contacts`."""
+    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
+        """Returns the bodies and links of those of two bodies; see `Contacts`."""
         first, second = self.bodies.T
         is_of_both = ((first == a) & (second == b)) | ((first == b) & (second == a))
-        rows = (is_of_both & (self.forces > 0)).nonzero()[0]
+        if pressing:
+            is_of_both &= self.forces > 0
+        rows = is_of_both.nonzero()[0]
         return self.bodies[rows], self.links[rows]
 
     def __len__(self) -> int:
@@ -256,12 +258,13 @@ class Contacts(Protocol):
     def all(self) -> ContactPoints:
         """Returns all of them."""
 
-    def pressing(self, a: int, b: int) -> tuple[Indices, Indices]:
-        """Returns the bodies and links, (n, 2) each, of those of two bodies that press.
+    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
+        """Returns the bodies and links, (n, 2) each, of those of two bodies.
 
         Args:
             a: the handle of a body.
             b: that of the other one, or the same.
+            pressing: whether those that do not press are left out.
         """
 
 

@@ -65,7 +65,11 @@ def _sum(
     domain = FloatDomain.FINITE if sql_type == INTEGER else _domain(kind, left, right)
     # Without a copy, which would take quadratic time for a long sum.
     return SqlValue(
-        exp.paren(sql, copy=False), sql_type, may_exceed_double=sql_type == INTEGER, domain=domain
+        exp.paren(sql, copy=False),
+        sql_type,
+        may_exceed_double=sql_type == INTEGER,
+        is_non_negative=kind is not exp.Sub and left.is_non_negative and right.is_non_negative,
+        domain=domain,
     )
 
 
@@ -138,7 +142,11 @@ def _power(context: StatementContext, node: Binary, left: SqlValue, sql_type: Sq
                 this=exp.func("abs", copied(power)), expression=exp.Literal.number(repr(maximum))
             )
             result: exp.Expr = exp.cast(power, "BIGINT") if sql_type == INTEGER else power
-            return SqlValue(exp.case().when(too_large, failure(sql_type)).else_(result), sql_type)
+            return SqlValue(
+                exp.case().when(too_large, failure(sql_type)).else_(result),
+                sql_type,
+                is_non_negative=left.is_non_negative or exponent % 2 == 0,
+            )
     raise NotSqlError
 
 

@@ -25,6 +25,7 @@ from ssduck.sql.sql_values import (
     copied,
     failure,
     or_failure,
+    wrapped,
 )
 from ssduck.sql.types import DOUBLE, INTEGER, STRING, SqlType
 
@@ -163,7 +164,16 @@ def _builtin(context: StatementContext, name: str, values: list[SqlValue]) -> Sq
         case "abs", [SqlValue(sql_type=SqlType(type="double" | "integer")) as value] if (
             not value.may_exceed_double
         ):
-            return SqlValue(exp.func("abs", value.sql.copy()), value.sql_type, domain=value.domain)
+            return SqlValue(
+                exp.func("abs", value.sql.copy()),
+                value.sql_type,
+                is_non_negative=True,
+                domain=value.domain,
+            )
+        case "sqrt", [SqlValue(sql_type=SqlType(type="double" | "integer")) as value] if (
+            not value.may_exceed_double
+        ):
+            return _root(context, value)
         case name, [value] if (
             name in _REAL_FUNCTIONS and value.sql_type.is_number and not value.may_exceed_double
         ):
@@ -209,6 +219,16 @@ def _real_function(context: StatementContext, name: str, value: SqlValue) -> Sql
         finite = exp.func("isfinite", copied(double_of(value)))
         sql = exp.case().when(finite, sql).else_(failure(DOUBLE))
     return SqlValue(sql, DOUBLE)
+
+
+def _root(context: StatementContext, value: SqlValue) -> SqlValue:
+    """Returns a square root; of a negative number it fails, as in Python."""
+    root: exp.Expr = exp.Sqrt(this=double_of(value))
+    if not value.is_non_negative:
+        context.note_possible_failure()
+        is_negative = exp.LT(this=wrapped(double_of(value)), expression=exp.Literal.number(0))
+        root = exp.case().when(copied(is_negative), failure(DOUBLE)).else_(root)
+    return SqlValue(root, DOUBLE, is_non_negative=True, domain=value.domain)
 
 
 def _list_function(function: str, value: SqlValue) -> exp.Expr:

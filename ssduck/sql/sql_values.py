@@ -60,7 +60,7 @@ class SqlValue:
         elements: the elements of a list literal.
         fields: the values of a record, by key.
         may_exceed_double: whether it may be an integer that a DOUBLE cannot represent.
-        is_non_negative: whether it is an integer that is never negative.
+        is_non_negative: whether it is a number that is never below 0; it may be NaN.
         domain: the reals that it, or the elements of a list, may be.
         may_fail: whether SQL may fail at it, so that it must be evaluated where Python does.
     """

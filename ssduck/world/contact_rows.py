@@ -58,19 +58,22 @@ def contact_pairs(
         )
         return (entities, links), rows["force"], rows.doubles("nx", "nz")
 
-    def pressing(a: int, b: int) -> ContactSides:
+    def between(a: int, b: int, *, pressing: bool) -> ContactSides:
         if unwritten is None:
             (entities, links), forces, _ = columns()
-            rows = (are_of((entities, links), a, b) & (forces > 0)).nonzero()[0]
+            is_chosen = are_of((entities, links), a, b)
+            if pressing:
+                is_chosen &= forces > 0
+            rows = is_chosen.nonzero()[0]
             return entities.take(rows, axis=1), links.take(rows, axis=1)
         first, second = layout.handles.get(a), layout.handles.get(b)
         if first is None or second is None:  # a sensor has no body, and no contacts
             none = np.zeros((2, 0), np.intp)
             return none, none
-        bodies, links = unwritten.pressing(first, second)
+        bodies, links = unwritten.between(first, second, pressing=pressing)
         return layout.ids_of_handles[bodies.T], links.T
 
-    return ContactPairs(pressing, columns)
+    return ContactPairs(between, columns)
 
 
 def contact_rows(contacts: ContactPoints, entities: Indices) -> tuple[Sides, Array]:

@@ -56,6 +56,9 @@ from ssduck.world.what_if import what_if_tick
 
 T = TypeVar("T")
 
+# At most so many parts that have the name that no entity has are told of.
+_MAX_OWNERS = 3
+
 
 class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicNames):
     """A simulation and its current tick.
@@ -363,10 +366,22 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
         for info in self.snapshot.entities:
             if info.name == name:
                 return self.entity(info.id)
-        known = [info.name for info in self.snapshot.entities]
-        raise UnknownNameError(
-            f"world {self.name!r} has no entity {name!r}", suggestions=nearest(name, known)
-        )
+        raise self._no_entity(name)
+
+    def _no_entity(self, name: str) -> UnknownNameError:
+        """Returns the error for a name that no entity has, perhaps that of a link or a site."""
+        message = f"world {self.name!r} has no entity {name!r}"
+        infos = self.snapshot.entities
+        links = [(i.name, link.name) for i in infos if i.body is not None for link in i.body.links]
+        owners = [owner for owner, link in links if link == name]
+        if not owners:
+            near = nearest(name, [info.name for info in infos])
+            if not near:
+                paths_of = {link: f"{owner}.{link}" for owner, link in links}
+                near = tuple(paths_of[link] for link in nearest(name, paths_of))
+            return UnknownNameError(message, suggestions=near)
+        choices = " or ".join(_path(self.name, owner, name) for owner in owners[:_MAX_OWNERS])
+        return UnknownNameError(f"{message}; a part of another one has that name: write {choices}")
 
     def entity(self, id: int) -> Entity:
         """Returns the handle of a present entity by its id.
@@ -529,3 +544,10 @@ def _plain(value: Any) -> Any:
         return {key: _plain(part) for key, part in value.items()}
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
     return [_plain(part) for part in value] if is_list else value
+
+
+def _path(world: str, entity: str, part: str) -> str:
+    """Returns how a program names a link or a site."""
+    if all(map(str.isidentifier, (world, entity, part))):
+        return f"{world}.{entity}.{part}"
+    return f"{world}[{entity!r}][{part!r}]"

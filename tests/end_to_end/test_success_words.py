@@ -43,7 +43,7 @@ TRUE = [
     "supports(lab.plate, lab.bowl) AND speed(lab.bowl) < 0.1",
     "heldFor(settled(lab.bowl)) >= 0.1",
     "upright(lab.bowl, 0.2)",
-    "inContact(lab.bowl, lab.plate)",
+    "hasContact(lab.bowl, lab.plate)",
     "isClosed(lab.cabinet, 'slide')",
 ]
 

@@ -1,6 +1,7 @@
 """`QueryWrapper`: success, failure, reward and episodes by queries on the simulation."""
 
 import itertools
+import re
 
 import gymnasium
 import numpy as np
@@ -11,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 import ssduck
 from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.errors import ArgumentError, SelectScriptError, SimulatorError, UnknownNameError
-from ssduck.gym import QueryWrapper
+from ssduck.gym import QueryWrapper, score
 from tests.support.gym_environments import Drop, Push
 
 GOAL = {"goal": lambda env: env.goal}
@@ -191,15 +192,76 @@ def test_pybullet(wrap, reconnects):
         ({"success": "joint(sim.pusher, 'psuh') > 1"}, SelectScriptError, "'psuh'; .*'push'"),
         ({"success": "x(sim.ball) > goal", "variables": {"gaol": len}}, UnknownNameError, "'gaol'"),
         ({}, ArgumentError, "give a term"),
-        ({"success": "z(sim.ball) > hight"}, UnknownNameError, "hight"),
+        (
+            {"success": "z(sim.ball) > hight"},
+            UnknownNameError,
+            r"variables=\{'hight': lambda env: ",
+        ),
+        (
+            {"reward": {"a": "-x(sim.ball) - goal[0]"}},
+            UnknownNameError,
+            r"\['a'\]: .* variables=\{'goal'",
+        ),
+        ({"success": "z(ball) > 1"}, UnknownNameError, "'ball'; for the entity, write sim.ball$"),
+        ({"success": "z(sim.tray) > 1"}, UnknownNameError, r"'tray'; .* write sim\.pusher\.tray$"),
+        ({"success": "z(sim.trai) > 1"}, UnknownNameError, r"did you mean 'pusher\.tray'\?"),
         ({"stop_when": "success"}, ArgumentError, "no such term"),
         ({"success": "x(sim.ball) > 1", "variables": {"sim": abs}}, ArgumentError, "the world"),
         ({"success": "x(sim.ball) > 1", "variables": {"goal": 3}}, ArgumentError, "function"),
     ],
 )
 def test_errors_at_construction(terms, error, message):
-    with pytest.raises(error, match=message):
+    with pytest.raises(error) as raised:
         QueryWrapper(Push(), **terms)
+    assert re.search(message, str(raised.value), re.MULTILINE)
+
+
+class Moving(Push):
+    """An environment whose goal is a list that it changes in place."""
+
+    def step(self, action):
+        self.goal[0] += 0.01
+        self.goals[1][0] += 0.01
+        return super().step(action)
+
+    def reset(self, **options):
+        result = super().reset(**options)
+        self.goal, self.goals = [0.1, 0.0, 0.45], [[0.0, 0.0], [0.1, 0.0]]
+        return result
+
+
+@pytest.mark.parametrize(
+    ("reward", "value"),
+    [
+        ("-distance(sim.ball, goal)", lambda ball, goal: -np.linalg.norm(ball - goal)),
+        ("x(sim.ball) - goal[0]", lambda ball, goal: ball[0] - goal[0]),
+        ("x(sim.ball) - goals[1][0]", lambda ball, goal: ball[0] - goal[0]),
+    ],
+)
+def test_a_list_that_changes_in_place_is_read_at_each_step(wrap, tmp_path, reward, value):
+    variables = {name: (lambda env, name=name: getattr(env, name)) for name in ("goal", "goals")}
+    env = wrap(Moving(), reward=reward, variables=variables, record_to=tmp_path / "run")
+    rewards = []
+    for one, _, _ in episode(env, 0, 10):
+        ball = env.unwrapped.data.body("ball").xpos
+        assert one == pytest.approx(value(ball, np.array(env.unwrapped.goal)), abs=1e-12)
+        rewards.append(one)
+    assert len(set(rewards)) == 10
+    env.close()
+    (scored,) = score(tmp_path / "run", reward=reward)
+    assert list(scored.rewards) == rewards
+
+
+def test_a_score_tells_which_variables_are_recorded(wrap, tmp_path):
+    for name, variables in (("without", {}), ("with", {"goal": lambda env: env.goal})):
+        env = wrap(
+            Push(), success="x(sim.ball) > 1", variables=variables, record_to=tmp_path / name
+        )
+        list(episode(env, 0, 2))
+        env.close()
+    for name, message in (("without", "has no variables"), ("with", "has the variables goal")):
+        with pytest.raises(UnknownNameError, match=f"'height'; .*the record {message}"):
+            list(score(tmp_path / name, success="z(sim.ball) > height"))
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ SHAPES = {
 }
 JOINTS = {"joint", "isOpen", "isClosed"}
 PAIRED = {"collides", "collision", "near"}
-CONTACTS = {"inContact", "contactForce", "grasped", "force", "torque"}
+CONTACTS = {"inContact", "hasContact", "contactForce", "grasped", "force", "torque"}
 SENSINGS = {"isSensing", "sensingAmount", "sensingEnvIDs"}
 FORMS = {
     f"is{form}"

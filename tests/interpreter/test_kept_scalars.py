@@ -68,12 +68,12 @@ def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
         lab.run(40)
         rows = lab.ss.eval(
             "SELECT id(a.this), id(b.this), inContact(a.this, b.this), contactForce(a.this, b.this), "
-            "grasped(a.this, b.this) FROM a=lab, b=lab AS list;"
+            "grasped(a.this, b.this), hasContact(a.this, b.this) FROM a=lab, b=lab AS list;"
         )
-        for start in range(0, len(rows), 5):
-            a, b, *values = rows[start : start + 5]
+        for start in range(0, len(rows), 6):
+            a, b, *values = rows[start : start + 6]
             pair = f"lab.{a}, lab.{b}"
-            text = f"inContact({pair}), contactForce({pair}), grasped({pair})"
+            text = f"inContact({pair}), contactForce({pair}), grasped({pair}), hasContact({pair})"
             assert lab.ss.eval(f"SELECT {text} FROM [0] AS list;") == values, pair
             expected.add((values[0], values[1] > 0, values[2]))
     assert expected == {(False, False, False), (True, True, False), (True, True, True)}
@@ -87,13 +87,13 @@ def test_contacts_of_links_are_those_of_all_pairs():
         lab.run(40)
         for sources in ("a=links(lab), b=links(lab)", "a=links(lab), b=lab"):
             rows = lab.ss.eval(
-                "SELECT a, b, inContact(a, b), contactForce(a, b), grasped(a, b) "
-                f"FROM {sources} AS list;"
+                "SELECT a, b, inContact(a, b), contactForce(a, b), grasped(a, b), "
+                f"hasContact(a, b) FROM {sources} AS list;"
             )
-            for start in range(0, len(rows), 5):
-                lab.ss["one"], lab.ss["other"], *values = rows[start : start + 5]
+            for start in range(0, len(rows), 6):
+                lab.ss["one"], lab.ss["other"], *values = rows[start : start + 6]
                 for pair in ("one, other", "other, one"):
-                    text = f"inContact({pair}), contactForce({pair}), grasped({pair})"
+                    text = f"inContact({pair}), contactForce({pair}), grasped({pair}), hasContact({pair})"
                     seen = statements(lab.ss)
                     assert lab.ss.eval(f"SELECT {text} FROM [0] AS list;") == values, pair
                     assert not seen

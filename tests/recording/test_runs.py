@@ -73,6 +73,7 @@ ANSWERS = {
     "penetration(a, b)": 0.0,
     "touching(a, b)": False,
     "inContact(a, b)": False,
+    "hasContact(a, b)": False,
     "contactForce(a, b)": 0.0,
     "isSensing(a, b)": False,
     "isBox(a)": False,

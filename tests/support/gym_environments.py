@@ -13,7 +13,7 @@ PUSH = """
     <body name="table" pos="0 0 .2"><geom type="box" size=".5 .5 .2"/></body>
     <body name="pusher" pos="-.3 0 .45">
       <joint name="push" type="slide" axis="1 0 0" damping="5"/>
-      <geom type="box" size=".05 .05 .04" mass="1"/>
+      <geom type="box" size=".05 .05 .04" mass="1"/><site name="tray" pos="0 0 .04"/>
     </body>
     <body name="ball" pos="0 0 .45"><freejoint/><geom type="sphere" size=".05" mass=".1"/></body>
   </worldbody>

@@ -38,7 +38,7 @@ def perceived(read_rows: RowReader, sensor: int, _: int) -> list[float]:
     return ids
 
 
-def pressing(read_rows: RowReader, a: int, b: int) -> list[float]:
+def contact_forces(read_rows: RowReader, a: int, b: int) -> list[float]:
     """Returns the normal forces of the contacts of two entities or links, N."""
     contacts = read_rows("contacts")
     forces: list[float] = contacts["force"][_are_of(contacts, a, b)].tolist()
@@ -107,5 +107,5 @@ def _vectors(columns: Columns, rows: npt.NDArray[np.bool_], *names: str) -> Arra
 
 
 LOOKUPS: dict[str, Callable[[RowReader, int, int], list[float]]] = {
-    lookup.__name__: lookup for lookup in (sensed, perceived, pressing, opposition, wrench)
+    lookup.__name__: lookup for lookup in (sensed, perceived, contact_forces, opposition, wrench)
 }

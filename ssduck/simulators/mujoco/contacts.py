@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.simulators.interface import ContactPoints
 from ssduck.simulators.mujoco.library import mujoco
 
@@ -69,16 +69,23 @@ class MuJoCoContacts:
         roots: Indices = self._owners.roots.take(self._geoms)
         return roots
 
-    def pressing(self, a: int, b: int) -> tuple[Indices, Indices]:
-        """Returns the bodies and links of the contacts of two bodies that press."""
+    def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
+        """Returns the bodies and links of the contacts of two bodies; see `Contacts`."""
         is_a, is_b = self._roots == a, self._roots == b
         rows = (is_a & is_b[:, ::-1]).nonzero()[0]
-        if len(rows) <= _FEW:
-            rows = np.array([row for row in rows.tolist() if self._is_pressing(row)], np.intp)
-        else:
-            rows = rows[self._forces(rows)[:, 0] > 0.0]
+        is_kept = self._are_pressing(rows)
+        if not pressing:
+            is_kept |= self._distances.take(rows) <= 0.0
+        rows = rows[is_kept]
         roots = self._roots.take(rows, axis=0)
         return roots, self._owners.bodies.take(self._geoms.take(rows, axis=0)) - roots
+
+    def _are_pressing(self, rows: Indices) -> Flags:
+        """Checks which contacts have a positive normal force."""
+        if len(rows) <= _FEW:
+            return np.array([self._is_pressing(row) for row in rows.tolist()], bool)
+        are_pressing: Flags = self._forces(rows)[:, 0] > 0.0
+        return are_pressing
 
     def _is_pressing(self, row: int) -> bool:
         """Checks whether the normal force of a contact is positive; see `_forces`."""

@@ -11,9 +11,10 @@ from ssduck.sql.relations.relation import Parameter, Relation
 _LINK_A, _LINK_B = (link_of(f"contacts.{side}", f"contacts.link_{side}") for side in "ab")
 _PAIR = "(least(a.id, b.id), greatest(a.id, b.id))"
 # The pairs of ids that a contact is of, the lesser id first: of entities, links, or one of each.
+# One of two links of an entity is of these alone.
 _PAIRS = (
     "SELECT list_sort(unnest(CASE WHEN contacts.a = contacts.b "  # noqa: S608
-    f"THEN [[contacts.a, contacts.b], [{_LINK_A}, {_LINK_B}]] ELSE [[contacts.a, contacts.b], "
+    f"THEN [[{_LINK_A}, {_LINK_B}]] ELSE [[contacts.a, contacts.b], "
     f"[{_LINK_A}, contacts.b], [contacts.a, {_LINK_B}], [{_LINK_A}, {_LINK_B}]] END)) AS pair, "
     "contacts.force AS force, contacts.nx AS nx, contacts.ny AS ny, contacts.nz AS nz FROM contacts"
 )
@@ -42,17 +43,33 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         "inContact",
         A_B,
         "boolean",
-        "(least(a.id, b.id), greatest(a.id, b.id)) IN "
+        f"a.id <> b.id AND {_PAIR} IN "  # noqa: S608
         "(SELECT contacts.a, contacts.b FROM contacts WHERE contacts.force > 0)",
         "Checks if the physics solver found a contact of a and b with a normal force above 0 in "
         "the last step.",
         is_symmetric=True,
         across_worlds="FALSE",
         recorded_formula="a.id <> b.id "
-        f"AND COALESCE(list_max({recorded_numbers('pressing', 'a', 'b')}) > 0, FALSE)",
+        f"AND COALESCE(list_max({recorded_numbers('contact_forces', 'a', 'b')}) > 0, FALSE)",
         link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] FROM ({_PAIRS}) AS pairs "  # noqa: S608
         "WHERE pairs.force > 0)",
         of_contacts=ContactPairs.is_pressing,
+    ),
+    Relation(
+        "hasContact",
+        A_B,
+        "boolean",
+        f"a.id <> b.id AND {_PAIR} IN (SELECT contacts.a, contacts.b FROM contacts)",  # noqa: S608
+        "Checks if the physics solver listed a contact of a and b in the last step: their shapes "
+        "meet, even if they do not press, as when they are moving apart, or they press at a "
+        "distance, which margins allow.",
+        is_symmetric=True,
+        across_worlds="FALSE",
+        recorded_formula="a.id <> b.id "
+        f"AND len({recorded_numbers('contact_forces', 'a', 'b')}) > 0",
+        link_formula=f"{_PAIR} IN (SELECT pairs.pair[1], pairs.pair[2] "  # noqa: S608
+        f"FROM ({_PAIRS}) AS pairs)",
+        of_contacts=ContactPairs.is_listed,
     ),
     Relation(
         "contactForce",
@@ -68,7 +85,7 @@ CONTACT_RELATIONS: tuple[Relation, ...] = (
         is_symmetric=True,
         across_worlds="0.0::DOUBLE",
         recorded_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE "
-        f"ELSE COALESCE(list_sum({recorded_numbers('pressing', 'a', 'b')}), 0.0) END",
+        f"ELSE COALESCE(list_sum({recorded_numbers('contact_forces', 'a', 'b')}), 0.0) END",
         link_formula="CASE WHEN a.id = b.id THEN 0.0::DOUBLE ELSE COALESCE(map_extract_value(("  # noqa: S608
         "SELECT map(list((pair[1], pair[2])), list(total)) FROM (SELECT pairs.pair AS pair, "
         f"sum(pairs.force) AS total FROM ({_PAIRS}) AS pairs GROUP BY ALL) AS summed), {_PAIR}), "

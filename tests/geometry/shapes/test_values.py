@@ -120,6 +120,7 @@ EDGES = [
     ("inSphere(b, [0.0, 0.0, 0.0], 5.0)", (3, 4 + EDGE, 0), False),
     ("inSphere(b, a, 5.0)", (0, 3, 4), True),
     ("inContact(a, b)", (0.5, 0, 0), False),
+    ("hasContact(a, b)", (0.5, 0, 0), False),
     ("isBox(b)", (0, 0, 0), True),
     ("isSphere(b)", (0, 0, 0), False),
     ("hasBody(b)", (0, 0, 0), False),

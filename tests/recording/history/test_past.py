@@ -189,6 +189,7 @@ LOOKED_UP = [
     ("isSensing(a, b)", "isSensing(a.this, b.this)"),
     ("sensingAmount(a, b)", "sensingAmount(a.this, b.this)"),
     ("inContact(a, b)", "inContact(a.this, b.this)"),
+    ("hasContact(a, b)", "hasContact(a.this, b.this)"),
     ("contactForce(a, b)", "contactForce(a.this, b.this)"),
     ("sensingEnvIDs(a)", "sensingEnvIDs(a.this)"),
     ("force(a)", "force(a.this)"),

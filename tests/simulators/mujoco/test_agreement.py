@@ -87,6 +87,7 @@ def test_nearest_points_agree(worlds):
 ELSEWHERE = {
     "nearestPoints": "test_nearest_points_agree",
     "inContact": "test_same_answers.test_contacts_agree",
+    "hasContact": "test_same_answers.test_contacts_agree",
     "contactForce": "test_same_answers.test_contacts_agree",
     "grasped": "test_same_answers.test_contacts_agree",
     "force": "test_same_answers.test_contacts_agree",

@@ -87,6 +87,7 @@ def test_contacts_agree(stages):
     both = "FROM a=SIM, b=SIM WHERE id(a) != id(b) ORDER BY id(a), id(b);"
     for relation in (
         "inContact(a, b)",
+        "hasContact(a, b)",
         "grasped(a, b)",
         "on(a, b)",
         "restsOn(a, b)",

@@ -39,6 +39,7 @@ CLOSED = ("kitchen", "sink", "toaster", "knife_block")
 # What these tell depends on what else is there: on what rays meet, and on the solver.
 OF_THE_REST = {
     *("isSensing", "sensingAmount", "sensingEnvIDs", "inContact", "contactForce", "force"),
+    "hasContact",
     "environmentID",  # which counts entities
 }
 
