@@ -197,6 +197,8 @@ def kept_verdicts(
 
 def _limit_room(decisions: Decisions, tick: TickShapes, pairs: Pairs) -> None:
     """The depth of a shape that is not convex may change by more than its points move."""
+    if tick.table.are_all_convex:
+        return
     first, second = pairs
     is_convex = tick.table.is_convex
     is_concave = ~(is_convex[first] & is_convex[second])
