@@ -114,7 +114,13 @@ def comparable_pairs(tick: TickShapes, shapes: Pairs) -> Pairs:
 Rule: TypeAlias = Callable[[TickShapes, Indices, Indices, Array], Decisions]
 
 
-def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Verdicts:
+def proven_verdicts(
+    tick: TickShapes,
+    first: Indices,
+    second: Indices,
+    bounds: Array,
+    directions: Array | None = None,
+) -> Verdicts:
     """Classifies the signed distances of pairs of shapes, as far as rules prove it.
 
     Args:
@@ -122,18 +128,29 @@ def proven_verdicts(tick: TickShapes, first: Indices, second: Indices, bounds: A
         first: (n,), known shapes that have points.
         second: (n,), the same.
         bounds: (n,), one for each pair, metres; not negative.
+        directions: (3, n), from the second shapes to the first, which probably separate them; 0
+            where none is known.
     """
-    return _proven(tick, first, second, bounds).verdicts
+    return _proven(tick, first, second, bounds, directions).verdicts
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _proven(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
+def _proven(
+    tick: TickShapes,
+    first: Indices,
+    second: Indices,
+    bounds: Array,
+    directions: Array | None = None,
+) -> Decisions:
     decisions = Decisions.none(len(first))
     pairs = np.arange(len(first))
-    for rule in (_by_spheres, _by_planes, _by_axes_if_sure, _by_cores):
+    for rule in (_by_spheres, _by_planes, _by_axes_if_sure):
         found = rule(tick, first[pairs], second[pairs], bounds[pairs])
         decisions.decide(pairs, found.verdicts, found.room)
         pairs = pairs[found.verdicts == UNDECIDED]
+    tried = None if directions is None else directions[:, pairs]
+    found = _by_cores(tick, first[pairs], second[pairs], bounds[pairs], directions=tried)
+    decisions.decide(pairs, found.verdicts, found.room)
     return decisions
 
 
@@ -180,6 +197,8 @@ def kept_verdicts(
 
 def _limit_room(decisions: Decisions, tick: TickShapes, pairs: Pairs) -> None:
     """The depth of a shape that is not convex may change by more than its points move."""
+    if tick.table.are_all_convex:
+        return
     first, second = pairs
     is_convex = tick.table.is_convex
     is_concave = ~(is_convex[first] & is_convex[second])
@@ -369,6 +388,7 @@ def _by_cores(
     second: Indices,
     bounds: Array,
     kept: KeptWitnesses | None = None,
+    directions: Array | None = None,
 ) -> Decisions:
     """Decides convex shapes by GJK. The convex hull of a mesh can only show that it is far away."""
     table = tick.table
@@ -376,7 +396,9 @@ def _by_cores(
     if are_few_boxes(table, first, second):
         return decisions
     indices = np.flatnonzero(~(table.is_plane[first] | table.is_plane[second]))
-    found = decide_gaps(tick.placed_cores, first[indices], second[indices], bounds[indices], kept)
+    tried = None if directions is None else directions[:, indices]
+    some = first[indices], second[indices], bounds[indices]
+    found = decide_gaps(tick.placed_cores, *some, kept, tried)
     is_concave = ~(table.is_convex[first[indices]] & table.is_convex[second[indices]])
     found.decide(is_concave & (found.verdicts == BELOW), UNDECIDED)
     decisions.decide(indices, found.verdicts, found.room)

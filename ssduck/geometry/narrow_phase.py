@@ -117,6 +117,11 @@ class NarrowPhase:
         shapes = ShapeSolids(table.solids, table.solid_indices, table.margins)
         return NarrowPhase(shapes, places, self.starts, self.calls)
 
+    @property
+    def places(self) -> ShapePlaces:
+        """Where the shapes are."""
+        return self._tick.places
+
     # -- relations ------------------------------------------------------------------------
 
     def collides(self, i: int, j: int, min_depth: float = MIN_DEPTH) -> bool | None:

@@ -27,6 +27,8 @@ from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, Verdicts
 from ssduck.geometry.shape_comparisons import TOUCHING_DISTANCE
 from ssduck.geometry.tick_shapes import PairPredicate, PredicateKind, TickShapes
 
+Direction: TypeAlias = tuple[float, float, float]
+
 # Questions that the narrow phase decides pose by pose.
 PlacedKind: TypeAlias = Literal["inside", "contains", "enclosed"]
 QuestionKind: TypeAlias = Literal[
@@ -35,6 +37,8 @@ QuestionKind: TypeAlias = Literal[
 
 # After so many rounds, the clearances that are left are computed one by one.
 MAX_ROUNDS = 16
+# In so many rounds at most, the shapes that carry at one tick are tried first at the others.
+MAX_CARRIED_ROUNDS = 4
 # Rows with at most so many pairs of shapes left are computed one by one.
 FEW_PAIRS = 3
 # The horizontal directions in which a footprint is bounded, (m, 3), counterclockwise.
@@ -48,6 +52,7 @@ _SURELY_INSIDE = 1e-9
 _LEVEL = 1e-6
 # The number of heights that are computed at a time.
 _MAX_HEIGHTS = 1 << 22
+_NO_DIRECTION: Direction = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -143,6 +148,7 @@ class PairBatch:
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
+        self._placed: dict[tuple[bool, int, bytes, bytes], int] = {}
 
     def answers(self, question: PairQuestion, groups: Indices | None = None) -> Answers:
         """Returns the answers to a question.
@@ -202,7 +208,7 @@ class PairBatch:
     def _matching(self, predicate: PairPredicate) -> Array:
         def satisfies(s: int, t: int) -> bool:  # for the few pairs that no rule decides
             self._step()
-            return self._narrow.shapes.satisfies(s, t, predicate)
+            return self._narrow.shapes.satisfies(self._alike(s), self._alike(t), predicate)
 
         result = matching_pairs(self._scene, predicate, satisfies, self._all_shapes)
         values = np.zeros(self._count)
@@ -211,19 +217,40 @@ class PairBatch:
 
     # -- distances --------------------------------------------------------------------------
 
-    def _distance(self, pair: int) -> float:
-        """Returns the distance of a pair of shapes, m; 0 if they overlap."""
+    def _alike(self, shape: int) -> int:
+        """Returns the first shape asked for of the same solid at the same pose, on the same side.
+
+        What stands still is placed once for all ticks, and two such shapes are compared once.
+        """
+        places = self._narrow.places
+        pose = places.positions[shape].tobytes(), places.orientations[shape].tobytes()
+        is_second = shape >= int(self._starts[self._count])
+        key = is_second, int(self._scene.table.solid_indices[shape]), *pose
+        return self._placed.setdefault(key, shape)
+
+    def _compared(self, pair: int) -> tuple[int, int]:
+        """Returns the shapes to compare for a pair of shapes, and counts a comparison."""
         self._step()
-        result = self._narrow.shapes.distance(int(self._first[pair]), int(self._second[pair]))
-        return 0.0 if result is None else max(0.0, result.distance)
+        return self._alike(int(self._first[pair])), self._alike(int(self._second[pair]))
+
+    def _distance(self, pair: int) -> tuple[float, Direction]:
+        """Returns the distance of a pair of shapes, m, and the unit normal from the second.
+
+        Of shapes that overlap, the distance is 0. A normal that is not known is 0.
+        """
+        result = self._narrow.shapes.distance(*self._compared(pair))
+        if result is None:
+            return 0.0, _NO_DIRECTION
+        return max(0.0, result.distance), result.normal or _NO_DIRECTION
 
     def _clearances(self) -> Array:
         """Returns the distances of the nearest shapes of each pair, m.
 
         The shapes that are nearest in one row are mostly nearest in the others. Their distance
-        there bounds the clearance, so that the others are mostly proved to be farther apart.
+        there bounds the clearance, so that the others are mostly proved to be farther apart, by the
+        normal of the nearest ones where that is possible.
         """
-        best = np.full(self._count, math.inf)
+        best, normals = np.full(self._count, math.inf), np.zeros((3, self._count))
         pairs = np.arange(len(self._rows))
         places = self._places()
         for _ in range(MAX_ROUNDS):
@@ -235,14 +262,16 @@ class PairBatch:
             pairs = pairs[end:]
             is_probe = places[pairs] == places[nearest]
             for pair in pairs[is_probe].tolist():
-                best[self._rows[pair]] = self._distance(pair)
+                row = self._rows[pair]
+                best[row], normals[:, row] = self._distance(pair)
             pairs = pairs[~is_probe]
-            pairs = self._nearer_than(best[self._rows[pairs]], pairs)
+            rows = self._rows[pairs]
+            pairs = self._nearer_than(best[rows], pairs, normals[:, rows])
             counts = np.bincount(self._rows[pairs], minlength=self._count)[self._rows[pairs]]
             is_few = (counts <= FEW_PAIRS) & (best[self._rows[pairs]] < math.inf)
             for pair in pairs[is_few].tolist():
                 row = self._rows[pair]
-                best[row] = min(best[row], self._distance(pair))
+                best[row] = min(best[row], self._distance(pair)[0])
             pairs = pairs[~is_few]
         for row, members in _groups(self._rows[pairs], pairs):
             best[row] = min(best[row], self._nearest(members)[0])
@@ -297,23 +326,33 @@ class PairBatch:
 
     def _nearest(self, pairs: Indices) -> tuple[float, int]:
         """Returns the least distance among pairs of shapes of one row, and the pair."""
-        best, nearest = math.inf, int(pairs[0])
+        best, nearest, towards = math.inf, int(pairs[0]), np.zeros(3)
         pairs = pairs[np.argsort(self._sphere_gaps(pairs))]
         while len(pairs):
-            distance = self._distance(int(pairs[0]))
+            distance, normal = self._distance(int(pairs[0]))
             if distance < best:
-                best, nearest = distance, int(pairs[0])
-            pairs = self._nearer_than(np.full(len(pairs) - 1, best), pairs[1:])
+                best, nearest, towards = distance, int(pairs[0]), np.array(normal)
+            pairs = pairs[1:]
+            directions = np.broadcast_to(towards[:, None], (3, len(pairs)))
+            pairs = self._nearer_than(np.full(len(pairs), best), pairs, directions)
         return best, nearest
 
-    def _nearer_than(self, bounds: Array, pairs: Indices) -> Indices:
-        """Returns the pairs of shapes that may be nearer than a distance each."""
-        pairs, bounds = pairs[bounds > 0.0], bounds[bounds > 0.0]
-        is_bounded = bounds < math.inf
+    def _nearer_than(
+        self, bounds: Array, pairs: Indices, directions: Array | None = None
+    ) -> Indices:
+        """Returns the pairs of shapes that may be nearer than a distance each.
+
+        Args:
+            bounds: (n,), the distances, m.
+            pairs: (n,), the pairs.
+            directions: (3, n), see `proven_verdicts`.
+        """
+        is_bounded = (bounds > 0.0) & (bounds < math.inf)
         bounded = pairs[is_bounded]
-        first, second = self._first[bounded], self._second[bounded]
-        is_near = proven_verdicts(self._scene, first, second, bounds[is_bounded]) != ABOVE
-        kept: Indices = np.concatenate((pairs[~is_bounded], bounded[is_near]))
+        shapes = self._first[bounded], self._second[bounded]
+        tried = None if directions is None else directions[:, is_bounded]
+        is_near = proven_verdicts(self._scene, *shapes, bounds[is_bounded], tried) != ABOVE
+        kept: Indices = np.concatenate((pairs[bounds == math.inf], bounded[is_near]))
         kept.sort()
         return kept
 
@@ -323,8 +362,7 @@ class PairBatch:
         first, second = self._first, self._second
         verdicts = proven_verdicts(self._scene, first, second, np.zeros(len(first)))
         for pair in np.flatnonzero(verdicts != ABOVE).tolist():
-            self._step()
-            result = self._narrow.shapes.signed_distance(int(first[pair]), int(second[pair]))
+            result = self._narrow.shapes.signed_distance(*self._compared(pair))
             row = self._rows[pair]
             depths[row] = max(depths[row], -result.distance)
         return depths
@@ -351,8 +389,9 @@ class PairBatch:
             wanted = np.zeros(self._count, dtype=bool)
             wanted[rows] = is_over
             near = near[wanted[self._rows[near]]]
-        touch = (verdicts == BELOW)[near]
+        near = self._carry(near, (verdicts == BELOW)[near], values)
         upward = self._upward(near, MIN_UP)
+        touch = (verdicts == BELOW)[near]
         values[self._rows[near[touch & (upward == UPWARD)]]] = 1.0
         left = values[self._rows[near]] == 0.0
         upward, near = upward[left], near[left]
@@ -367,16 +406,45 @@ class PairBatch:
             # What carried it at the tick before probably does so still.
             highest = -1.0
             for pair in sorted(pairs.tolist(), key=lambda pair: places[pair] != last):
-                self._step()
-                height = self._narrow.shapes.contact_height(
-                    int(self._first[pair]), int(self._second[pair])
-                )
+                height = self._narrow.shapes.contact_height(*self._compared(pair))
                 highest = max(highest, -1.0 if height is None else height)
                 if highest >= MIN_UP:
                     values[row], last = 1.0, places[pair]
                     break
             is_open[row] = not needs_centre and MIN_RISING <= highest < MIN_UP
         return values, is_open
+
+    def _carry(self, near: Indices, touch: Flags, values: Array) -> Indices:
+        """Sets the values of most rows to 1 in which a normal carries; returns what is left.
+
+        The shapes that carry in one row mostly carry in the others, so that the normals of others
+        do not matter.
+
+        Args:
+            near: (n,), pairs of shapes that may touch, by row.
+            touch: (n,), whether they surely touch.
+            values: the values of all rows, 0.
+
+        Returns:
+            The pairs of the other rows.
+        """
+        places, is_left = self._places()[near], np.ones(len(near), dtype=bool)
+        tried = touch.copy()
+        for _ in range(MAX_CARRIED_ROUNDS):
+            pairs = np.flatnonzero(tried)
+            if not len(pairs):
+                break
+            pairs = pairs[self._rows[near[pairs]] == self._rows[near[pairs[0]]]]
+            carrying = pairs[self._upward(near[pairs], MIN_UP) == UPWARD]
+            if not len(carrying):
+                break
+            alike = np.flatnonzero(tried & (places == places[carrying[0]]))
+            carrying = alike[self._upward(near[alike], MIN_UP) == UPWARD]
+            values[self._rows[near[carrying]]] = 1.0
+            is_left = values[self._rows[near]] == 0.0
+            tried &= is_left
+            tried[alike] = False
+        return near[is_left]
 
     def _upward(self, pairs: Indices, min_height: float) -> Verdicts:
         """Returns whether the contact normals of pairs of shapes point up."""
@@ -391,7 +459,8 @@ class PairBatch:
         """
         scene, table = self._scene, self._scene.table
         centres, is_bounded = self._box_centres(self._count + rows)
-        heights, supports = self._footprints(rows)
+        distinct, numbers = self._distinct_entities(rows)
+        heights, supports = (part[numbers] for part in self._footprints(distinct))
         outside = (centres @ _DIRECTIONS[:, :2].T - heights).max(axis=1) > _SURELY_OUTSIDE
         edges = np.roll(supports, -1, axis=1) - supports
         lengths = np.sqrt((edges * edges).sum(axis=2))
@@ -457,6 +526,26 @@ class PairBatch:
                     heights[owner, is_farther] = reached[index, is_farther]
                     supports[owner, is_farther] = placed[index, is_farther, :2]
         return heights, supports
+
+    def _distinct_entities(self, entities: Indices) -> tuple[Indices, list[int]]:
+        """Returns those of some entities that differ, and the number among them of each one.
+
+        Two with the same solids at the same poses, as of what stands still, do not differ.
+        """
+        scene = self._scene
+        parts = scene.table.solid_indices, scene.positions, scene.matrices
+        numbers: dict[tuple[bytes, ...], int] = {}
+        distinct: list[int] = []
+        number_of_each: list[int] = []
+        for entity in entities.tolist():
+            shapes = slice(*self._starts[entity : entity + 2].tolist())
+            number = numbers.setdefault(
+                tuple(part[shapes].tobytes() for part in parts), len(numbers)
+            )
+            number_of_each.append(number)
+            if number == len(distinct):
+                distinct.append(entity)
+        return np.array(distinct, dtype=np.intp), number_of_each
 
     def _shapes_of(self, entities: Indices) -> tuple[Indices, Indices]:
         """Returns the shapes of entities that have points, and the place of each one's entity."""

@@ -113,6 +113,7 @@ class ShapeTable:
         self.has_planes = bool(self.is_plane.any())
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
+        self.are_all_convex = bool(self.is_convex.all())
         self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
         self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[solid_indices]
         self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(

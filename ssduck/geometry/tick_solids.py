@@ -20,7 +20,7 @@ T = TypeVar("T")
 # After this number of shapes, or one in so many, what belongs to each is computed for all at once:
 # those of some pairs among the thousands of a batch of ticks are computed alone.
 MAX_SINGLE = 16
-SINGLE_IN = 16
+SINGLE_IN = 8
 
 
 class ShapePlaces:

@@ -106,6 +106,12 @@ def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far
         "propose",
         lambda poses, first, second: asked.append(len(first)) or propose(poses, first, second),
     )
+    kept, keep = [], KeptProposals.keep
+    monkeypatch.setattr(
+        KeptProposals,
+        "keep",
+        lambda this, keys, *rest: kept.append(len(keys)) or keep(this, keys, *rest),
+    )
     for tick in range(8):
         bound = BOUNDS[tick % 2]  # whatever the condition
         found = scene.proposer.decide(
@@ -117,6 +123,7 @@ def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far
         assert (found.verdicts[far_pairs] != UNDECIDED).mean() > 0.7
         scene.place(moved(scene.shapes, random, far))
     assert asked[0] == len(scene.first)
+    assert kept == asked  # what proves a verdict again stays as it is
     if far < 0.05:
         assert sum(asked[1:]) < 0.5 * (len(asked) - 1) * len(scene.first)
 

@@ -134,8 +134,19 @@ def decide_gaps(
     second: Indices,
     bound: float | Array,
     kept: KeptWitnesses | None = None,
+    directions: Array | None = None,
 ) -> Decisions:
-    """Returns the same verdicts as `classify_gaps`, with the room of those that took one step."""
+    """Returns the same verdicts as `classify_gaps`, with the room of those that took one step.
+
+    Args:
+        bodies: see `classify_gaps`.
+        first: see there.
+        second: see there.
+        bound: see there.
+        kept: see there.
+        directions: (3, n), from the second shapes to the first, to try first where nothing is kept;
+            0 for those of the centres.
+    """
     decisions = Decisions.none(len(first))
     bounds = np.broadcast_to(np.asarray(bound, dtype=np.float64), first.shape)
     log = WitnessLog()
@@ -144,7 +155,11 @@ def decide_gaps(
         part = decisions.part(batch)
         pairs = _initial_pairs(bodies, first[batch], second[batch], bounds[batch])
         if kept is None:
-            pairs = _first_step(pairs, pairs.between.copy(), bodies, part)
+            tried = pairs.between.copy()
+            if directions is not None:
+                is_given = directions[:, batch].any(axis=0)
+                np.copyto(tried, directions[:, batch], where=is_given)
+            pairs = _first_step(pairs, tried, bodies, part)
         else:
             pairs = _first_step_by_witnesses(pairs, bodies, part, kept, log)
         _decide(pairs, bodies, part, log if kept is not None else None)

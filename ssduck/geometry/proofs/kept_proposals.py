@@ -34,7 +34,7 @@ class Proposals:
 
 
 class KeptProposals:
-    """What decided pairs of shapes of a table when they were last tried, whatever the condition."""
+    """What FCL last proposed for pairs of shapes of a table, whatever the condition."""
 
     def __init__(self) -> None:
         # The direction, the points in the frames of the shapes, whether they meet.

@@ -80,20 +80,22 @@ class Proposer:
             return Proof(bodies, self.interiors, proposals, first, second).decisions(bounds)
         decisions, keys = Decisions.none(len(first)), pair_keys(first, second)
 
-        def prove(places: Indices, proposals: Proposals) -> None:
+        def prove(places: Indices, proposals: Proposals, *, is_new: bool) -> Proof:
             pairs = first.take(places), second.take(places)
-            proof = Proof(bodies, self.interiors, proposals, *pairs)
+            proof = Proof(bodies, self.interiors, proposals, *pairs, balances=is_new)
             found = proof.decisions(bounds.take(places))
             decisions.decide(places, found.verdicts, found.room)
-            self._kept.keep(keys.take(places), proof.directions, proof.local, proof.meet)
+            return proof
 
         places, columns = self._kept.find(keys)
         if len(places):
             pairs = first.take(places), second.take(places)
-            prove(places, placed_proposals(bodies, *pairs, columns))
+            prove(places, placed_proposals(bodies, *pairs, columns), is_new=False)
         left = np.flatnonzero(decisions.verdicts == UNDECIDED)
         if len(left):
-            prove(left, self.propose(poses, first.take(left), second.take(left)))
+            proposals = self.propose(poses, first.take(left), second.take(left))
+            proof = prove(left, proposals, is_new=True)
+            self._kept.keep(keys.take(left), proof.directions, proof.local, proof.meet)
         return decisions
 
     @cached_property
@@ -186,6 +188,8 @@ class Proof:
         proposals: points and directions.
         first: (n,), shapes with known interiors.
         second: (n,), the same.
+        balances: whether points of shapes that meet are moved to where they are about equally deep
+            in both; kept ones were when they were proposed.
 
     Attributes:
         least: (n,), what the signed distances are at least, metres.
@@ -203,6 +207,8 @@ class Proof:
         proposals: Proposals,
         first: Indices,
         second: Indices,
+        *,
+        balances: bool = True,
     ) -> None:
         self._error = tolerances(bodies, first, second)
         both = np.concatenate((first, second))
@@ -217,7 +223,9 @@ class Proof:
         self.least[lengths == 0.0] = -np.inf
         self.meet = proposals.meet | (self.least < 0.0)
         halves *= np.concatenate((self.meet, self.meet))
-        self.local = self._balanced(inner, outward, local + halves)
+        local += halves
+        self.local = self._balanced(inner, outward, local) if balances else local
+        self.local += _SHRINK * (inner.inscribed_offsets - self.local)
         self.greatest = self._greatest(inner, column_lengths(between_points) * ~self.meet)
 
     def _least(self, inner: SomeInteriors, outward: Array, centres: Array) -> Array:
@@ -236,7 +244,6 @@ class Proof:
             steps = 0.5 * (depths[:count] - depths[count:])
             steps *= self.meet
             local += np.concatenate((steps, -steps)) * outward
-        local += _SHRINK * (inner.inscribed_offsets - local)
         return local
 
     def _greatest(self, inner: SomeInteriors, apart: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ssduck
+from ssduck.geometry import pair_batch
 from ssduck.geometry.distance import CallCounter
 from ssduck.geometry.pair_batch import PairQuestion
 from ssduck.geometry.poses import unit_quaternions
@@ -237,6 +239,68 @@ def test_of_two_orders_one_is_compared(heap: ssduck.Interpreter) -> None:
     assert sorted([t, b, a] for t, a, b in found) == sorted(found) != []
     assert heap.eval(rows) == found
     assert _work(heap)[1] == compared
+
+
+@pytest.fixture
+def stool(tmp_path: Path) -> Iterator[ssduck.Interpreter]:
+    """A stool with four legs that slides over a board, and a shelf that stands there."""
+    client = pybullet.connect(pybullet.DIRECT)
+    own = {"physicsClientId": client}
+    legs = "".join(
+        collision('<box size="0.04 0.04 0.4"/>', xyz=(x, y, 0.2))
+        for x in (-0.2, 0.2)
+        for y in (-0.2, 0.2)
+    )
+    text = robot(link("seat", mass=0, shapes=legs))
+    (tmp_path / "stool.urdf").write_text(text)
+    board = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[2, 2, 0.1], **own)
+    names = {pybullet.createMultiBody(0, board, -1, (0, 0, -0.1), **own): "board"}
+    for name, x in (("stool", -1), ("shelf", 1)):
+        body = pybullet.loadURDF(str(tmp_path / "stool.urdf"), (x, 0, 0), useFixedBase=True, **own)
+        names[body] = name
+    world = ssduck.World.attach(client, names=names)
+    with ssduck.Interpreter(recording=ssduck.Recording(every=1)) as ss:
+        ss.add_variable("sim", world)
+        for name in names.values():
+            ss.add_variable(name, world[name])
+        for tick in range(TICKS):
+            world["stool"].move([-1 + 0.01 * tick, 0, 0])
+            world.step()
+        yield ss
+    pybullet.disconnect(client)
+
+
+def test_what_stands_still_is_compared_once(stool: ssduck.Interpreter) -> None:
+    legs, (before, _) = 4, _work(stool)
+    assert stool.eval("least(clearance(board, shelf));")[0] == 0.0
+    at_once, _ = _work(stool)
+    stool.past("sim").record.answer_cache.clear()
+    assert len(stool.eval("changes(clearance(board, shelf));")) == 1
+    assert 0 < _work(stool)[0] - at_once <= legs * (at_once - before)
+    at_once, _ = _work(stool)
+    stool.eval("changes(clearance(board, stool));")  # which moves
+    assert _work(stool)[0] - at_once >= TICKS
+
+
+def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(
+    stool: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    legs, ticks, normals, footprints = 4, len(stool.past("sim").ticks), [], []
+    decide, of_rows = pair_batch.decide_contacts, pair_batch.PairBatch._footprints
+
+    def counted(scene: Any, first: Any, *rest: Any) -> Any:
+        normals.append(len(first))
+        return decide(scene, first, *rest)
+
+    def footprints_of(batch: Any, rows: Any) -> Any:
+        footprints.append(len(rows))
+        return of_rows(batch, rows)
+
+    monkeypatch.setattr(pair_batch, "decide_contacts", counted)
+    monkeypatch.setattr(pair_batch.PairBatch, "_footprints", footprints_of)
+    assert [value for _, value in stool.eval("changes(on(board, stool));")] == [True]
+    assert ticks <= sum(normals) <= ticks + legs
+    assert footprints == [1]  # the board stands still
 
 
 def test_only_new_ticks_are_compared() -> None:
