@@ -9,6 +9,7 @@ import pytest
 import ssduck
 from ssduck import Limits
 from ssduck.errors import SceneError, UnknownNameError
+from ssduck.simulators.scene_files import MAX_LINE
 from tests.support.cases import sampled
 
 CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + (
@@ -225,6 +226,56 @@ def test_a_mesh_whose_faces_are_nowhere(tmp_path: Path, corners: str) -> None:
         (tmp_path / "s.urdf").write_text(text.replace("M", '<mesh filename="m.obj"/>'))
         with pytest.raises(SceneError, match=r"m.obj: a face refers to a missing vertex"):
             ssduck.load(tmp_path / "s.urdf")
+
+
+FAR = "".join(f"v {number} 0 0\n" for number in range(9))
+# (the mesh, words of the error)
+OBJECTS = {
+    "before the vertices": ("f -4 -3 -2\n" + CUBE, "a missing vertex"),
+    "before the vertices of another object": (f"v 0 0 0\no a\nf 1 2 9\no b\n{FAR}", "a missing"),
+    "before those of another material": (f"v 0 0 0\nf 1 2 9\nusemtl b\n{FAR}", "a missing vertex"),
+    "0": (f"{FAR}f 0 0 0\n", "a missing vertex"),
+    "no numbers": (f"{FAR}f / // ///\n", "a missing vertex"),
+    "no corners": ("f \n", "fewer than three corners"),
+    "two corners": (f"{FAR}f 1 2\n{CUBE}", "fewer than three corners"),
+    "behind a null character": (f"{FAR}f 1 2 \0 3\n", "fewer than three corners"),
+    "behind a long comment": ("#" + "x" * 1022 + f"f 1 2 99999999\n{CUBE}", "line 1 has more than 1,000"),
+    "a long line": (f"{FAR}o {'a' * 999}\n{CUBE}", "line 10 has more than 1,000 bytes"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_what_pybullet_would_read_beyond_is_an_error(tmp_path: Path, name: str) -> None:
+    content, words = OBJECTS[name]
+    (tmp_path / "m.obj").write_text(content)
+    (tmp_path / "s.urdf").write_text(mesh("m.obj"))
+    with pytest.raises(SceneError, match=f"m.obj: .*{words}"):
+        ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
+
+
+def test_faces_may_precede_vertices_of_their_own_object(tmp_path: Path) -> None:
+    line = "o " + "a" * (MAX_LINE - 2)
+    (tmp_path / "m.obj").write_text(f"{line}\nf 1 2 9\n{FAR}{CUBE}")
+    (tmp_path / "s.urdf").write_text(mesh("m.obj"))
+    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
+        assert len(ss.worlds[0]) == 1
+
+
+@pytest.mark.parametrize("role", ["mtl", "obj"])
+def test_a_name_cut_by_pybullet_is_not_read(tmp_path: Path, role: str) -> None:
+    """PyBullet takes what is behind byte 1,023 of a line for a line of its own."""
+    behind = "#" + "x" * 1022
+    materials = f"{behind}map_Kd pic.png\n" if role == "mtl" else "newmtl a\nmap_Kd pic.png\n"
+    names = "mtllib m.mtl" if role == "mtl" else f"{behind}mtllib m.mtl"
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (tmp_path / "outside.png").write_bytes(b"")
+    (folder / "pic.png").symlink_to(tmp_path / "outside.png")
+    (folder / "m.mtl").write_text(materials)
+    (folder / "m.obj").write_text(f"{names}\n{CUBE}")
+    (folder / "s.urdf").write_text(mesh("m.obj"))
+    with pytest.raises(SceneError, match=rf"m.{role}: line 1 has more than 1,000 bytes"):
+        ssduck.load(folder / "s.urdf", limits=ssduck.Limits.strict(), simulator="pybullet")
 
 
 ACCESSOR = (

@@ -12,12 +12,15 @@ import numpy as np
 
 from ssduck.errors import SceneError
 from ssduck.simulators.pybullet.collada import collada_fault
+from ssduck.simulators.scene_files import long_line_fault
 
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
-_FACE = re.compile(rb"^[ \t]*f[ \t]+(.*)$", re.MULTILINE)
+_FACE = re.compile(rb"^[ \t]*f[ \t](.*)$", re.MULTILINE)
+# Where PyBullet makes shapes of the faces before, of the vertices that it has read by then.
+_GROUP = re.compile(rb"^[ \t]*(?:g|o|usemtl)[ \t]", re.MULTILINE)
 # The number of a vertex at the beginning of a corner, before those of its texture and normal.
-_CORNER = re.compile(rb"(?:^|\s)([+-]?[0-9]+)")
+_CORNER = re.compile(rb"[+-]?[0-9]+")
 # PyBullet reads numbers of 32 bits.
 _MAX_NUMBER = 2**31 - 1
 
@@ -62,14 +65,33 @@ def _fault_of(file: Path, _time: int, _size: int) -> str:
 def _obj_fault(file: Path) -> str:
     """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
     content = file.read_bytes()
-    count = len(_VERTEX.findall(content))
-    corners = _CORNER.findall(b"\n".join(_FACE.findall(content)))
-    if not corners:
+    if fault := long_line_fault(content):
+        return fault
+    faces = [(found.start(), _corners(found[1])) for found in _FACE.finditer(content)]
+    if not faces:
         return ""
-    numbers = np.array([min(max(int(n[:12]), -_MAX_NUMBER), _MAX_NUMBER) for n in corners])
-    if numbers.max() > count or numbers.min() < -count:
-        return f"a face refers to a missing vertex: there are {count}"
+    if any(len(corners) < 3 for _, corners in faces):  # PyBullet reads beyond them
+        return "a face has fewer than three corners"
+    vertices = np.array([found.start() for found in _VERTEX.finditer(content)])
+    groups = np.array([found.start() for found in _GROUP.finditer(content)] + [len(content)])
+    starts = np.repeat([start for start, _ in faces], [len(corners) for _, corners in faces])
+    numbers = np.array([number for _, corners in faces for number in corners])
+    # A number below 0 counts back from the face; another one is looked up at the end of its group.
+    before = vertices.searchsorted(starts)
+    made = vertices.searchsorted(groups[groups.searchsorted(starts)])
+    if ((numbers == 0) | (numbers > made) | (numbers < -before)).any():
+        return f"a face refers to a missing vertex: there are {len(vertices)} in the file"
     return ""
+
+
+def _corners(text: bytes) -> list[int]:
+    """Returns the numbers of the vertices of a face; 0 for what begins with no number."""
+    found = map(_CORNER.match, text.split(b"\0", 1)[0].split())
+    return [0 if one is None else _bounded(int(one[0][:12])) for one in found]
+
+
+def _bounded(number: int) -> int:
+    return min(max(number, -_MAX_NUMBER), _MAX_NUMBER)
 
 
 _CHECKS = {".obj": _obj_fault, ".dae": collada_fault}
