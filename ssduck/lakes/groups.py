@@ -121,7 +121,7 @@ class EpisodeGroup:
         """
         table, others = f"models/{model}", self._parts[model]
         files = listed.parts(table)
-        contents = [file.content() for file in files]
+        contents = [bytes(file.content()) for file in files]
         if len(files) == len(others) and all(
             other.is_copied_in(content, file.label)
             for content, file, other in zip(contents, files, others, strict=True)
@@ -156,7 +156,7 @@ def _model_parts(files: EntryFiles) -> Mapping[str, list[ModelPart]]:
     parts: dict[str, list[ModelPart]] = {}
     for model in MODELS:
         listed = files.parts(f"models/{model}")
-        parts[model] = _checked_parts(listed, [file.content() for file in listed])
+        parts[model] = _checked_parts(listed, [bytes(file.content()) for file in listed])
     return parts
 
 
