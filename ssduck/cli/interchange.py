@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ssduck.adapters.display import print_line
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, warn
 from ssduck.formatting import count_of
 from ssduck.recording.paths import expand_path
 
@@ -53,11 +53,14 @@ def macros(
     if record is None and (world is not None or episode is not None):
         raise typer.BadParameter("--world, --episode: name the record by --of")
     run = None if record is None else folder_run(record, world, episode)
-    script = macro_script(tuple(names or ()), run).text
+    script = macro_script(tuple(names or ()), run)
+    if names:  # of all relations, some are never there
+        for name, reason in script.missing.items():
+            warn(f"{name} is not written: it is {reason}")
     if output is None:
-        print_line(script.rstrip("\n"))
+        print_line(script.text.rstrip("\n"))
     else:
-        output.write_text(script, encoding="utf-8")
+        output.write_text(script.text, encoding="utf-8")
 
 
 def export_as(

@@ -42,7 +42,8 @@ def write_runs(
     """
     if format not in FORMATS:
         raise ArgumentError(
-            f"there is no format {short_repr(format)}", suggestions=nearest(format, FORMATS)
+            f"there is no format {short_repr(format)}: choose one of {', '.join(FORMATS)}",
+            suggestions=nearest(format, FORMATS),
         )
     if format == "lerobot":
         return [lerobot.write_dataset(output, map(motion_of, runs), fps)]
@@ -52,7 +53,8 @@ def write_runs(
     if output.suffix in _SUFFIXES:
         if len(runs) != 1:
             raise ArgumentError(
-                f"{output} is a file, and there are {len(runs)} episodes: choose one"
+                f"{output} would be the file of one episode, and there are {len(runs)}: choose "
+                "one (--world, --episode), or name a folder"
             )
         return [write(output, motion_of(runs[0]))]
     files = [(output / f"{run.world}-{run.number}.{format}", run) for run in runs]

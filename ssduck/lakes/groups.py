@@ -7,7 +7,8 @@ otherwise, as checksums prove nothing against a forger.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +32,10 @@ from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.row_checks import RowChecks, repeated_columns
 from ssduck.recording.stores.summaries import present_at_end
 from ssduck.schema import MODELS
+
+T = TypeVar("T")
+# Work that is done in steps, and returns a value in the end.
+Steps: TypeAlias = Generator[None, None, T]
 
 
 class EpisodeGroup:
@@ -77,6 +82,16 @@ class EpisodeGroup:
             RecordError: it is not, or a file of it is damaged.
             OSError: a file cannot be read.
         """
+        steps = self.steps(entry, parts)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                files: EntryFiles = end.value
+                return files
+
+    def steps(self, entry: EpisodeEntry, parts: ReadParts) -> Steps[EntryFiles]:
+        """Does the same in steps, each of which reads another kind of file."""
         known, key = self._members.get(entry.key, ((), ""))
         if known and known == entry.files:
             return EntryFiles(entry, key)
@@ -86,7 +101,9 @@ class EpisodeGroup:
         assert run.key is not None  # its parts have labels
         files = EntryFiles(entry, run.key)
         for model in MODELS:
+            yield
             self._check_model(run, files, model)
+        yield
         if not np.array_equal(present_at_end(_last_rows(files, parts)), self._present):
             raise RecordError(f"{run.place('entities')} has other entities than its group has")
         self._members[entry.key] = entry.files, run.key
@@ -121,7 +138,7 @@ class EpisodeGroup:
         """
         table, others = f"models/{model}", self._parts[model]
         files = listed.parts(table)
-        contents = [file.content() for file in files]
+        contents = [bytes(file.content()) for file in files]
         if len(files) == len(others) and all(
             other.is_copied_in(content, file.label)
             for content, file, other in zip(contents, files, others, strict=True)
@@ -156,7 +173,7 @@ def _model_parts(files: EntryFiles) -> Mapping[str, list[ModelPart]]:
     parts: dict[str, list[ModelPart]] = {}
     for model in MODELS:
         listed = files.parts(f"models/{model}")
-        parts[model] = _checked_parts(listed, [file.content() for file in listed])
+        parts[model] = _checked_parts(listed, [bytes(file.content()) for file in listed])
     return parts
 
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +22,7 @@ from ssduck.errors import RecordError, SelectScriptError
 from ssduck.interpreter.episode_batches import BatchInterpreter, collected_doubts
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
-from ssduck.lakes.groups import EpisodeGroup
+from ssduck.lakes.groups import EpisodeGroup, Steps
 from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.lakes.pool import pools
 from ssduck.lakes.questions import Answering, Question, to_text
@@ -30,12 +30,14 @@ from ssduck.limits import Limits
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.spec import Recording
+from ssduck.recording.stores.batched_parts import BatchedFile
 from ssduck.recording.stores.checksums import checksum_of
 from ssduck.recording.stores.episode_batch import BatchedEpisode, DamagedEpisodeError
 from ssduck.recording.stores.object_store import ObjectPath, is_address
 from ssduck.recording.stores.summaries import size_and_time
 from ssduck.schema import RECORDABLE
 
+T = TypeVar("T")
 # What reading a forged file may raise: its columns and their types may be any.
 UNREADABLE = (SelectScriptError, OSError, pa.ArrowException, KeyError, TypeError, ValueError)
 # The number of groups whose models and plans a process keeps.
@@ -54,6 +56,14 @@ class Answer(NamedTuple):
     text: str | None
     error: str | None = None
     doubts: tuple[str, ...] = ()
+
+
+class _EpisodeRows(NamedTuple):
+    """What was read of an episode: see `BatchedEpisode`."""
+
+    ticks: pa.Table
+    files: Mapping[str, Sequence[BatchedFile]]
+    starts: Sequence[int]
 
 
 class _Reader:
@@ -109,12 +119,8 @@ class _Reader:
 
     def _load(self, entries: Sequence[EpisodeEntry]) -> list[int]:
         """Loads episodes; returns the indices of those whose files are as the manifest says."""
-        episodes: dict[int, BatchedEpisode] = {}
-        for index, entry in enumerate(entries):
-            try:
-                episodes[index] = self._episode(entry)
-            except UNREADABLE:
-                continue
+        read = _in_turns([self._read(entry) for entry in entries])
+        episodes = {index: self._episode(rows) for index, rows in read.items()}
         while episodes:
             try:
                 self._batch.load(list(episodes.values()))
@@ -123,16 +129,18 @@ class _Reader:
                 del episodes[list(episodes)[error.index]]
         return list(episodes)
 
-    def _episode(self, entry: EpisodeEntry) -> BatchedEpisode:
-        """Returns an episode whose ticks come after those of all others so far."""
+    def _read(self, entry: EpisodeEntry) -> Steps[_EpisodeRows]:
+        """Checks that an episode is of the group; returns its files and the rows of its ticks."""
         if entry.tables != self._tables:
             raise RecordError(f"{entry.path} has other tables than its manifest says")
-        parts, listed = self._batch.parts, self._group.check(entry, self._batch.parts)
+        listed = yield from self._group.steps(entry, self._batch.parts)
+        yield
         files = {table: listed.parts(table) for table in self._tables}
         if len({len(own) for own in files.values()}) != 1:
             raise RecordError(f"{entry.path} has other files than complete parts")
         ticks_of_parts = [
-            parts.read(file).rows(["tick", "time", "wall_time"]) for file in files["ticks"]
+            self._batch.parts.read(file).rows(["tick", "time", "wall_time"])
+            for file in files["ticks"]
         ]
         rows = pa.concat_tables(ticks_of_parts)
         ticks, times = rows["tick"].to_numpy(), rows["time"].to_numpy()
@@ -140,14 +148,40 @@ class _Reader:
         is_whole = all(part.num_rows for part in ticks_of_parts) and len(ticks) == entry.ticks
         if not is_whole or not ascend:
             raise RecordError(f"{entry.path} has other ticks than its manifest says")
-        offset = self._next_tick - int(ticks[0])
-        self._next_tick += int(ticks[-1] - ticks[0]) + 1
         starts = [int(part["tick"][0].as_py()) for part in ticks_of_parts]
-        return BatchedEpisode(offset, rows, files, starts)
+        return _EpisodeRows(rows, files, starts)
+
+    def _episode(self, read: _EpisodeRows) -> BatchedEpisode:
+        """Returns an episode whose ticks come after those of all others so far."""
+        first, last = (int(read.ticks["tick"][place].as_py()) for place in (0, -1))
+        offset = self._next_tick - first
+        self._next_tick += last - first + 1
+        return BatchedEpisode(offset, *read)
 
     def close(self) -> None:
         """Closes the interpreter."""
         self._batch.close()
+
+
+def _in_turns(works: Sequence[Steps[T]]) -> dict[int, T]:
+    """Does a step of each work, then the next step of each; returns the values by their indices.
+
+    Those that fail are left out. One kind of file after the other is read faster than one episode
+    after the other: what a step needs stays in the caches of the processor.
+    """
+    values: dict[int, T] = {}
+    going = dict(enumerate(works))
+    while going:
+        for index, work in list(going.items()):
+            try:
+                next(work)
+                continue
+            except StopIteration as end:
+                values[index] = end.value
+            except UNREADABLE:
+                pass
+            del going[index]
+    return dict(sorted(values.items()))
 
 
 # By the group, whether its files are objects of a store, and the limits. They answer one question

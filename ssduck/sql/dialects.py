@@ -24,7 +24,7 @@ _DUCKDB_ONLY = (
     (exp.ArrayContains, "lists"),
     (exp.ArraySlice, "lists"),
     (exp.GenerateSeries, "lists"),
-    (exp.Anonymous, "functions of DuckDB"),
+    (exp.Anonymous, "functions"),
 )
 
 
@@ -73,7 +73,7 @@ def select_for(query: Query, plan: Plan | None, values: dict[str, Any], dialect:
     select = plan.select.transform(with_values(values))
     if dialect != "duckdb":
         select = select.transform(_without_infinity)
-        _refuse(select, query, dialect)
+        _refuse(select, query)
     return select
 
 
@@ -85,11 +85,11 @@ def _without_infinity(part: exp.Expr) -> exp.Expr:
     return part
 
 
-def _refuse(select: exp.Expr, query: Query, dialect: str) -> None:
+def _refuse(select: exp.Expr, query: Query) -> None:
     for node in select.walk():
         for kind, words in _DUCKDB_ONLY:
             if isinstance(node, kind):
                 raise UnsupportedError(
-                    f"{dialect} lacks {words}: {node.sql(dialect='duckdb')[:60]}",
+                    f"not every engine has {words} like DuckDB's: {node.sql('duckdb')[:60]}",
                     span=query.span,
                 )

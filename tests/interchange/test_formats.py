@@ -588,8 +588,14 @@ def test_wrong_exports(record: Path, tmp_path: Path, arguments: list[str], messa
 
 
 def test_two_episodes_are_no_file(record: Path, tmp_path: Path) -> None:
-    with pytest.raises(ArgumentError, match="there are 2 episodes"):
+    message = r"there are 2: choose one \(--world, --episode\), or name a folder"
+    with pytest.raises(ArgumentError, match=message):
         write_runs(runs_in(record), tmp_path / "x.mcap", "mcap")
+
+
+def test_a_wrong_format_names_the_right_ones(record: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArgumentError, match="choose one of lerobot, mcap, rrd"):
+        write_runs(runs_in(record), tmp_path / "x", "foo")
 
 
 @pytest.mark.parametrize(

@@ -274,6 +274,14 @@ def test_the_command_writes_a_script(record: Path, tmp_path: Path) -> None:
     assert answer("macros", "above").count("CREATE") == 1
 
 
+@pytest.mark.filterwarnings("default")
+def test_a_relation_that_is_not_written_is_a_warning() -> None:
+    result = ssduck_("macros", "above", "near")
+    assert result.stdout.count("CREATE") == 1
+    assert "near is not written: it is of shapes, which only ssduck compares" in result.stderr
+    assert "is not written" not in ssduck_("macros").stderr
+
+
 def test_a_wrong_name_is_an_error() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'above'"):
         macro_script(["abvoe"])

@@ -13,7 +13,7 @@ import re
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -22,6 +22,8 @@ from ssduck.errors import RecordError
 from ssduck.limits import check_opening
 from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.object_store import ObjectPath
+
+Content = TypeVar("Content", bytes, memoryview)
 
 # The bytes that begin and end a Parquet file.
 _MAGIC = b"PAR1"
@@ -187,7 +189,7 @@ def content_of(file: Path) -> bytes:
     return file.read_bytes()
 
 
-def size_problem(file: Path, size: int) -> str | None:
+def size_problem(file: Path | str, size: int) -> str | None:
     """Returns that a file of a record has more bytes than it can; None if it has not.
 
     Args:
@@ -200,8 +202,9 @@ def size_problem(file: Path, size: int) -> str | None:
     if size <= _SMALL_FILE:
         return None
     told = _LARGEST_FILE
-    if file.suffix == ".parquet":
-        told = min(told, 2 * _told_size(footer_of(file)) + _SMALL_FILE)
+    place = Path(file)
+    if place.suffix == ".parquet":
+        told = min(told, 2 * _told_size(footer_of(place)) + _SMALL_FILE)
     return None if size <= told else f"is damaged: it has {size:,} bytes, more than it tells of"
 
 
@@ -246,7 +249,7 @@ def content_problem(content: bytes, *, has_checksums: bool) -> str | None:
     return problem
 
 
-def footer_in(content: bytes) -> bytes:
+def footer_in(content: Content) -> Content:
     """Returns what the end of the content of a Parquet file says is its footer."""
     return content[-int.from_bytes(content[-_TAIL:-4], "little") - _TAIL :]
 

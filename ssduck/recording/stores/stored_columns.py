@@ -100,7 +100,7 @@ def check_parquet(source: str, footer: bytes, table: str) -> pq.FileMetaData:
     return _checked(source, footer, table).metadata
 
 
-def checked_parquet(source: str, content: bytes, table: str) -> pq.ParquetFile:
+def checked_parquet(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
     """Returns a part in memory, whose footer is checked as `check_parquet` does."""
     return _checked(source, content, table)
 
@@ -112,7 +112,7 @@ def unreadable(source: object, error: Exception) -> RecordError:
     return RecordError(f"{source} cannot be read: it is damaged: {error}")
 
 
-def _checked(source: str, content: bytes, table: str) -> pq.ParquetFile:
+def _checked(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
     """Returns a part, or what its footer tells of it.
 
     Raises:
