@@ -236,9 +236,9 @@ OBJECTS = {
     "before those of another material": (f"v 0 0 0\nf 1 2 9\nusemtl b\n{FAR}", "a missing vertex"),
     "0": (f"{FAR}f 0 0 0\n", "a missing vertex"),
     "no numbers": (f"{FAR}f / // ///\n", "a missing vertex"),
-    "no corners": ("f \n", "fewer than three corners"),
-    "two corners": (f"{FAR}f 1 2\n{CUBE}", "fewer than three corners"),
-    "behind a null character": (f"{FAR}f 1 2 \0 3\n", "fewer than three corners"),
+    "no corners": ("f \n", "no face has three corners"),
+    "two corners": (f"{FAR}f 1 2\n", "no face has three corners"),
+    "behind a null character": (f"{FAR}f 1 2 \0 3\n", "no face has three corners"),
     "behind a long comment": ("#" + "x" * 1022 + f"f 1 2 99999999\n{CUBE}", "line 1 has more than 1,000"),
     "a long line": (f"{FAR}o {'a' * 999}\n{CUBE}", "line 10 has more than 1,000 bytes"),
 }  # fmt: skip
@@ -251,6 +251,14 @@ def test_what_pybullet_would_read_beyond_is_an_error(tmp_path: Path, name: str) 
     (tmp_path / "s.urdf").write_text(mesh("m.obj"))
     with pytest.raises(SceneError, match=f"m.obj: .*{words}"):
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
+
+
+def test_faces_of_two_corners_are_left_out(tmp_path: Path) -> None:
+    (tmp_path / "m.obj").write_text(f"f \nf 1\nf 1 99\n{CUBE}")
+    (tmp_path / "s.urdf").write_text(mesh("m.obj"))
+    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
+        (body,) = ss.worlds[0]
+        assert body.aabb[1] - body.aabb[0] == pytest.approx([1.0, 1.0, 1.0], abs=0.01)
 
 
 def test_faces_may_precede_vertices_of_their_own_object(tmp_path: Path) -> None:

@@ -70,8 +70,9 @@ def _obj_fault(file: Path) -> str:
     faces = [(found.start(), _corners(found[1])) for found in _FACE.finditer(content)]
     if not faces:
         return ""
-    if any(len(corners) < 3 for _, corners in faces):  # PyBullet reads beyond them
-        return "a face has fewer than three corners"
+    faces = [face for face in faces if len(face[1]) > 2]  # PyBullet leaves out the others
+    if not faces:
+        return "no face has three corners"
     vertices = np.array([found.start() for found in _VERTEX.finditer(content)])
     groups = np.array([found.start() for found in _GROUP.finditer(content)] + [len(content)])
     starts = np.repeat([start for start, _ in faces], [len(corners) for _, corners in faces])
