@@ -369,7 +369,7 @@ class FolderRun:
             if footer is None or problem is not None:
                 return problem
             check_parquet(str(file), footer, table)
-            return parquet_problem(file, has_checksums=self.has_checksums)
+            return parquet_problem(file, has_checksums=self.has_checksums, footer=footer)
         except OSError as error:  # a RecordError is one
             return unreadable_because(file, error)
 

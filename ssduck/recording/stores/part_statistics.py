@@ -120,7 +120,8 @@ class Values:
             if not math.isnan(least):
                 return cls(known, least, numbers.max().item())
         has_nan = is_number and pc.any(pc.is_nan(values)).as_py() is True
-        return cls(known, *(bound.as_py() for bound in pc.min_max(values).values()), has_nan)
+        least, greatest = (bound.as_py() for bound in pc.min_max(values).values())
+        return cls(known, least, greatest, has_nan)
 
     def __or__(self, other: Values) -> Values:
         """Returns what values both have together."""
