@@ -171,6 +171,8 @@ class UsageMeter:
         seconds = math.inf if limits.seconds is None and is_stopped is not None else limits.seconds
         self._deadline = None if seconds is None else self.start + seconds
         self._size = 0
+        # From when on `check_time` is to be called: always if the program can be stopped.
+        self._first_look = self._deadline if is_stopped is None else -math.inf
 
     def step(self) -> None:
         """Counts a step in Python: a row, a call, a part of a path.
@@ -178,7 +180,7 @@ class UsageMeter:
         Raises:
             LimitError: the time is up.
         """
-        if self._deadline is not None:
+        if self._first_look is not None and time.monotonic() > self._first_look:
             self.check_time()
 
     def charge(self, size: int) -> None:
@@ -194,7 +196,7 @@ class UsageMeter:
         maximum = self.limits.memory
         if maximum is not None and self._size > maximum:
             raise LimitError(f"the program makes values of more than {maximum:,} bytes")
-        if self._deadline is not None:
+        if self._first_look is not None and time.monotonic() > self._first_look:
             self.check_time()
 
     def combination_counter(self) -> Callable[[], None]:
@@ -205,14 +207,15 @@ class UsageMeter:
         maximum = self.limits.rows
         if maximum is None:
             return self.step
-        count = 0
+        count, first_look = 0, self._first_look
 
         def count_combination() -> None:
             nonlocal count
             count += 1
             if count > maximum:
                 raise LimitError(f"a query looks at more than {maximum} rows")
-            self.step()
+            if first_look is not None and time.monotonic() > first_look:
+                self.check_time()
 
         return count_combination
 

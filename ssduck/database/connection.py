@@ -27,7 +27,14 @@ from ssduck.database.file_paths import (
     needed_extension,
     open_error_text,
 )
-from ssduck.database.instances import FILE_NAME, MEMORY, POOL, open_file, reach_objects
+from ssduck.database.instances import (
+    FILE_NAME,
+    MEMORY,
+    POOL,
+    open_file,
+    reach_objects,
+    set_up,
+)
 from ssduck.database.limited_fetch import (
     is_duckdb_error,
     limited_rows,
@@ -61,6 +68,10 @@ _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.Catalo
 # Errors of functions that SQL calls, which stay as they are.
 _OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
 _EXECUTE = "EXECUTE "
+_SCHEMAS = (
+    "SELECT schema_name FROM duckdb_schemas() "
+    "WHERE NOT internal AND database_name = current_database() AND schema_name <> 'main'"
+)
 # Has DuckDB plan nested loops in place of all range joins.
 NO_RANGE_JOINS = "SET nested_loop_join_threshold = 1000000000"
 # The name of an attached file with a record; no world can have it.
@@ -119,17 +130,9 @@ class Connection:
         self._prepared_types: dict[str, tuple[str, ...]] = {}
         # The exception of a function that SQL called: DuckDB keeps its text only.
         self._raised: list[BaseException] = []
-        # For small data and many queries, a second thread costs more time than it saves.
-        self.run("SET threads = 1")
-        self.avoid_ie_joins()
-        # DuckDB would draw it on standard output. In a notebook without ipywidgets it is off, and
-        # setting it is an error.
-        if self.internal_rows("SELECT current_setting('enable_progress_bar')") != [(False,)]:
-            self.run("SET enable_progress_bar = false")
-        # The footers of a record of many parts are read once.
-        self.run("SET parquet_metadata_cache = true")
-        # The name of an unknown table is an error, not a Python variable of the caller.
-        self.run("SET python_enable_replacements = false")
+        # The schemas of worlds, which no other connection makes.
+        self._schemas: set[str] = set()
+        set_up(self._connection)
         if self.is_file:
             self.run("SET wal_autocheckpoint = '1TB'")  # see WriterConnection.checkpoint
 
@@ -156,14 +159,6 @@ class Connection:
         self.run(NO_RANGE_JOINS)  # it cannot be set later
         self.run("SET enable_external_access = false")
         self.run("SET lock_configuration = true")
-
-    def avoid_ie_joins(self) -> None:
-        """Has DuckDB plan other joins in place of IE joins, but for SEMI and ANTI joins.
-
-        In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
-        statement invalidates the database at its second run.
-        """
-        self.run("SET merge_join_threshold = 1000000000")
 
     def _cursor(self) -> duckdb.DuckDBPyConnection:
         """Returns another connection to the database."""
@@ -207,13 +202,11 @@ class Connection:
             self.remove_function(name)
         if self._attached is not None:
             self._connection.execute(f"DETACH {_ATTACHED_NAME}")
-        schemas = self._connection.execute(
-            "SELECT schema_name FROM duckdb_schemas() "
-            "WHERE NOT internal AND database_name = current_database() AND schema_name <> 'main'"
-        ).fetchall()
-        for (schema,) in schemas:
-            name = exp.to_identifier(schema, quoted=True).sql("duckdb")
-            self._connection.execute(f"DROP SCHEMA {name} CASCADE")
+        schemas = self._schemas
+        if self.has_records:  # another connection may have made some
+            schemas = {name for (name,) in self._connection.execute(_SCHEMAS).fetchall()}
+        for schema in schemas:
+            self._connection.execute(f"DROP SCHEMA {quoted(schema)} CASCADE")
         self._connection.close()
         self._finalizer.detach()
         POOL.give_back(self._instance)
@@ -238,6 +231,16 @@ class Connection:
         if isinstance(record, ObjectPath):
             self._is_altered = reach_objects(self._connection)  # so no other one gets the instance
         return WriterConnection(self._cursor(), self._cursor(), file, record)
+
+    def make_schema(self, name: str) -> None:
+        """Creates the schema of a world unless it is there."""
+        self.run(f"CREATE SCHEMA IF NOT EXISTS {quoted(name)}")
+        self._schemas.add(name)
+
+    def drop_schema(self, name: str) -> None:
+        """Drops the schema of a world, and all that is in it."""
+        self.run(f"DROP SCHEMA IF EXISTS {quoted(name)} CASCADE")
+        self._schemas.discard(name)
 
     def attach(self, path: Path) -> str:
         """Attaches a DuckDB file to be read, and returns its name.

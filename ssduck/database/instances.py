@@ -25,6 +25,20 @@ _FORMAT = "STORAGE_VERSION 'v1.4.0', BLOCK_SIZE 16384"
 # The name of a file's database in SQL. DuckDB would name it after the file, and then no world can
 # have that name; no world can have this one.
 FILE_NAME = '"ssduck file"'
+# In DuckDB 2.0.0, an IE join (of two range conditions and 1,000 rows or more) in a prepared
+# statement invalidates the database at its second run. DuckDB plans others then, but for SEMI and
+# ANTI joins.
+NO_IE_JOINS = "SET merge_join_threshold = 1000000000"
+# For small data and many queries, a second thread costs more time than it saves. The footers of a
+# record of many parts are read once. The name of an unknown table is an error, not a Python
+# variable of the caller. One text takes less than four.
+_SETTINGS = (
+    f"SET threads = 1; {NO_IE_JOINS}; SET parquet_metadata_cache = true; "
+    "SET python_enable_replacements = false"
+)
+# Whether DuckDB may draw its progress on standard output, which it does in notebooks only. In one
+# without ipywidgets it is off, and setting it is an error.
+_PROGRESS, _may_draw = "SELECT current_setting('enable_progress_bar')", True
 # The largest number of databases that wait for an interpreter.
 MAX_WAITING = 2
 
@@ -95,6 +109,16 @@ POOL = InstancePool()
 atexit.register(POOL.close)
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=POOL.leave)
+
+
+def set_up(connection: duckdb.DuckDBPyConnection) -> None:
+    """Sets what each connection for statements of programs needs."""
+    global _may_draw  # noqa: PLW0603  # it is found once a process
+    connection.execute(_SETTINGS)
+    if _may_draw:
+        _may_draw = connection.execute(_PROGRESS).fetchall() != [(False,)]
+    if _may_draw:
+        connection.execute("SET enable_progress_bar = false")
 
 
 def reach_objects(connection: duckdb.DuckDBPyConnection) -> bool:

@@ -15,7 +15,7 @@ from ssduck.errors import LimitError
 
 # The largest number of rows that are fetched at a time, and their expected size, bytes.
 _MOST_ROWS, _MOST_BYTES = 10_000, 10_000_000
-_BATCH = 2_048
+_BATCH = 4_096
 # The types whose values all have about the same size.
 _SMALL = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "FLOAT", "HUGEINT"))
 # The sizes of Python's objects, bytes.

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from ssduck.database.connection import NO_RANGE_JOINS, Connection, Parameters
 from ssduck.database.fetched_rows import FetchedRows
+from ssduck.database.instances import NO_IE_JOINS
 from ssduck.database.own_catalog import OwnCatalog
 from ssduck.database.referenced_tables import (
     COMMENT,
@@ -216,7 +217,7 @@ class RawSql:
         if _ATTACHES.search(sql) and self._connection.is_open:
             self._note_stored_queries(of_attached=True)
         if _MERGE_JOINS.search(sql) and self._connection.is_open:
-            self._connection.avoid_ie_joins()
+            self._connection.run(NO_IE_JOINS)
 
     def _note_stored_queries(self, *, of_attached: bool) -> None:
         """Takes note of what views and macros from before read: any statement may use them."""

@@ -63,7 +63,7 @@ class Schemas:
 
     def make(self, name: str, bound: BoundWorld) -> None:
         """Creates the schema of a world, or recreates its views."""
-        self._connection.run(f"CREATE SCHEMA IF NOT EXISTS {quoted(name)}")
+        self._connection.make_schema(name)
         on_demand = self._connection.on_demand
         for table in TABLES.values():
             on_demand.offer((name, table.name), partial(_make_live_view, name, bound, table))
@@ -219,8 +219,7 @@ class Schemas:
         if self._connection.is_file:
             self.detach(schema, history)
         else:
-            place = exp.to_identifier(schema, quoted=True).sql("duckdb")
-            self._connection.run(f"DROP SCHEMA IF EXISTS {place} CASCADE")
+            self._connection.drop_schema(schema)
         self._connection.on_demand.withdraw_schema(schema)
         self._forget(schema)
 

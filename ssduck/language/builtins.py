@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial, wraps
+from types import FunctionType
 from typing import Any
 
 from ssduck.errors import ArgumentError, FunctionError, LimitError, SelectScriptError
@@ -110,6 +111,10 @@ def _plain_result(value: Any) -> Any:
 
 
 def _arity(call: Callable[..., Any]) -> tuple[int, int | None]:
+    if isinstance(call, FunctionType) and not vars(call):  # no decorator gave it a signature
+        code, defaults = call.__code__, call.__defaults__ or ()
+        is_variadic = bool(code.co_flags & inspect.CO_VARARGS)
+        return code.co_argcount - len(defaults), None if is_variadic else code.co_argcount
     try:
         parameters = inspect.signature(call).parameters.values()
     except (TypeError, ValueError):  # some functions in C have no signature

@@ -26,7 +26,6 @@ from ssduck.recording.stores.parquet_layout import (
     ABOUT,
     DESCRIPTION,
     LOG,
-    MISSING,
     PAIRS,
     FolderRun,
     check_about,
@@ -35,6 +34,7 @@ from ssduck.recording.stores.parquet_layout import (
     runs_named,
 )
 from ssduck.recording.stores.part_log import log_file_problem, log_files
+from ssduck.recording.stores.stored_columns import MISSING
 from ssduck.recording.stores.tick_index import INDEX, index_file
 from ssduck.schema import MODELS, RECORDED
 

@@ -48,6 +48,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+# Counts what a database has of its own.
+LEFT = "SELECT count(*) FROM duckdb_{}() WHERE NOT internal"
+
+
 @pytest.fixture
 def pool(monkeypatch: pytest.MonkeyPatch) -> InstancePool:
     """A pool of databases of the test's own."""
@@ -307,10 +311,24 @@ def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: 
             assert len(ss.eval("SELECT z FROM lab{} AS list;")) == BUFFERED_TICKS + 4
         (database,) = pool._waiting
         with closing(database.cursor()) as cursor:
-            left = "SELECT count(*) FROM duckdb_{}() WHERE NOT internal"
             for kind in ("tables", "views", "functions", "types"):
-                assert cursor.execute(left.format(kind)).fetchall() == [(0,)], kind
-            schemas = cursor.execute(left.format("schemas") + " AND schema_name <> 'main'")
+                assert cursor.execute(LEFT.format(kind)).fetchall() == [(0,)], kind
+            schemas = cursor.execute(LEFT.format("schemas") + " AND schema_name <> 'main'")
+            assert schemas.fetchall() == [(0,)]
+    pool.close()
+
+
+def test_an_opened_record_leaves_nothing(run: Path, pool: InstancePool) -> None:
+    """Schemas that ssduck made are known, those of other connections are asked for."""
+    for _ in range(2):
+        with ssduck.open(run) as ss:
+            assert ss.eval("SELECT id FROM lab{} LIMIT 1 AS list;")
+            assert "lab" in ss._database.connection._schemas
+        (database,) = pool._waiting
+        with closing(database.cursor()) as cursor:
+            for kind in ("tables", "views", "functions", "types"):
+                assert cursor.execute(LEFT.format(kind)).fetchall() == [(0,)], kind
+            schemas = cursor.execute(LEFT.format("schemas") + " AND schema_name <> 'main'")
             assert schemas.fetchall() == [(0,)]
     pool.close()
 

@@ -6,11 +6,13 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, LimitError, SelectScriptError, SqlError
+from ssduck.limits import Limits, UsageMeter
 from tests.support.cases import sampled
 from tests.support.timing import HANGS
 
@@ -343,3 +345,27 @@ def test_a_handler_of_the_users_has_ctrl_c():
         [sys.executable, "-c", HANDLED], capture_output=True, text=True, timeout=HANGS, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_the_time_is_looked_at_without_a_call(monkeypatch):
+    """Steps are many: one that is not late costs a comparison, unless another thread may stop it."""
+    calls = []
+    check = UsageMeter.check_time
+    monkeypatch.setattr(UsageMeter, "check_time", lambda meter: calls.append(1) or check(meter))
+
+    def use(meter):
+        count = meter.combination_counter()
+        for _ in range(10):
+            meter.step(), meter.charge(1), count()
+
+    for limits in (Limits(), Limits.strict(seconds=3600), Limits(rows=100)):
+        use(UsageMeter(limits))
+    assert not calls
+    use(UsageMeter(Limits.strict(), lambda: False))
+    assert len(calls) == 30
+    for stopped in (None, lambda: True):
+        late = UsageMeter(Limits.strict(seconds=3600 if stopped else 0.001), stopped)
+        time.sleep(0.002)
+        for use_once in (late.step, partial(late.charge, 1), late.combination_counter()):
+            with pytest.raises(LimitError):
+                use_once()

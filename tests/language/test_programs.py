@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from functools import reduce
+from functools import partial, reduce, wraps
 
 import pytest
 
 import ssduck
 from ssduck.errors import ArgumentError, ParseError, SelectScriptError, UnknownNameError
-from ssduck.language.builtins import BUILTINS
+from ssduck.language.builtins import BUILTINS, Function
 from ssduck.language.parser import parse
 from ssduck.sql.relations.registry import RELATIONS
 from tests.support.cases import sampled
@@ -549,6 +549,39 @@ VALUES = {
     "entity": "entity",
     "world": "kitchen",
 }
+
+
+def _counted(function):
+    @wraps(function)
+    def call(*arguments):
+        return function(*arguments)
+
+    return call
+
+
+class _Named:
+    def method(self, a, b=1):
+        return a, b
+
+
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (lambda: 0, (0, 0)),
+        (lambda a, b: 0, (2, 2)),
+        (lambda a, b=1, *, c=2: 0, (1, 2)),
+        (lambda a, /, b, *others: 0, (2, None)),
+        (lambda *, a=1, **others: 0, (0, 0)),
+        (_counted(lambda a, b=1: 0), (1, 2)),
+        (partial(lambda a, b: 0, 1), (1, 1)),
+        (_Named().method, (1, 2)),
+        (_Named.method, (2, 3)),
+        (print, (0, None)),
+    ],
+)
+def test_functions_take_as_many_arguments_as_python_says(call, expected):
+    function = Function.of("own", call, "Is a function.")
+    assert (function.min_arguments, function.max_arguments) == expected
 
 
 def arities(name):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import struct
@@ -270,10 +271,9 @@ def test_other_writers_and_row_groups(folder: Path) -> None:
         ss.sql("FROM entities_history"), ss.sql("FROM links_history")
 
 
-def test_own_parts_have_statistics_of_ticks_and_times_only(
-    made: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """So nothing else is read to compare them, and each part once."""
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
+    """The tables and columns that are read to compare them."""
     read: list[tuple[str, list[str]]] = []
     before = part_statistics._read
 
@@ -282,12 +282,69 @@ def test_own_parts_have_statistics_of_ticks_and_times_only(
         return before(file, group, names)
 
     monkeypatch.setattr(part_statistics, "_read", counted)
+    return read
+
+
+def test_own_parts_are_not_read_again(made: Path, read: list[tuple[str, list[str]]]) -> None:
+    """They have statistics of ticks and times only, which the check of their rows has read."""
     with ssduck.open(made / "own") as ss:
-        for _ in range(2):
-            for table in ("entities", "links", "contacts"):
-                ss.sql(f"FROM {table}_history").fetchall()
-            for table in MODELS:
-                ss.sql(f"FROM {table}_model").fetchall()
-    assert sorted(read) == [
-        (table, ["tick", "time"]) for table in ("contacts", "entities", "links")
-    ]
+        for table in ("entities", "links", "contacts"):
+            ss.sql(f"FROM {table}_history").fetchall()
+        for table in MODELS:
+            ss.sql(f"FROM {table}_model").fetchall()
+    assert read == []
+
+
+def test_several_row_groups_are_read_each_by_itself(
+    folder: Path, read: list[tuple[str, list[str]]]
+) -> None:
+    """The values of the whole part are not those of one of them."""
+    file = part(folder, "contacts")
+    rows = pq.ParquetFile(file).read()
+    assert len(rows) > 2
+    pq.write_table(rows, file, row_group_size=-(-len(rows) // 2), write_statistics=["tick"])
+    with ssduck.open(folder) as ss:
+        ss.sql("FROM contacts_history")
+    assert read == 2 * [("contacts", ["tick"])]
+    last, first = greatest(rows["tick"]), least(rows["tick"])
+    assert first != last
+    forge(file, _bytes(last), _bytes(first))
+    refused(folder, "contacts", "tick")
+
+
+def _is_nan(value: Any) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [3, 1, 2],
+        [0.5, -0.0, 2.5],
+        [None, 4.0, None],
+        [None, None],
+        [float("nan"), 1.0],
+        [float("nan"), None],
+        [],
+        ["b", "a"],
+        [True, False],
+        [[1.0, 2.0], [-7.0], []],
+    ],
+    ids=str,
+)
+def test_found_values(values: list[Any]) -> None:
+    """Those of two halves are those of the whole, and as a plain loop finds them."""
+    column = pa.chunked_array([pa.array(values, pa.float64() if not values else None)])
+    if column.type == pa.null():
+        column = column.cast(pa.float64())
+    flat = [v for value in values for v in (value if isinstance(value, list) else [value])]
+    known = [value for value in flat if value is not None]
+    ordered = [value for value in known if not _is_nan(value)]
+    bounds = (min(ordered), max(ordered)) if ordered else (None, None)
+    found = part_statistics.Values.of(column)
+    assert (found.known, found.has_nan) == (len(known), len(ordered) < len(known))
+    if not found.has_nan or ordered:
+        assert (found.least, found.greatest) == bounds
+    halves = [part_statistics.Values.of(half) for half in (column[:1], column[1:])]
+    if not found.has_nan:
+        assert halves[0] | halves[1] == found

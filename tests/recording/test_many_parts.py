@@ -52,18 +52,18 @@ class Reads:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.ticks: list[str] = []
         self.rows: list[str] = []
-        read, rows_of = parquet_layout._read, parquet_archive._rows_of_ticks
+        read, rows_of = parquet_layout.rows_of_part, parquet_archive._rows_of_ticks
 
-        def counted(file: Path, *arguments: object, has_checksums: bool) -> object:
+        def counted(file: Path, *arguments: object) -> object:
             if file.parts[-4] == "ticks":
                 self.ticks.append(file.name)
-            return read(file, *arguments, has_checksums=has_checksums)  # type: ignore[arg-type]
+            return read(file, *arguments)  # type: ignore[arg-type]
 
         def rows(file: Path, *arguments: object) -> object:
             self.rows.append(file.name)
             return rows_of(file, *arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(parquet_layout, "_read", counted)
+        monkeypatch.setattr(parquet_layout, "rows_of_part", counted)
         monkeypatch.setattr(parquet_archive, "_rows_of_ticks", rows)
 
 

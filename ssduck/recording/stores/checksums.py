@@ -133,11 +133,16 @@ def footer_problem(footer: bytes | None, *, has_checksums: bool) -> str | None:
     return None if is_right else WRONG_CHECKSUM
 
 
-def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
+def parquet_problem(file: Path, *, has_checksums: bool, footer: bytes | None = None) -> str | None:
     """Returns what is wrong with a Parquet file, all of which is read; None for nothing.
 
     A file is read piece by piece: memory for all of a large one takes longer than its checksum. An
     object is read at once: each piece would be a request.
+
+    Args:
+        file: the file.
+        has_checksums: whether it must have checksums, which older records lack.
+        footer: its footer, if that was read and has no problem.
 
     Raises:
         OSError: the file cannot be read.
@@ -146,11 +151,14 @@ def parquet_problem(file: Path, *, has_checksums: bool) -> str | None:
         return content_problem(file.read_bytes(), has_checksums=has_checksums)
     if (problem := size_problem(file, file.stat().st_size)) is not None:
         return problem
-    footer = footer_of(file)
-    problem = footer_problem(footer, has_checksums=has_checksums)
-    match = None if footer is None else _last(_FOOTER_SUMS, footer)
-    if footer is None or problem is not None or match is None:
-        return problem
+    if footer is None:
+        footer = footer_of(file)
+        problem = footer_problem(footer, has_checksums=has_checksums)
+        if footer is None or problem is not None:
+            return problem
+    match = _last(_FOOTER_SUMS, footer)
+    if match is None:
+        return None
     return None if match.group(1) == _hex(checksum_of(file, len(footer))) else WRONG_CHECKSUM
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +37,7 @@ from ssduck.recording.stores.history_sql import (
 )
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
 from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
-from ssduck.recording.stores.part_statistics import check_statistics
+from ssduck.recording.stores.part_statistics import Values, add_values, check_statistics
 from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.recording.stores.stored_columns import unreadable
 from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
@@ -44,7 +45,7 @@ from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
 # So many rows of a table without a key are checked at once: they fit the cache of a processor.
-_ROWS_AT_ONCE = 1 << 15
+_ROWS_AT_ONCE = 1 << 16
 
 
 class ParquetArchive(TickArchive):
@@ -83,7 +84,9 @@ class ParquetArchive(TickArchive):
         # The files whose footers were found to say of their values what is so.
         self._compared: set[Path] = set()
         for table, files in self._files.items() if len(self._starts) < MANY_PARTS else ():
-            self._run.check(table, map(part_number, files))
+            footers = self._run.check(table, map(part_number, files))
+            if footers:
+                self._columns[table] = footers[0].schema.to_arrow_schema().names
         self._models = {table: run.read(f"models/{table}") for table in MODELS}
         check_models(self._models, lambda table: str(run.place(f"models/{table}")))
         self._linked = multi_link_bodies(self._models["entities"])
@@ -188,15 +191,25 @@ class ParquetArchive(TickArchive):
         self._run.check_data(table, map(part_number, unchecked))
         self._checked.update(unchecked)
 
-    def _compare(self, table: str, files: Sequence[Path]) -> None:
+    def _compare(
+        self,
+        table: str,
+        files: Sequence[Path],
+        found: Mapping[Path, Mapping[str, Values]] = MappingProxyType({}),
+    ) -> None:
         """Checks what the footers say of the values of files that SQL is to read.
+
+        Args:
+            table: the table, or the model such as `models/entities`.
+            files: the files.
+            found: what values some columns of files have, which were read.
 
         Raises:
             RecordError: it is not so.
         """
         new = [file for file in files if file not in self._compared]
         if new:
-            check_statistics(self._connection, new, table)
+            check_statistics(self._connection, new, table, found)
             self._compared.update(new)
 
     def fetch(self, table: str, first: int, last: int) -> pa.Table:
@@ -237,18 +250,21 @@ class ParquetArchive(TickArchive):
 
     def _rows_of(self, table: str, parts: range) -> Iterator[RowBlock]:
         types, columns, files = key_types(table), model_columns(table), self._files[table]
+        found: dict[Path, dict[str, Values]] = {}
         for number in parts:
             part = range(number, number + 1)
             self._check(table, part)
             ticks = self._ticks_of(part)
             if RECORDED[table].key:
                 rows, repeated = _rows_of_part(files[number], types, columns, repeated_texts(table))
+                add_values(found, files[number], rows)
                 model = self._models.get(table)
                 yield RowBlock(*ticks, rows, None if model is None else (repeated, model))
             else:
                 for rows in _rows_in(files[number], types):
+                    add_values(found, files[number], rows)
                     yield RowBlock(*ticks, rows)
-        self._compare(table, files[parts.start : parts.stop])
+        self._compare(table, files[parts.start : parts.stop], found)
 
     def _rows_of_log(self, table: str) -> Iterator[RowBlock]:
         if self._log:

@@ -41,10 +41,12 @@ from ssduck.errors import RecordError
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
 from ssduck.recording.stores.checksums import (
+    content_of,
+    content_problem,
+    footer_in,
     footer_of,
     footer_problem,
     parquet_problem,
-    verified_parquet,
 )
 from ssduck.recording.stores.descriptions import (
     EPISODE,
@@ -55,11 +57,15 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.links import check_inside, files_in
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
-from ssduck.recording.stores.stored_columns import check_parquet, part_columns, unreadable
+from ssduck.recording.stores.stored_columns import (
+    MISSING,
+    check_parquet,
+    rows_of_part,
+    unreadable_because,
+)
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
-from ssduck.world.live_tables import ARROW_TYPES
 
 FORMAT = "ssduck record"
 VERSION = 1
@@ -85,7 +91,6 @@ _PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
 _FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
 _EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 OTHER_PART = "is another part, or of another record: it was renamed, or copied there"
-MISSING = "is missing: the record was damaged, or only copied in part"
 RESCUE = (
     "`ssduck check --repair` drops what is damaged, and ssduck.open(…, partial=True) leaves it out"
 )
@@ -310,9 +315,8 @@ class FolderRun:
             RecordError: a file is missing.
         """
         place, numbers = self.place(table), self._parts_of(table)
-        has_files = bool(numbers) and place.is_dir()
         check_inside(self.path, place)
-        present = files_in(self.path, place) if has_files else set()
+        present = files_in(self.path, place) if numbers and place.is_dir() else set()
         for number in numbers:
             if part_name(number) not in present:
                 raise self._error_of(table, number, MISSING)
@@ -337,8 +341,7 @@ class FolderRun:
             footer, problem = self._footer_of(table, number)
             if footer is None or problem is not None:
                 raise self._error_of(table, number, problem or MISSING)
-            file = self.place(table) / part_name(number)
-            checked.append(check_parquet(str(file), footer, table))
+            checked.append(check_parquet(str(self.place(table) / part_name(number)), footer, table))
         return checked
 
     def check_data(self, table: str, numbers: Iterable[int]) -> None:
@@ -366,25 +369,41 @@ class FolderRun:
             if footer is None or problem is not None:
                 return problem
             check_parquet(str(file), footer, table)
-            return parquet_problem(file, has_checksums=self.has_checksums)
-        except RecordError as error:
-            return error.message.removeprefix(f"{file} ")
-        except OSError as error:
-            return f"cannot be read: {error.strerror}"
+            return parquet_problem(file, has_checksums=self.has_checksums, footer=footer)
+        except OSError as error:  # a RecordError is one
+            return unreadable_because(file, error)
 
     def _footer_of(self, table: str, number: int) -> tuple[bytes | None, str | None]:
         """Returns the footer of the file of a part, and what is wrong with it."""
+        file = self.place(table) / part_name(number)
         try:
-            footer = footer_of(self.place(table) / part_name(number))
-        except FileNotFoundError:
-            return None, MISSING
+            footer = footer_of(file)
         except OSError as error:
-            return None, f"cannot be read: {error.strerror}"
+            return None, unreadable_because(file, error)
         problem = footer_problem(footer, has_checksums=self.has_checksums)
+        return footer, problem or self._problem_of_label(table, number, footer)
+
+    def _content_of(self, table: str, file: Path) -> bytes:
+        """Returns the content of the file of a part, all of which is checked.
+
+        Raises:
+            RecordError: the file is missing or damaged.
+        """
+        number = part_number(file)
+        try:
+            content = content_of(file)
+        except OSError as error:
+            raise self._error_of(table, number, unreadable_because(file, error)) from error
+        problem = content_problem(content, has_checksums=self.has_checksums)
+        problem = problem or self._problem_of_label(table, number, footer_in(content))
+        if problem is not None:
+            raise self._error_of(table, number, problem)
+        return content
+
+    def _problem_of_label(self, table: str, number: int, footer: bytes | None) -> str | None:
+        """Returns that the footer of a part has the label of another; None if it has not."""
         label = self.label(table, number)
-        if problem is None and label is not None and label not in (footer or b""):
-            problem = OTHER_PART
-        return footer, problem
+        return OTHER_PART if label is not None and label not in (footer or b"") else None
 
     def _error_of(self, table: str, number: int, problem: str) -> RecordError:
         """Returns the error that there is a problem with a part."""
@@ -414,8 +433,7 @@ class FolderRun:
 
     def _rows(self, table: str, files: Sequence[Path]) -> list[pa.Table]:
         """Returns the rows of files of a table, with the columns that it is to have."""
-        self.check(table, map(part_number, files))
-        return [_read(file, table, has_checksums=self.has_checksums) for file in files]
+        return [rows_of_part(file, table, self._content_of(table, file)) for file in files]
 
     def ticks(self) -> tuple[list[int], TickBuffer]:
         """Returns the first tick of each part, then of the log if it has rows, and all ticks.
@@ -499,22 +517,6 @@ def label_of(key: str, table: str, number: int | str) -> bytes:
 @lru_cache(maxsize=1024)
 def _end_of_label(table: str, number: int | str) -> bytes:
     return json.dumps({"table": table, "part": number}).encode()[1:]
-
-
-def _read(file: Path, table: str, *, has_checksums: bool) -> pa.Table:
-    """Returns the rows of a part, with the columns that it is to have."""
-    types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
-    try:
-        part = verified_parquet(file, has_checksums=has_checksums)
-        # The threads of the library take longer to wake up than most of these files to read.
-        present = set(part.schema_arrow.names)
-        names = [name for name in types if name in present]
-        rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
-        rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
-        rows.validate(full=True)
-    except (pa.ArrowException, OSError) as error:
-        raise unreadable(file, error) from error
-    return rows
 
 
 def runs_in(path: Path) -> list[FolderRun]:

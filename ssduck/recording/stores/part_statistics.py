@@ -7,11 +7,14 @@ compare: ssduck writes none, and refuses parts with them.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pyarrow as pa
@@ -28,6 +31,7 @@ from ssduck.recording.stores.stored_columns import part_columns, unreadable
 # The columns of which ssduck's parts have statistics: queries choose parts by them.
 OWN_STATISTICS = ("tick", "time")
 _NAMES = ("file_name", "row_group_id", "path_in_schema", "num_values", "stats_null_count")
+_EXACT = ("min_is_exact", "max_is_exact")
 _LEAST, _GREATEST = ("stats_min", "stats_min_value"), ("stats_max", "stats_max_value")
 _SKIPS = ("bloom_filter_offset", "column_index_offset", "offset_index_offset")
 # Between the names of a column and of what its lists have.
@@ -44,6 +48,7 @@ class _Stated:
     Attributes:
         file: the path of the file, by its names; of an object, the last two.
         group: the number of the row group.
+        groups: how many row groups the file has.
         column: the name of the column.
         count: the number of its values, NULL counted.
         nulls: the number of NULL; None if it does not say.
@@ -55,6 +60,7 @@ class _Stated:
 
     file: tuple[str, ...]
     group: int
+    groups: int
     column: str
     count: int
     nulls: int | None
@@ -63,25 +69,22 @@ class _Stated:
     is_exact: bool
     skips: bool
 
-    def is_true_of(self, column: pa.ChunkedArray, *, may_have_nan: bool) -> bool:
+    def is_true_of(self, values: Values, *, may_have_nan: bool) -> bool:
         """Checks whether the column has such values.
 
         Args:
-            column: the column.
+            values: what values it has.
             may_have_nan: whether it may have NaN, which statistics leave out; what is measured is
                 stored as NULL instead, and what a model says, as a joint's greatest effort, is not.
         """
-        values = _flat(column)
-        if self.nulls is not None and self.nulls != self.count - len(values) + values.null_count:
+        if self.nulls is not None and self.nulls != self.count - values.known:
             return False
         if not self.least and not self.greatest:
             return True
-        is_number = pa.types.is_floating(values.type) and not may_have_nan
-        if is_number and pc.any(pc.is_nan(values)).as_py():
+        if values.has_nan and not may_have_nan:
             return False  # the greatest number to SQL
-        least, greatest = (bound.as_py() for bound in pc.min_max(values).values())
-        return self._are(self.least, least, str.__le__) and self._are(
-            self.greatest, greatest, str.__ge__
+        return self._are(self.least, values.least, str.__le__) and self._are(
+            self.greatest, values.greatest, str.__ge__
         )
 
     def _are(self, texts: Iterable[str], value: Any, bounds: Callable[[str, str], bool]) -> bool:
@@ -90,13 +93,65 @@ class _Stated:
         return all(_is_text_of(text, value) for text in texts)
 
 
-def check_statistics(connection: StoreConnection, files: Sequence[Path], table: str) -> None:
+@dataclass(frozen=True)
+class Values:
+    """What values a column has.
+
+    Attributes:
+        known: the number of those that are not NULL.
+        least: the least of these; None if there is none.
+        greatest: the greatest, likewise.
+        has_nan: whether NaN is among them, which is neither.
+    """
+
+    known: int
+    least: Any
+    greatest: Any
+    has_nan: bool = False
+
+    @classmethod
+    def of(cls, column: pa.ChunkedArray) -> Values:
+        """Returns what values a column of a part has; of lists, what is in them."""
+        values = _flat(column)
+        known, is_number = len(values) - values.null_count, pa.types.is_floating(values.type)
+        if known == len(values) > 0 and (is_number or pa.types.is_integer(values.type)):
+            numbers = values.to_numpy()
+            least = numbers.min().item()
+            if not math.isnan(least):
+                return cls(known, least, numbers.max().item())
+        has_nan = is_number and pc.any(pc.is_nan(values)).as_py() is True
+        least, greatest = (bound.as_py() for bound in pc.min_max(values).values())
+        return cls(known, least, greatest, has_nan)
+
+    def __or__(self, other: Values) -> Values:
+        """Returns what values both have together."""
+        if not (self.known and other.known):
+            return self if self.known else other
+        least, greatest = min(self.least, other.least), max(self.greatest, other.greatest)
+        return Values(self.known + other.known, least, greatest, self.has_nan or other.has_nan)
+
+
+def add_values(found: dict[Path, dict[str, Values]], file: Path, rows: pa.Table) -> None:
+    """Adds what values some rows of a part have, of the columns that ssduck has statistics of."""
+    own = found.setdefault(file, {})
+    for name in OWN_STATISTICS:
+        values = Values.of(rows[name])
+        own[name] = own[name] | values if name in own else values
+
+
+def check_statistics(
+    connection: StoreConnection,
+    files: Sequence[Path],
+    table: str,
+    found: Mapping[Path, Mapping[str, Values]] = MappingProxyType({}),
+) -> None:
     """Checks what the footers of parts say of the values of columns that are read.
 
     Args:
         connection: reads the footers, as queries do.
         files: the files, of episodes of one world.
         table: the table, or `models/<table>`.
+        found: of files that were read, what values some columns have; others are read now.
 
     Raises:
         RecordError: a footer says what is not so, or a part has a Bloom filter or a page index.
@@ -104,33 +159,42 @@ def check_statistics(connection: StoreConnection, files: Sequence[Path], table: 
     expected, places = part_columns(table), _by_path(files)
     of_models = expected if "/" in table else repeated_columns(table)
     depth = _NAMES_OF_OBJECT if isinstance(files[0], ObjectPath) else 0
-    found = (_stated(row, depth) for row in connection.fetchall(_select(files)))
-    known = sorted((stated for stated in found if stated.column in expected), key=_row_group)
-    for (name, group), columns in groupby(known, _row_group):
+    rows = connection.fetchall(_select(files))
+    groups = Counter(file for file, _ in {row[:2] for row in rows})
+    stated = [_stated(row, depth, groups[row[0]]) for row in rows if _is_stated(row)]
+    known = sorted((one for one in stated if one.column in expected), key=_row_group)
+    for (name, _), columns in groupby(known, _row_group):
         own, file = list(columns), places[name]
-        if any(stated.skips for stated in own):
+        if any(one.skips for one in own):
             raise RecordError(
                 f"{file} has a Bloom filter or a page index, which could hide rows: write it "
                 "without"
             )
-        rows = _read(file, group, [stated.column for stated in own])
-        for stated in own:
-            if not stated.is_true_of(rows[stated.column], may_have_nan=stated.column in of_models):
+        values = _values(own, file, found.get(file, {}))
+        for one in own:
+            if not one.is_true_of(values[one.column], may_have_nan=one.column in of_models):
                 raise RecordError(
-                    f"{file} is damaged: the column {stated.column!r} has other values than the "
+                    f"{file} is damaged: the column {one.column!r} has other values than the "
                     "statistics in its footer say"
                 )
 
 
+def _values(
+    stated: Sequence[_Stated], file: Path, found: Mapping[str, Values]
+) -> dict[str, Values]:
+    """Returns what values columns of a row group have: as found in all of the file, or read now."""
+    values = dict(found) if stated[0].groups == 1 else {}
+    missing = [one.column for one in stated if one.column not in values]
+    if missing:
+        rows = _read(file, stated[0].group, missing)
+        values |= {name: Values.of(rows[name]) for name in missing}
+    return values
+
+
 def _select(files: Sequence[Path]) -> str:
     """Returns the SELECT of what footers say of columns."""
-    names = ", ".join((*_NAMES, *_LEAST, *_GREATEST, *_SKIPS))
-    bounds, counts = ", ".join((*_LEAST, *_GREATEST)), ", ".join(("stats_null_count", *_SKIPS))
-    return (
-        f"SELECT {names}, coalesce(min_is_exact AND max_is_exact, true) "  # noqa: S608
-        f"FROM parquet_metadata({file_list(files)}) "
-        f"WHERE coalesce({bounds}) IS NOT NULL OR coalesce({counts}) IS NOT NULL"
-    )
+    names = ", ".join((*_NAMES, *_LEAST, *_GREATEST, *_SKIPS, *_EXACT))
+    return f"SELECT {names} FROM parquet_metadata({file_list(files)})"  # noqa: S608
 
 
 def _by_path(files: Sequence[Path]) -> dict[tuple[str, ...], Path]:
@@ -145,15 +209,21 @@ def _names_of(path: str) -> tuple[str, ...]:
     return tuple(_SEPARATOR.split(path))
 
 
-def _stated(row: Sequence[Any], depth: int) -> _Stated:
+def _is_stated(row: Sequence[Any]) -> bool:
+    """Checks whether a row of `_select` says anything by which rows can be left out."""
+    return any(value is not None for value in row[len(_NAMES) - 1 : -len(_EXACT)])
+
+
+def _stated(row: Sequence[Any], depth: int, groups: int) -> _Stated:
     """Returns a row of `_select`, with so many last names of the path of its file; 0 for all."""
-    place, group, path, count, nulls, *others, is_exact = row
+    place, group, path, count, nulls, *others = row
     least, greatest = (
         tuple(text for text in texts if text is not None) for texts in (others[:2], others[2:4])
     )
-    skips = any(offset is not None for offset in others[4:])
+    skips = any(offset is not None for offset in others[4:-2])
+    is_exact = False not in others[-2:]
     file, column = _names_of(place)[-depth:], path.partition(_NESTED)[0]
-    return _Stated(file, group, column, count, nulls, least, greatest, is_exact, skips)
+    return _Stated(file, group, groups, column, count, nulls, least, greatest, is_exact, skips)
 
 
 def _row_group(stated: _Stated) -> tuple[tuple[str, ...], int]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cache, lru_cache
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -15,12 +16,14 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, ColumnType
+from ssduck.world.live_tables import ARROW_TYPES
 
 # The largest number of values that a file is read with: 1 GiB of doubles. A part that ssduck writes
 # has at most a few million of them, unless a mesh has more.
 MAX_VALUES = 1 << 27
 # The columns of the last part of each table that were found to be right.
 _known_schemas: dict[str, pa.Schema] = {}
+MISSING = "is missing: the record was damaged, or only copied in part"
 # The largest number of ticks that a part is read with, about as many rows as one of entities has.
 MAX_TICKS = 1 << 22
 
@@ -110,6 +113,40 @@ def unreadable(source: object, error: Exception) -> RecordError:
     if isinstance(error, RecordError):
         return error
     return RecordError(f"{source} cannot be read: it is damaged: {error}")
+
+
+def unreadable_because(file: Path, error: OSError) -> str:
+    """Returns what is wrong with a file of a record that cannot be read, for an error."""
+    if isinstance(error, FileNotFoundError):
+        return MISSING
+    if isinstance(error, RecordError):
+        return error.message.removeprefix(f"{file} ")
+    return f"cannot be read: {error.strerror}"
+
+
+def rows_of_part(file: Path, table: str, content: bytes) -> pa.Table:
+    """Returns the rows of a part from its content, with the columns that it is to have.
+
+    Args:
+        file: the file, to begin the message.
+        table: the table, or `models/<table>`.
+        content: the bytes of the file.
+
+    Raises:
+        RecordError: see `check_parquet`; or it is damaged elsewhere.
+    """
+    types = {name: ARROW_TYPES[type] for name, type in part_columns(table).items()}
+    part = checked_parquet(str(file), content, table)
+    try:
+        # The threads of the library take longer to wake up than most of these files to read.
+        present = set(part.schema_arrow.names)
+        names = [name for name in types if name in present]
+        rows = part.read(columns=names, use_threads=False).replace_schema_metadata()
+        rows = rows.cast(pa.schema([(name, types[name]) for name in rows.column_names]))
+        rows.validate(full=True)
+    except (pa.ArrowException, OSError) as error:
+        raise unreadable(file, error) from error
+    return rows
 
 
 def _checked(source: str, content: bytes | memoryview, table: str) -> pq.ParquetFile:
