@@ -141,6 +141,8 @@ class _Models:
             attached = {} if root is None else self._attached(root, files)
             # Each is read, and copied wherever it is attached.
             own = _Size() if root is None else _size(root, file, attached)
+            if root is not None:
+                own = own.plus(_Size(numbers=_numbers_of_each(root)), own.elements)
             self._sizes[key] = sum(attached.values(), own)
         size = self._sizes[key]
         if size is None:
@@ -274,6 +276,16 @@ def _numbers(element: ET.Element, names_within: tuple[str, ...]) -> Iterator[tup
         for name in element.attrib:
             if name in _SIZES or name.startswith(_SIZES_EACH):
                 yield name, _product(element, (name,))
+
+
+def _numbers_of_each(root: ET.Element) -> int:
+    """Returns how many numbers any element of a model may have besides: user's, and those of keys."""
+    return sum(
+        _product(size, (name,))
+        for size in root.iter("size")
+        for name in size.attrib
+        if name.startswith(_SIZES_EACH) or name == "nkey"
+    )
 
 
 def _check_bound(count: int, bound: int, element: ET.Element, what: str, main: Path) -> None:

@@ -107,6 +107,15 @@ def test_defaults_of_actuators_count_for_each(tmp_path):
     refused(tmp_path, text, "100,000,000 numbers in all")
 
 
+@pytest.mark.parametrize("size", ["nuser_geom", "nkey"])
+def test_numbers_of_each_element_count_for_each(tmp_path, size):
+    world = f'<worldbody><replicate count="2000">{GEOM}</replicate></worldbody>'
+    (tmp_path / "few.xml").write_text(f'<mujoco><size {size}="40000"/>{world}</mujoco>')
+    check_declared_sizes(tmp_path / "few.xml")
+    text = f'<mujoco><size {size}="60000"/>{world}</mujoco>'
+    refused(tmp_path, text, "100,000,000 numbers in all")
+
+
 def test_rays_of_a_range_finder_count(tmp_path):
     camera = '<worldbody><camera name="c" resolution="30000 30000"/></worldbody>'
     (tmp_path / "camera.xml").write_text(f"<mujoco>{camera}</mujoco>")
