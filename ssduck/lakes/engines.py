@@ -14,6 +14,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from tempfile import TemporaryDirectory, mkstemp
 from typing import Any, Literal, TypeAlias
 
 import pyarrow as pa
@@ -31,6 +33,8 @@ Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
 Answerer: TypeAlias = Callable[[Question, Sequence[Batch]], Answers]
 # How often Ray, or Spark on this machine, starts a task again whose process was killed.
 RETRIES = 3
+# The largest answers that go through a pipe, bytes: with what the pool adds, less than PIPE_BUF.
+_MAX_MESSAGE = 2048
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
 _PARTS = "batch int, question binary, entries binary"
@@ -73,25 +77,63 @@ def _answers_of_pool(
     pool: ProcessPoolExecutor, question: Question, batches: Mapping[int, Batch], processes: int
 ) -> Answers:
     """Yields the answers of processes, which are kept unless some are still at work."""
-    pending: deque[tuple[int, Future[list[Answer]]]] = deque()
+    pending: deque[tuple[int, Future[bytes | Path]]] = deque()
     waiting = iter(batches.items())
     unanswered = len(batches)
+    with TemporaryDirectory(prefix="ssduck") as folder:
+        try:
+            while unanswered:
+                # The answers of a few batches wait, and not those of all.
+                for index, batch in waiting:
+                    task = pool.submit(_send_answers, question, batch, Path(folder))
+                    pending.append((index, task))
+                    if len(pending) > 2 * processes:
+                        break
+                index, future = pending.popleft()
+                answers = _received(future.result())
+                unanswered -= 1
+                yield index, answers
+        finally:
+            if unanswered:
+                end_at_once(pool)
+            else:
+                pools.keep(pool, processes)
+
+
+def _send_answers(question: Question, batch: Batch, folder: Path) -> bytes | Path:
+    """Returns the answers of a batch as a message that comes whole or not at all.
+
+    Pipes write a message of some kilobytes at once. Of a longer one, half may be there when the
+    process is killed, and the pool would wait for the other half forever. So long answers go to a
+    file, and the message is its path.
+
+    Raises:
+        EvaluationError: the file cannot be written.
+    """
+    content = pickle.dumps(answer_episodes(question, batch))
+    if len(content) <= _MAX_MESSAGE:
+        return content
     try:
-        while unanswered:
-            # The answers of a few batches wait in memory, and not those of all.
-            for index, batch in waiting:
-                pending.append((index, pool.submit(answer_episodes, question, batch)))
-                if len(pending) > 2 * processes:
-                    break
-            index, future = pending.popleft()
-            answers = future.result()
-            unanswered -= 1
-            yield index, answers
-    finally:
-        if unanswered:
-            end_at_once(pool)
-        else:
-            pools.keep(pool, processes)
+        handle, name = mkstemp(dir=folder)
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+    except OSError as error:
+        raise EvaluationError(
+            f"answers of {len(content):,} bytes cannot be kept in {folder}: {error.strerror}; "
+            "TMPDIR names another place"
+        ) from error
+    return Path(name)
+
+
+def _received(message: bytes | Path) -> list[Answer]:
+    """Returns the answers that a process of this machine sent."""
+    if isinstance(message, Path):
+        content = message.read_bytes()
+        message.unlink()
+    else:
+        content = message
+    answers: list[Answer] = pickle.loads(content)  # noqa: S301  # of our own process
+    return answers
 
 
 def answer_on_ray(

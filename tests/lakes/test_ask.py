@@ -4,6 +4,7 @@ import json
 import math
 import multiprocessing
 import os
+import pickle
 import signal
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,7 +12,8 @@ import pyarrow as pa
 import pytest
 
 import ssduck
-from ssduck.errors import ArgumentError, ParseError
+from ssduck.errors import ArgumentError, EvaluationError, ParseError
+from ssduck.lakes import engines
 from ssduck.lakes.answers import AnsweredEpisode, answer_table
 from ssduck.lakes.engines import answer_locally
 from ssduck.lakes.manifest import EpisodeEntry
@@ -91,6 +93,21 @@ def test_processes_are_kept_until_one_is_killed(recorded):
     assert not first & second
     forget_readers()
     assert children() == others
+
+
+def test_long_answers_come_through_files(recorded, tmp_path):
+    """A pipe would be left with half a message by a process that is killed."""
+    entries = ssduck.lake(recorded)._entries
+    for program, is_long in ((PROGRAMS["last tick"], False), (f'"{"a" * 10_000}";', True)):
+        question = ProgramQuestion(program)
+        message = engines._send_answers(question, entries, tmp_path)
+        assert len(pickle.dumps(message)) < 4096  # PIPE_BUF
+        assert bool(list(tmp_path.iterdir())) == is_long
+        ((_, answers),) = answer_locally(question, [entries], 1)
+        assert engines._received(message) == answers
+        assert not list(tmp_path.iterdir())
+    with pytest.raises(EvaluationError, match=r"cannot be kept in .*: No such file"):
+        engines._send_answers(question, entries, tmp_path / "gone")
 
 
 @pytest.mark.parametrize(("episodes", "kept", "expected"), [

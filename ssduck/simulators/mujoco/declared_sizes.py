@@ -279,7 +279,7 @@ def _numbers(element: ET.Element, names_within: tuple[str, ...]) -> Iterator[tup
 
 
 def _numbers_of_each(root: ET.Element) -> int:
-    """Returns how many numbers any element of a model may have besides: user's, and those of keys."""
+    """Returns how many numbers each element may have besides: user's, and those of keys."""
     return sum(
         _product(size, (name,))
         for size in root.iter("size")
