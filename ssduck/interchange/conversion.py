@@ -111,9 +111,9 @@ def import_poses(
         try:
             written.append(write_record(folder, described, rows, world=name, tags=tags))
         except ArgumentError as error:
-            if entities is not None or world is not None:  # the caller's arguments
-                raise
-            raise RecordError(f"{place}: {error.message}") from error
+            is_of_caller = entities is not None or world is not None
+            kind = ArgumentError if is_of_caller else RecordError
+            raise kind(f"{place}: {error.message}") from error
     warn(_missing(place, episodes[0][1], has_entities=entities is not None))
     return written
 

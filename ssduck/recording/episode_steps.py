@@ -79,6 +79,10 @@ _DESCRIPTION = {
 }
 
 
+class NewerStepsError(RecordError):
+    """The steps of an episode are of a version that this ssduck does not read."""
+
+
 @dataclass
 class EpisodeSteps:
     """The steps of an episode.
@@ -162,14 +166,15 @@ class EpisodeSteps:
         """Returns the steps that a file keeps.
 
         Raises:
-            RecordError: it is damaged, or of a later version.
+            NewerStepsError: it is of a later version.
+            RecordError: it is damaged.
         """
         file = steps_file(folder, world, number)
         check_inside(folder, file)
         content = read_description(file)
         check_description(content, _DESCRIPTION, str(file), "the steps of the episode")
         if content["version"] > VERSION:
-            raise RecordError(
+            raise NewerStepsError(
                 f"{file} is of version {content['version']}; this ssduck reads those up to "
                 f"{VERSION}: install a newer one"
             )

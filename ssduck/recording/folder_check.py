@@ -11,7 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ssduck.errors import RecordError, warn
-from ssduck.recording.episode_steps import FOLDER, EpisodeSteps, recorded_steps, steps_file
+from ssduck.recording.episode_steps import (
+    FOLDER,
+    EpisodeSteps,
+    NewerStepsError,
+    recorded_steps,
+    steps_file,
+)
 from ssduck.recording.stores.atomic_files import create_file, write_atomically
 from ssduck.recording.stores.checksums import (
     footer_of,
@@ -88,6 +94,8 @@ def check_folder(path: Path, *, repair: bool = False) -> list[Damage]:
     """
     try:
         return _checked_folder(path, repair=repair)
+    except RecordError:
+        raise
     except OSError as error:
         verb = "repaired" if repair else "read"
         raise RecordError(f"{path} cannot be {verb}: {error.strerror or error}") from error
@@ -109,20 +117,21 @@ def _checked_folder(path: Path, *, repair: bool) -> list[Damage]:
     for run in runs:
         found = list(damages_of(run))
         damages += _repair_run(run, found) if repair else found
-    for damage in _step_damages(path):
-        is_repaired = repair and "newer" not in damage.problem
+    for damage, error in _step_damages(path):
+        is_repaired = repair and not isinstance(error, NewerStepsError)
         if is_repaired:
             set_aside(damage.file)
         damages.append(replace(damage, is_repaired=is_repaired))
     return damages
 
 
-def _step_damages(path: Path) -> Iterator[Damage]:
-    """Yields the damaged files of the steps of environments."""
+def _step_damages(path: Path) -> Iterator[tuple[Damage, RecordError]]:
+    """Yields the damaged files of the steps of environments, and their errors."""
     try:
         episodes = recorded_steps(path)
     except RecordError as error:  # a link, which leads out of the record
-        yield Damage(path / FOLDER, _problem_of(error, path / FOLDER), "all steps of environments")
+        place = path / FOLDER
+        yield Damage(place, _problem_of(error, place), "all steps of environments"), error
         return
     for world, number in episodes:
         file = steps_file(path, world, number)
@@ -130,7 +139,7 @@ def _step_damages(path: Path) -> Iterator[Damage]:
             EpisodeSteps.read(path, world, number)
         except RecordError as error:
             loss = f"the variables, actions and rewards of episode {number} of {world!r}"
-            yield Damage(file, _problem_of(error, file), loss)
+            yield Damage(file, _problem_of(error, file), loss), error
 
 
 def partial_run(run: FolderRun) -> FolderRun:

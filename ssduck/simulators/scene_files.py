@@ -228,6 +228,10 @@ class _SceneFiles:
             _refuse(source, name, self._folder)
         if len(name) > MAX_NAME:
             raise SceneError(f"{source}: {short_repr(name)} has more than {MAX_NAME} letters")
+        if "%" in name:
+            raise SceneError(
+                f"{source}: {short_repr(name)} has a %, which PyBullet takes for a format"
+            )
 
     def _check_place(self, named: _NamedFile) -> None:
         """Checks that a file is where a simulator looks first, and not elsewhere, too."""

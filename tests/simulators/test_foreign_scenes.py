@@ -186,9 +186,9 @@ WRONG = [
     ("s.sdf", sdf("<box><size>1 1 1</size></box>", "-1"), "<mass> is negative"),
     ("s.xml", mjcf('type="sphere" size="-1"'), "<geom size> is negative"),
     ("s.xml", mjcf('type="box" size="nan 1 1"'), "<geom size> is not a number"),
-    ("s.urdf", urdf(more=deep("a")), "nesting is too deep"),
-    ("s.sdf", sdf(deep("a")), "nesting is too deep"),
-    ("s.xml", f"<mujoco><worldbody>{deep('body')}</worldbody></mujoco>", "nesting is too deep"),
+    ("s.urdf", urdf(more=deep("a")), "nesting is too deep|would read another model"),
+    ("s.sdf", sdf(deep("a")), "nesting is too deep|would read another model"),
+    ("s.xml", f"<mujoco><worldbody>{deep('body')}</worldbody></mujoco>", "nesting is too deep|would read another model"),
     ("s.urdf", joints("j", "j2", "b", "b"), "2 joints have the child 'b'"),
     ("s.urdf", joints("j", "j", "b", "c"), "2 joints have the name 'j'"),
     ("s.urdf", urdf().replace('"base"', f'"{"b" * 9000}"'), "a name of 9000 bytes; at most 1023"),
@@ -286,6 +286,110 @@ def test_a_name_cut_by_pybullet_is_not_read(tmp_path: Path, role: str) -> None:
         ssduck.load(folder / "s.urdf", limits=ssduck.Limits.strict(), simulator="pybullet")
 
 
+# (before a part that a comment hides from XML, the part, behind it)
+HIDDEN = {
+    "s.urdf": (
+        f'<robot name="r"><link name="a"><inertial><mass value="1"/>{INERTIA}</inertial>',
+        '<collision><geometry><mesh filename="../secret/m.obj"/></geometry></collision>',
+        "</link></robot>",
+    ),
+    "s.sdf": (
+        '<sdf version="1.6"><world name="w"><model name="m"><link name="a">',
+        "<collision name='c'><geometry><mesh><uri>../secret/m.obj</uri><scale>1 1 1</scale></mesh>"
+        "</geometry></collision>",
+        "</link></model></world></sdf>",
+    ),
+    "s.xml": (
+        "<mujoco><asset>",
+        '<mesh name="m" file="../secret/m.obj"/>',
+        '</asset><worldbody><body><geom type="box" size="1 1 1"/></body></worldbody></mujoco>',
+    ),
+}
+
+
+@pytest.mark.parametrize("limits", [None, Limits.strict()])
+@pytest.mark.parametrize("name", HIDDEN)
+def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str, limits: Limits) -> None:
+    """PyBullet reads pieces of 8,191 bytes of a line; `<!-` and `-` are no comment then."""
+    before, hidden, after = HIDDEN[name]
+    text = f"{before}{' ' * (8191 - 3 - len(before))}<!-- >{hidden}-->{after}"
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SceneError, match="would read another model"):
+        ssduck.load(tmp_path / name, limits=limits, simulator="pybullet")
+
+
+def test_a_long_line_that_is_cut_between_its_parts_is_read(tmp_path: Path) -> None:
+    start, end = urdf().split("<collision>")
+    padded = f"{start}{' ' * (8191 - len(start))}<collision>{end}"
+    (tmp_path / "s.urdf").write_text(padded)
+    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
+        assert len(ss.worlds[0]) == 1
+
+
+# (the file, its text): PyBullet prints these texts by C's printf.
+PRINTED = {
+    "a type": ("s.urdf", urdf().replace("</robot>", '<joint name="j" type="%n"/></robot>')),
+    "a link": ("s.urdf", urdf().replace('"base"', '"%s%s%n"')),
+    "an attribute": ("s.urdf", urdf('<box size="1 1 1" a="%p"/>')),
+    "a mesh": ("s.urdf", mesh("%n.obj")),
+    "a type of a geom": ("s.xml", mjcf('type="%p.%p"')),
+    "a uri": ("s.sdf", sdf("<mesh><uri>%s.obj</uri></mesh>")),
+    "a model": ("s.sdf", sdf("<sphere><radius>1</radius></sphere>").replace('"m"', '"%n"')),
+}
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_a_text_is_no_format(tmp_path: Path, name: str) -> None:
+    file, text = PRINTED[name]
+    (tmp_path / file).write_text(text)
+    with pytest.raises(SceneError, match="has a %, which PyBullet takes for a format"):
+        ssduck.load(tmp_path / file, simulator="pybullet")
+
+
+def test_a_percent_that_is_not_printed_may_be_there(tmp_path: Path) -> None:
+    text = urdf().replace("</robot>", "<!-- 100 % --><description>100 % new</description></robot>")
+    (tmp_path / "s.urdf").write_text(text)
+    with ssduck.load(tmp_path / "s.urdf", simulator="pybullet") as ss:
+        assert len(ss.worlds[0]) == 1
+
+
+def test_a_count_of_triangles_that_overflows(tmp_path: Path) -> None:
+    count = (2**32 + 900) // 50
+    size = (84 + 50 * count) % 2**32
+    (tmp_path / "m.stl").write_bytes(bytes(80) + count.to_bytes(4, "little") + bytes(size - 84))
+    (tmp_path / "s.urdf").write_text(mesh("m.stl"))
+    with pytest.raises(SceneError, match=rf"m\.stl: it counts {count:,} triangles in {size} bytes"):
+        ssduck.load(tmp_path / "s.urdf", simulator="pybullet")
+
+
+@pytest.mark.parametrize("inner", ["<plane/>", "0 <diffuse>1 1 1</diffuse>"])
+def test_an_element_is_no_text(tmp_path: Path, inner: str) -> None:
+    text = sdf("<sphere><radius>1</radius></sphere>").replace(
+        "</link>", f"<pose>{inner}</pose></link>"
+    )
+    (tmp_path / "s.sdf").write_text(text)
+    with pytest.raises(SceneError, match=r"a <pose> has a <.*> where a text is due"):
+        ssduck.load(tmp_path / "s.sdf")
+
+
+@pytest.mark.parametrize(
+    ("joint", "is_right"),
+    [("", False), ('limited="false"', True), ('range="-1 1"', True)],
+)
+def test_a_limit_by_default_needs_a_range(tmp_path: Path, joint: str, is_right: bool) -> None:
+    text = (
+        '<mujoco><compiler angle="radian"/><default><joint limited="true" range="-1 1"/></default><worldbody><body name="b">'
+        f'<joint name="j" type="hinge" axis="0 0 1" {joint}/><geom type="sphere" size="1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    (tmp_path / "s.xml").write_text(text)
+    if is_right:
+        ssduck.load(tmp_path / "s.xml", simulator="pybullet").close()
+    else:
+        with pytest.raises(SceneError, match="the limited joint 'j' has no range"):
+            ssduck.load(tmp_path / "s.xml", simulator="pybullet")
+
+
 ACCESSOR = (
     '<technique_common><accessor source="#a" count="3" stride="3">'
     '<param name="X" type="float"/></accessor></technique_common>'
@@ -319,6 +423,17 @@ DAMAGES = [
     ('offset="0"', 'offset="99"', "an offset is 99"),
     ("<COLLADA ", '<!DOCTYPE a [<!ENTITY b "c">]><COLLADA ', "<!DOCTYPE> is not supported"),
     ("</COLLADA>", "", "it is no XML"),
+    (
+        '<triangles count="1"><input semantic="VERTEX"',
+        '<triangles count="1"><input semantic="NORMAL"',
+        "<triangles> has no <input> of vertices",
+    ),
+    ('<visual_scene id="s">', "<visual_scene>", "a <visual_scene> has no id"),
+    (
+        "<mesh><source",
+        '<mesh xmlns:n="http://www.collada.org/2005/11/COLLADASchema"><n:source',
+        "it is no XML|its elements have a prefix",
+    ),
 ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -10,6 +11,11 @@ import numpy as np
 
 from ssduck.formatting import short_repr
 
+# The elements that PyBullet looks for, with a prefix.
+_PREFIXED = re.compile(
+    rb"<[^\s<>/:!?]+:(?:COLLADA|asset|library_\w+|geometry|mesh|source|float_array|accessor|vertices|"
+    rb"input|triangles|p|technique_common|visual_scene|node|instance_geometry)[\s/>]"
+)
 # The largest offset of a number in the indices of a corner.
 _MAX_OFFSET = 64
 
@@ -25,8 +31,13 @@ def collada_fault(file: Path) -> str:
         return f"it is no XML: {error}"
     if _name(root) != "COLLADA":
         return "it has no <COLLADA>"
+    if _PREFIXED.search(content):
+        return "its elements have a prefix, as in <a:COLLADA>, which PyBullet does not know"
     try:
         _child(root, "asset")
+        for scenes in _children(root, "library_visual_scenes"):
+            for scene in _children(scenes, "visual_scene"):
+                _attribute(scene, "id")
         for geometry in _children(_child(root, "library_geometries"), "geometry"):
             _attribute(geometry, "id")
             for mesh in _children(geometry, "mesh"):
@@ -57,14 +68,15 @@ def _check_mesh(mesh: ET.Element) -> None:
 
 def _check_triangles(triangles: ET.Element, counts: Mapping[str, int]) -> None:
     bounds: dict[int, int] = {}
+    semantics = set()
     for part in _children(triangles, "input"):
-        _attribute(part, "semantic")
+        semantics.add(_attribute(part, "semantic"))
         offset = _number(part, "offset")
         if not 0 <= offset <= _MAX_OFFSET:
             raise ValueError(f"an offset is {offset}")
         bounds[offset] = min(_count_of(part, counts), bounds.get(offset, 1 << 62))
-    if not bounds:
-        raise ValueError("<triangles> has no <input>")
+    if "VERTEX" not in semantics:
+        raise ValueError("<triangles> has no <input> of vertices")
     width = max(bounds) + 1
     indices = np.array([int(word[:18]) for word in (_child(triangles, "p").text or "").split()])
     if len(indices) < 3 * width * _number(triangles, "count"):

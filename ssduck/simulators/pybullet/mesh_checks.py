@@ -26,7 +26,7 @@ _MAX_NUMBER = 2**31 - 1
 
 
 def check_meshes(model: Path, root: ET.Element) -> None:
-    """Checks the OBJ and COLLADA files that a model file names, as far as they are beside it.
+    """Checks the OBJ, STL and COLLADA files that a model file names, as far as they are beside it.
 
     Args:
         model: the model file.
@@ -95,4 +95,15 @@ def _bounded(number: int) -> int:
     return min(max(number, -_MAX_NUMBER), _MAX_NUMBER)
 
 
-_CHECKS = {".obj": _obj_fault, ".dae": collada_fault}
+def _stl_fault(file: Path) -> str:
+    """Returns what is wrong with an STL file, in words; nothing if it can be read."""
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        count = int.from_bytes(stream.read(84)[80:], "little")
+    expected = 84 + 50 * count
+    if size >= 84 and expected != size and expected % (1 << 32) == size:
+        return f"it counts {count:,} triangles in {size:,} bytes"
+    return ""
+
+
+_CHECKS = {".obj": _obj_fault, ".dae": collada_fault, ".stl": _stl_fault}

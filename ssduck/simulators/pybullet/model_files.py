@@ -26,6 +26,8 @@ _TEXTS = frozenset(
 _UNREAD = ("plugin", "sensor", "surface", "frame", "gripper")
 # The length of the longest names of models, links and joints, bytes.
 MAX_NAME = 1023
+# The longest piece of a line that PyBullet reads at once, bytes.
+MAX_LINE = 8191
 # The types of MJCF shapes that need a size.
 _SIZED = ("box", "sphere", "capsule", "cylinder")
 
@@ -37,20 +39,23 @@ class ModelFile:
     Attributes:
         format: one of `MODEL_FILES`.
         root: the root element; an empty element for a file that is not XML.
+        is_cut: whether PyBullet reads another model in the file, since it cuts long lines.
     """
 
     format: str
     root: ET.Element
+    is_cut: bool = False
 
     @classmethod
     def read(cls, spec: BodySpec) -> ModelFile:
         """Reads the file of a scene entry."""
         assert isinstance(spec.model, Path)
         try:
-            root = ET.parse(spec.model).getroot()  # noqa: S314  # PyBullet reads it, too
+            content = spec.model.read_bytes()
+            root = ET.fromstring(content)  # noqa: S314  # PyBullet reads it, too
         except (ET.ParseError, OSError, ValueError):
-            root = ET.Element("none")  # PyBullet may read it all the same
-        return cls(spec.source, root)
+            return cls(spec.source, ET.Element("none"))  # PyBullet may read it all the same
+        return cls(spec.source, root, _is_cut(content, root))
 
     def check(self) -> None:
         """Checks that the file does not crash PyBullet 3.2.7, and that its numbers are right.
@@ -58,6 +63,7 @@ class ModelFile:
         Raises:
             SceneError: the file would crash it, or a number is out of bounds.
         """
+        _check_formats(self.root)
         if self.format == "mjcf":
             for world in self.root.iterfind("worldbody"):
                 self._check_world(world)
@@ -70,6 +76,11 @@ class ModelFile:
                 _check_texts(model)
             _check_roots(model)
         check_numbers(self.format, self.root)
+        if self.is_cut:
+            raise SceneError(
+                f"PyBullet reads lines in pieces of {MAX_LINE:,} bytes, and would read another "
+                "model: write it on several lines"
+            )
 
     def _check_world(self, world: ET.Element) -> None:
         """Checks the `<worldbody>` of an MJCF file."""
@@ -79,8 +90,10 @@ class ModelFile:
         for geom in world.iter("geom"):
             if geom.get("type") in _SIZED and geom.get("size") is None and not has_default_size:
                 raise SceneError(f"a <geom> of the type {geom.get('type')!r} has no size")
-        for joint in world.iter("joint"):
-            if joint.get("limited") == "true" and joint.get("range") is None:
+        default = self.root.find("default/joint")
+        is_limited = None if default is None else default.get("limited")
+        for joint in world.iter("joint"):  # PyBullet takes no range from the defaults
+            if joint.get("limited", is_limited) == "true" and joint.get("range") is None:
                 raise SceneError(f"the limited joint {joint.get('name', '')!r} has no range")
 
     def ignored(self, fixed: bool) -> list[str]:
@@ -126,6 +139,48 @@ class ModelFile:
         return (self.root if world is None else world).findall("model")
 
 
+def _is_cut(content: bytes, root: ET.Element) -> bool:
+    """Checks whether a model is another one as PyBullet reads it, which cuts long lines.
+
+    Args:
+        content: the bytes of the file.
+        root: the root element of the file as it stands there.
+    """
+    lines = content.split(b"\n")
+    if max(map(len, lines)) < MAX_LINE:
+        return False
+    cut = b"\n".join(
+        line[start : start + MAX_LINE]
+        for line in lines
+        for start in range(0, max(len(line), 1), MAX_LINE)
+    )
+    try:
+        return _told(ET.fromstring(cut)) != _told(root)  # noqa: S314
+    except (ET.ParseError, ValueError):
+        return True
+
+
+def _told(root: ET.Element) -> list[tuple[str, dict[str, str], list[str]]]:
+    """Returns what the elements of a model tell."""
+    return [(part.tag, part.attrib, (part.text or "").split()) for part in root.iter()]
+
+
+def _check_formats(root: ET.Element) -> None:
+    """Checks that no text is a format: PyBullet prints texts by C's printf.
+
+    Raises:
+        SceneError: there is a text with %.
+    """
+    for part in root.iter():
+        texts = [part.tag, *part.attrib, *part.attrib.values()]
+        texts += [part.text or ""] if part.tag in _TEXTS else []
+        wrong = next((text for text in texts if "%" in text), None)
+        if wrong is not None:
+            raise SceneError(
+                f"<{part.tag}>: {short_repr(wrong)} has a %, which PyBullet takes for a format"
+            )
+
+
 def _check_names(parts: Iterable[ET.Element]) -> None:
     for part in parts:
         name = part.get("name")
@@ -144,7 +199,9 @@ def _check_texts(part: ET.Element) -> None:
         part = waiting.pop()
         if part.tag in _UNREAD:
             continue
-        if part.tag in _TEXTS and not len(part) and not (part.text or "").strip():
+        if part.tag in _TEXTS and len(part):
+            raise SceneError(f"a <{part.tag}> has a <{part[0].tag}> where a text is due")
+        if part.tag in _TEXTS and not (part.text or "").strip():
             raise SceneError(f"a <{part.tag}> is empty")
         waiting += reversed(part)
 
