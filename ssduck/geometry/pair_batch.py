@@ -218,14 +218,14 @@ class PairBatch:
     # -- distances --------------------------------------------------------------------------
 
     def _alike(self, shape: int) -> int:
-        """Returns the first shape asked for of the same solid at the same pose, on the same side.
+        """Returns the first shape asked for of the same solid, margin, pose and side.
 
         What stands still is placed once for all ticks, and two such shapes are compared once.
         """
         places = self._narrow.places
         pose = places.positions[shape].tobytes(), places.orientations[shape].tobytes()
-        is_second = shape >= int(self._starts[self._count])
-        key = is_second, int(self._scene.table.solid_indices[shape]), *pose
+        table, is_second = self._scene.table, shape >= int(self._starts[self._count])
+        key = is_second, int(table.solid_indices[shape]), float(table.margins[shape]), *pose
         return self._placed.setdefault(key, shape)
 
     def _compared(self, pair: int) -> tuple[int, int]:
