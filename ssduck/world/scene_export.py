@@ -36,19 +36,30 @@ def new_folder(folder: Path) -> Iterator[None]:
         SceneError: the folder is not empty, or something cannot be written.
     """
     try:
+        is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
             raise SceneError(f"{folder} is not empty: a scene is saved into a folder of its own")
         try:
             yield
         except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
+            _empty(folder)
+            if is_new:
+                folder.rmdir()
             raise
     except SceneError:
         raise
     except (OSError, ValueError) as error:  # a null character is a ValueError
         reason = error.strerror if isinstance(error, OSError) else None
         raise SceneError(f"{folder}: {reason or error}") from error
+
+
+def _empty(folder: Path) -> None:
+    for place in folder.iterdir():
+        if place.is_dir():
+            shutil.rmtree(place)
+        else:
+            place.unlink()
 
 
 def scene_of(snapshot: Snapshot, simulator: Simulator, folder: Path, target: str) -> Scene:

@@ -34,13 +34,16 @@ _NUMBERS = {
     "texture": ("width", "height", "nchannel"),
     "hfield": ("nrow", "ncol"),
     "numeric": ("size",),
-    "mesh": ("params",),
     "global": ("offwidth", "offheight"),
 }
 # The same, of whatever is within these elements.
 _NUMBERS_WITHIN = {"sensor": ("dim", "num", "nsample"), "actuator": ("actdim", "nsample")}
-# The textures of which MuJoCo makes six squares, and meshes whose first number counts twice.
-_CUBES, _SQUARES = ("cube", "skybox"), ("supersphere", "supertorus")
+# The textures of which MuJoCo makes six squares.
+_CUBES = ("cube", "skybox")
+# The places of the numbers in params whose product is a number of points, by the kind of mesh; and
+# the numbers of a point, with those of MuJoCo's work: a million points take it some GB or a minute.
+_POINTS = {"plate": (0, 1), "wedge": (0, 1), "supersphere": (0, 0), "supertorus": (0, 0)}
+_NUMBERS_OF_A_POINT = 1000
 # The attributes of <size> that are numbers of numbers.
 _SIZES = ("nuserdata", "nkey", "njmax", "nconmax", "nstack")
 _SIZES_EACH = "nuser_"
@@ -268,8 +271,12 @@ def _numbers(element: ET.Element, names_within: tuple[str, ...]) -> Iterator[tup
     count = _product(element, names)
     if element.tag == "texture" and element.get("type", "cube") in _CUBES:
         count = 6 * _product(element, ("width", "width", "nchannel"))
-    elif element.tag == "mesh" and element.get("builtin") in _SQUARES:
-        count *= _number(element.get("params", "").split()[:1])
+    elif element.tag == "mesh" and element.get("params") is not None:
+        names, words = ("params",), element.get("params", "").split()
+        places = _POINTS.get(element.get("builtin", ""), (0,))
+        count = _NUMBERS_OF_A_POINT * _number(
+            [word for at in places for word in words[at : at + 1]]
+        )
     if count > 1:
         yield " times ".join(name for name in names if name in element.attrib), count
     if element.tag == "size":

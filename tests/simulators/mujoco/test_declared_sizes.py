@@ -33,11 +33,11 @@ ASSETS = {
     "skybox": '<texture name="t" type="skybox" builtin="flat" width="30000"/>',
     "cube": '<texture name="t" builtin="flat" width="30000" height="1"/>',
     "hfield": '<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>',
-    "cone": '<mesh name="m" builtin="cone" params="200000000 1"/>',
-    "plate": '<mesh name="m" builtin="plate" params="30000 30000"/>',
-    "wedge": '<mesh name="m" builtin="wedge" params="30000 30000 60 60 0"/>',
-    "supersphere": '<mesh name="m" builtin="supersphere" params="30000 1 1"/>',
-    "supertorus": '<mesh name="m" builtin="supertorus" params="30000 1 1 1"/>',
+    "cone": '<mesh name="m" builtin="cone" params="200000 1"/>',
+    "plate": '<mesh name="m" builtin="plate" params="400 400"/>',
+    "wedge": '<mesh name="m" builtin="wedge" params="400 400 60 60 0"/>',
+    "supersphere": '<mesh name="m" builtin="supersphere" params="400 1 1"/>',
+    "supertorus": '<mesh name="m" builtin="supertorus" params="400 1 1 1"/>',
 }
 SECTIONS = {
     "user": '<sensor><user name="n" dim="200000000"/></sensor>',
@@ -105,6 +105,20 @@ def test_defaults_of_actuators_count_for_each(tmp_path):
     actuators = "".join(f'<general name="a{number}" joint="j"/>' for number in range(3))
     text = f"<mujoco>{default}<actuator>{actuators}</actuator></mujoco>"
     refused(tmp_path, text, "100,000,000 numbers in all")
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        '"wedge" params="100 100 60 60 0"',
+        '"plate" params="200 200"',
+        '"supersphere" params="200 1 1"',
+    ],
+)
+def test_meshes_of_usual_resolution_are_read(tmp_path, mesh):
+    file = tmp_path / "a.xml"
+    file.write_text(f'<mujoco><asset><mesh name="m" builtin={mesh}/></asset></mujoco>')
+    check_declared_sizes(file)
 
 
 @pytest.mark.parametrize("size", ["nuser_geom", "nkey"])

@@ -396,15 +396,24 @@ def test_nothing_is_saved_over(kitchen, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["mine"]
 
 
-def test_half_a_scene_is_not_left(kitchen, tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", ["new", "empty", "link"])
+def test_half_a_scene_is_not_left(kitchen, tmp_path, monkeypatch, kind):
+    folder = tmp_path / "scene"
+    if kind == "empty":
+        folder.mkdir()
+    if kind == "link":
+        (tmp_path / "place").mkdir()
+        folder.symlink_to(tmp_path / "place")
+
     def fails(scene, folder):
         assert any(folder.rglob("*"))
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("ssduck.world.world.write_scene", fails)
     with pytest.raises(SceneError, match="scene: No space left on device"):
-        kitchen.save(tmp_path / "scene")
-    assert not (tmp_path / "scene").exists()
+        kitchen.save(folder)
+    assert folder.exists() == (kind != "new")
+    assert not list(folder.rglob("*"))
 
 
 @pytest.mark.parametrize(
