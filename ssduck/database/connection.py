@@ -330,7 +330,7 @@ class Connection:
     ) -> None:
         """Registers a function of ssduck's own with SQL, as `add_function` does a user's."""
         if name in self._functions:
-            self._connection.remove_function(name)
+            self.remove_function(name)
         raised = self._raised
 
         def call(*arguments: Any) -> Any:
@@ -343,15 +343,16 @@ class Connection:
         _give_arity(call, len(parameter_types))
         types: list[Any] = list(parameter_types)
         result: Any = result_type
+        self._functions.add(name)  # Ctrl-C may come when it is made
         self._connection.create_function(name, call, types, result, **options)
-        self._functions.add(name)
         if at_start is not None:
             self._at_start[name] = at_start
 
     def remove_function(self, name: str) -> None:
         """Removes a registered function from SQL."""
+        with suppress(duckdb.InvalidInputException):  # Ctrl-C came before it was made
+            self._connection.remove_function(name)
         self._functions.discard(name)
-        self._connection.remove_function(name)
 
     # -- statements -----------------------------------------------------------------------
 

@@ -33,6 +33,8 @@ _FPS = (1e-6, 1e6)
 _LISTED = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_index", "ssduck/tags")
 # A file has at most so many rows, and one more for each of its bytes.
 MAX_ROWS = 1_000_000
+# And so many values in the columns that are read for each of these rows.
+MAX_VALUES = 16
 # How far a timestamp may be from its frame, s, as LeRobot has it; and a float of 32 bits, relative.
 _TOLERANCE, _ROUNDING = 1e-4, 2.0**-23
 
@@ -288,14 +290,35 @@ def _rows_of(file: Path, columns: Sequence[str], **chosen: Any) -> pa.Table:
     Raises:
         RecordError: a file of few bytes claims to have very many.
     """
-    metadata, most = pq.read_metadata(file), MAX_ROWS + file.stat().st_size
-    if metadata.num_rows > most:
+    metadata, size = pq.read_metadata(file), file.stat().st_size
+    if metadata.num_rows > MAX_ROWS + size:
         raise RecordError(
             f"{file} has {metadata.num_rows:,} rows: ssduck reads {MAX_ROWS:,} rows of a file, and "
             "one more for each of its bytes"
         )
+    values = _value_count(metadata, columns)
+    if values > MAX_VALUES * (MAX_ROWS + size):
+        raise RecordError(
+            f"{file} has {values:,} values: ssduck reads {MAX_VALUES} for each row that a file of "
+            "its size may have"
+        )
     names = metadata.schema.to_arrow_schema().names
     return pq.read_table(file, columns=[name for name in columns if name in names], **chosen)
+
+
+def _value_count(metadata: pq.FileMetaData, columns: Sequence[str]) -> int:
+    """Returns how many values some columns of a file have, those in lists, too."""
+    chunks = (
+        metadata.row_group(group).column(place)
+        for group in range(metadata.num_row_groups)
+        for place in range(metadata.num_columns)
+    )
+    return sum(chunk.num_values for chunk in chunks if _is_in(chunk.path_in_schema, columns))
+
+
+def _is_in(path: str, columns: Sequence[str]) -> bool:
+    """Checks whether a column of Parquet is one of some columns, or in one."""
+    return any(path == name or path.startswith(f"{name}.") for name in columns)
 
 
 def _own_file(folder: Path, name: str) -> Path:

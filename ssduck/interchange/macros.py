@@ -19,6 +19,7 @@ from sqlglot import exp
 from ssduck.errors import UnknownNameError, nearest
 from ssduck.interchange.pairs import COLUMNS, pairs_of
 from ssduck.language.intervals import INTERVALS, RELATIONS_OF_INTERVALS
+from ssduck.recording.stores.history_sql import known
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
@@ -300,8 +301,11 @@ def _scan(name: str, files: Sequence[Path]) -> str:
     present = set(pq.read_schema(files[0]).names)
     paths = ", ".join(exp.Literal.string(_exact(file)).sql("duckdb") for file in files)
     types = {column.name: column.sql for column in _columns(name)}
+    measured = RECORDED[name].tick_columns.measured if name in RECORDED else ()
     columns = [
-        _quoted(column) if column in present else f"NULL::{type} AS {_quoted(column)}"
+        (known(column) if column in measured else _quoted(column))
+        if column in present
+        else f"NULL::{type} AS {_quoted(column)}"
         for column, type in types.items()
     ]
     return f"SELECT {', '.join(columns)} FROM read_parquet([{paths}], hive_partitioning = false)"  # noqa: S608

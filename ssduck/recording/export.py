@@ -12,6 +12,7 @@ from ssduck.errors import EvaluationError
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, chosen_members
 from ssduck.recording.stores.parquet import ParquetStore
+from ssduck.recording.stores.stored_columns import with_nulls
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE, RECORDED
 
@@ -69,7 +70,10 @@ def export(
     try:
         store.add_members(selected, record.world.snapshot)
         for first, last in _parts(numbers, max(len(selected), 1)):
-            fetched = {table: in_order(record.fetch(table, first, last)) for table in store.tables}
+            fetched = {
+                table: with_nulls(in_order(record.fetch(table, first, last)))
+                for table in store.tables
+            }
             store.add({table: _rows_of(ids, table, rows) for table, rows in fetched.items()})
         store.finish()
     except BaseException:  # a part of an episode would pass for all of it

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -296,10 +297,10 @@ def _repair(run: FolderRun, damage: _RunDamage) -> bool:
 
 def set_aside(file: Path) -> None:
     """Adds `.damaged` to the name of a file, if it is there; replaces none."""
-    if not file.exists():
+    if not os.path.lexists(file):
         return
     place, number = file.with_name(f"{file.name}{DAMAGED}"), 1
-    while place.exists():
+    while os.path.lexists(place):
         number += 1
         place = file.with_name(f"{file.name}{DAMAGED}-{number}")
     file.rename(place)

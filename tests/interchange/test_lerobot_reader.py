@@ -208,3 +208,11 @@ def test_a_small_file_of_very_many_rows_is_not_read(tmp_path: Path, place: str) 
     with pytest.raises(RecordError, match="1,200,000 rows: ssduck reads 1,000,000 rows of a file"):
         ssduck.import_poses(dataset, tmp_path / "r")
     assert not (tmp_path / "r").exists()
+
+
+def test_a_list_of_very_many_numbers_is_not_read(tmp_path: Path) -> None:
+    dataset = written(tmp_path / "d", rows={"p": [*ROWS["p"][1:], [0.0] * 20_000_000]})
+    (file,) = (dataset / "data").glob("*/*.parquet")
+    assert file.stat().st_size < 100_000
+    with pytest.raises(RecordError, match=r"20,000,0.. values: ssduck reads 16 for each row"):
+        ssduck.import_poses(dataset, tmp_path / "r")

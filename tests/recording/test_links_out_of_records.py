@@ -17,6 +17,7 @@ from ssduck.interchange.pairs import COLUMNS, write_pairs
 from ssduck.recording import episode_steps, folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import descriptions
+from ssduck.recording.stores.atomic_files import write_atomically
 from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
 from tests.support.forged import EPISODE, describe, make_records, part
 
@@ -253,3 +254,28 @@ def test_a_repair_that_cannot_write_is_an_error_of_the_record(
     monkeypatch.setattr(folder_check, "set_aside", fails)
     with pytest.raises(RecordError, match=f"{record} cannot be repaired: File too large"):
         ssduck.check(record, repair=True)
+
+
+def test_a_link_to_nothing_is_set_aside(made: Path, tmp_path: Path) -> None:
+    record = Path(shutil.copytree(made / "folder", tmp_path / "record"))
+    (record / "gym").mkdir()
+    (record / "gym/lab-0.json").symlink_to(record / "nothing")
+    (damage,) = ssduck.check(record, repair=True)
+    assert damage.is_repaired
+    assert not (record / "gym/lab-0.json").is_symlink()
+    assert not ssduck.check(record)
+
+
+def test_what_is_no_record_is_said_as_before(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=f"^{tmp_path} is no record of ssduck"):
+        ssduck.check(tmp_path)
+
+
+def test_ctrl_c_leaves_no_unfinished_file(tmp_path: Path) -> None:
+    def write(place: Path) -> None:
+        place.write_text("half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / "a.json", write)
+    assert not list(tmp_path.iterdir())

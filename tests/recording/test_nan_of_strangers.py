@@ -11,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import ssduck
+from ssduck.interchange.macros import macro_script
+from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.checksums import write_parquet
 from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums
 from tests.support.rising_cups import write_rising_cups
@@ -166,3 +168,26 @@ def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
             for one in (lake, expected)
         )
         assert found.equals(wanted)
+
+
+@pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])
+def test_a_record_that_ssduck_writes_has_null(record: Path, table: str, tmp_path: Path) -> None:
+    store_nan(record, table)
+    with ssduck.open(record) as ss:
+        ss.export(tmp_path / "exported")
+    rows = f"read_parquet('{tmp_path}/exported/{table}/**/part-*.parquet')"
+    for column in NUMBERS[table]:
+        kinds = f"count(*) FILTER (isnan({column})), count(*) FILTER ({column} IS NULL)"
+        ((nans, nulls),) = duckdb.sql(f"SELECT {kinds} FROM {rows}").fetchall()
+        assert nans == 0
+        assert nulls > 0
+
+
+def test_macros_over_the_files_have_null(records, tmp_path):
+    record = shutil.copytree(records / "folder", tmp_path / "folder")
+    store_nan(record, "entities")
+    with duckdb.connect() as plain, ssduck.open(record) as ss:
+        plain.execute(macro_script((), folder_run(record, None, None)).text)
+        question = "SELECT count(*) FILTER (z > 1000), count(z), max(z) FROM {}"
+        told = plain.sql(question.format("entities")).fetchall()
+        assert told == ss.sql(question.format("entities_history")).fetchall()

@@ -372,6 +372,13 @@ def test_an_element_is_no_text(tmp_path: Path, inner: str) -> None:
         ssduck.load(tmp_path / "s.sdf")
 
 
+def test_two_bodies_of_one_name(tmp_path: Path) -> None:
+    text = '<mujoco><worldbody><body><body name="b"/><body name="b"/></body></worldbody></mujoco>'
+    (tmp_path / "s.xml").write_text(text)
+    with pytest.raises(SceneError, match="2 bodies have the name 'b'"):
+        ssduck.load(tmp_path / "s.xml", simulator="pybullet")
+
+
 @pytest.mark.parametrize(
     ("joint", "is_right"),
     [("", False), ('limited="false"', True), ('range="-1 1"', True)],
@@ -428,6 +435,9 @@ DAMAGES = [
         '<triangles count="1"><input semantic="NORMAL"',
         "<triangles> has no <input> of vertices",
     ),
+    ('<unit meter="1"/>', "<unit/>", "a <unit> has no meter"),
+    ("</COLLADA>", "<scene><instance_visual_scene/></scene></COLLADA>", "has no url"),
+    ("technique_common>", "technique>", "a <source> has no <accessor>"),
     ('<visual_scene id="s">', "<visual_scene>", "a <visual_scene> has no id"),
     (
         "<mesh><source",

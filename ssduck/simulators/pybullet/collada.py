@@ -34,7 +34,11 @@ def collada_fault(file: Path) -> str:
     if _PREFIXED.search(content):
         return "its elements have a prefix, as in <a:COLLADA>, which PyBullet does not know"
     try:
-        _child(root, "asset")
+        for unit in _children(_child(root, "asset"), "unit"):
+            _attribute(unit, "meter")
+        for scene in _children(root, "scene"):
+            for shown in _children(scene, "instance_visual_scene"):
+                _attribute(shown, "url")
         for scenes in _children(root, "library_visual_scenes"):
             for scene in _children(scenes, "visual_scene"):
                 _attribute(scene, "id")
@@ -92,7 +96,8 @@ def _row_count(source: ET.Element) -> int:
     numbers = _child(source, "float_array")
     _attribute(numbers, "id")
     count = len((numbers.text or "").split())
-    accessor = next((part for part in source.iter() if _name(part) == "accessor"), None)
+    common = next(_children(source, "technique_common"), None)
+    accessor = None if common is None else next(_children(common, "accessor"), None)
     if accessor is None:
         raise ValueError("a <source> has no <accessor>")
     stride = _number(accessor, "stride")
