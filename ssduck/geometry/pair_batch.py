@@ -148,7 +148,7 @@ class PairBatch:
         self._all_shapes = shapes
         self._first, self._second = comparable_pairs(scene, shapes)
         self._rows = scene.table.entities[self._first]
-        self._placed: dict[tuple[bool, int, bytes, bytes], int] = {}
+        self._placed: dict[tuple[bool, int, float, bytes, bytes], int] = {}
 
     def answers(self, question: PairQuestion, groups: Indices | None = None) -> Answers:
         """Returns the answers to a question.

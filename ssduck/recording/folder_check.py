@@ -118,8 +118,8 @@ def _checked_folder(path: Path, *, repair: bool) -> list[Damage]:
     for run in runs:
         found = list(damages_of(run))
         damages += _repair_run(run, found) if repair else found
-    for damage, error in _step_damages(path):
-        is_repaired = repair and not isinstance(error, NewerStepsError)
+    for damage, cause in _step_damages(path):
+        is_repaired = repair and not isinstance(cause, NewerStepsError)
         if is_repaired:
             set_aside(damage.file)
         damages.append(replace(damage, is_repaired=is_repaired))

@@ -352,3 +352,9 @@ def test_a_world_that_could_not_be_opened_is_not_written(tmp_path, name):
     with pytest.raises(ArgumentError, match=r"cannot have the name|cannot be a world's name"):
         ssduck.write_record(tmp_path / "r", ["cup"], np.zeros((1, 1, 3)), [0.0], world=name)
     assert not (tmp_path / "r").exists()
+
+
+def test_a_folder_whose_name_is_too_long_leaves_none(tmp_path):
+    with pytest.raises(RecordError, match="cannot be written: File name too long"):
+        ssduck.write_record(tmp_path / "new" / ("x" * 300), ["cup"], np.zeros((1, 1, 3)), [0.0])
+    assert not (tmp_path / "new").exists()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -49,9 +51,10 @@ def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
     assert not (foreign.parent / "run").exists()
 
 
-# A product of billions of rows: no batch of it ends.
-ENDLESS = "count(SELECT a.x FROM " + ", ".join(f"{name}=lab{{}}" for name in "abcdefghijkl")
-ENDLESS += " WHERE a.x + l.x > 1e9 AS list);"
+# A product of 2^30 rows at each tick, two cups by thirty names: no batch of it ends in an hour.
+NAMES = [f"a{number}" for number in range(30)]
+ENDLESS = "count(SELECT a0.x FROM " + ", ".join(f"{name}=lab{{}}" for name in NAMES)
+ENDLESS += f" WHERE {' + '.join(f'{name}.x' for name in NAMES)} > -1e9 AS list);"
 ASKING = f"""
 import sys, ssduck
 if __name__ == "__main__":
@@ -72,11 +75,16 @@ def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
     script = tmp_path / "asks.py"
     script.write_text(ASKING)
     process = subprocess.Popen([sys.executable, script, record], stdout=subprocess.PIPE, text=True)
+    late = threading.Timer(120, process.kill)
+    late.start()
     with process:
         try:
             assert process.stdout is not None
             assert process.stdout.readline() == "asks\n"
+            time.sleep(3)  # the processes are at work
+            assert process.poll() is None
             process.send_signal(signal.SIGINT)
             assert process.stdout.readline() == "[2, 2, 2]\n"
         finally:
+            late.cancel()
             process.kill()

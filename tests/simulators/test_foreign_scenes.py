@@ -239,6 +239,9 @@ OBJECTS = {
     "no corners": ("f \n", "no face has three corners"),
     "two corners": (f"{FAR}f 1 2\n", "no face has three corners"),
     "behind a null character": (f"{FAR}f 1 2 \0 3\n", "no face has three corners"),
+    "a texture 0": (f"{FAR}f 1 2 3\no b\nf 1 2/0 3\n", "a corner that is none: '1 2/0 3'"),
+    "no normal": (f"{FAR}f 1 2 3\no b\nf 1 2 3//\n", "a corner that is none"),
+    "two corners of none": (f"{FAR}f 1 2 3\no b\nf 1 2//\n", "a corner that is none"),
     "behind a long comment": ("#" + "x" * 1022 + f"f 1 2 99999999\n{CUBE}", "line 1 has more than 1,000"),
     "a long line": (f"{FAR}o {'a' * 999}\n{CUBE}", "line 10 has more than 1,000 bytes"),
 }  # fmt: skip

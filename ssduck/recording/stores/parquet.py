@@ -106,7 +106,7 @@ class ParquetStore(TickStore):
         try:
             self.run = _begin_episode(self.path, world, described | dict(about or {}))
         except BaseException:
-            if self._made and self.path.exists():
+            if self._made:
                 _remove_empty(self.path, self._made)
             raise
         self._models: dict[str, pa.Table] = {}
@@ -481,10 +481,12 @@ def _remove_empty(path: Path, made: Sequence[Path]) -> None:
         for name, _, _ in os.walk(path, topdown=False):
             if Path(name) != path:
                 Path(name).rmdir()
-        for folder in made:
+    for folder in made:
+        with suppress(OSError):  # there are files in it, or it was not made
             folder.rmdir()
-    if (path / "episodes").exists() and not (path / ABOUT).exists():
-        create_file(path / ABOUT, json_text(DESCRIPTION))
+    with suppress(OSError):  # the name is too long
+        if (path / "episodes").exists() and not (path / ABOUT).exists():
+            create_file(path / ABOUT, json_text(DESCRIPTION))
 
 
 def _begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:

@@ -11,6 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ssduck.errors import SceneError
+from ssduck.formatting import short_repr
 from ssduck.simulators.pybullet.collada import collada_fault
 from ssduck.simulators.scene_files import long_line_fault
 
@@ -21,6 +22,11 @@ _FACE = re.compile(rb"^[ \t]*f[ \t](.*)$", re.MULTILINE)
 _GROUP = re.compile(rb"^[ \t]*(?:g|o|usemtl)[ \t]", re.MULTILINE)
 # The number of a vertex at the beginning of a corner, before those of its texture and normal.
 _CORNER = re.compile(rb"[+-]?[0-9]+")
+# A corner: the numbers of a vertex, of its texture and of its normal, from 1 on or from the end.
+_NUMBER = rb"[+-]?0*[1-9][0-9]*"
+_WORD = re.compile(
+    _NUMBER + rb"(?:/|/" + _NUMBER + rb"|/(?:" + _NUMBER + rb")?/" + _NUMBER + rb")?"
+)
 # PyBullet reads numbers of 32 bits.
 _MAX_NUMBER = 2**31 - 1
 
@@ -67,14 +73,20 @@ def _obj_fault(file: Path) -> str:
     content = file.read_bytes()
     if fault := long_line_fault(content):
         return fault
-    faces = [(found.start(), _corners(found[1])) for found in _FACE.finditer(content)]
-    if not faces:
+    lines = [(found.start(), _words(found[1])) for found in _FACE.finditer(content)]
+    if not lines:
         return ""
+    groups = np.array([found.start() for found in _GROUP.finditer(content)] + [len(content)])
+    second = groups[groups.searchsorted(lines[0][0])]
+    for start, words in lines:
+        # PyBullet ends there, and frees what it has not made if this is behind the first group.
+        if start > second and not all(map(_WORD.fullmatch, words)):
+            return f"a face has a corner that is none: {short_repr(b' '.join(words).decode())}"
+    faces = [(start, list(map(_vertex, words))) for start, words in lines]
     faces = [face for face in faces if len(face[1]) > 2]  # PyBullet leaves out the others
     if not faces:
         return "no face has three corners"
     vertices = np.array([found.start() for found in _VERTEX.finditer(content)])
-    groups = np.array([found.start() for found in _GROUP.finditer(content)] + [len(content)])
     starts = np.repeat([start for start, _ in faces], [len(corners) for _, corners in faces])
     numbers = np.array([number for _, corners in faces for number in corners])
     # A number below 0 counts back from the face; another one is looked up at the end of its group.
@@ -85,13 +97,15 @@ def _obj_fault(file: Path) -> str:
     return ""
 
 
-def _corners(text: bytes) -> list[int]:
-    """Returns the numbers of the vertices of a face; 0 for what begins with no number."""
-    found = map(_CORNER.match, text.split(b"\0", 1)[0].split())
-    return [0 if one is None else _bounded(int(one[0][:12])) for one in found]
+def _words(text: bytes) -> list[bytes]:
+    """Returns the corners of a face; C's texts end at a null character."""
+    return text.split(b"\0", 1)[0].split()
 
 
-def _bounded(number: int) -> int:
+def _vertex(word: bytes) -> int:
+    """Returns the number of the vertex of a corner; 0 for what begins with no number."""
+    found = _CORNER.match(word)
+    number = 0 if found is None else int(found[0][:12])
     return min(max(number, -_MAX_NUMBER), _MAX_NUMBER)
 
 
