@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias, TypeVar
+from typing import Any, NoReturn, TypeAlias, TypeVar, cast
 
 import duckdb
 import pyarrow as pa
@@ -341,8 +341,7 @@ class Connection:
                 raise
 
         _give_arity(call, len(parameter_types))
-        types: list[Any] = list(parameter_types)
-        result: Any = result_type
+        types, result = list[Any](parameter_types), cast(Any, result_type)
         self._functions.add(name)  # Ctrl-C may come when it is made
         self._connection.create_function(name, call, types, result, **options)
         if at_start is not None:

@@ -38,7 +38,8 @@ _SETTINGS = (
 )
 # Whether DuckDB may draw its progress on standard output, which it does in notebooks only. In one
 # without ipywidgets it is off, and setting it is an error.
-_PROGRESS, _may_draw = "SELECT current_setting('enable_progress_bar')", True
+_PROGRESS = "SELECT current_setting('enable_progress_bar')"
+_may_draw = True
 # The largest number of databases that wait for an interpreter.
 MAX_WAITING = 2
 

@@ -186,7 +186,7 @@ class RawSql:
             with self._own_catalog.guarded(sql):
                 return self._connection.table(sql, parameters)
         finally:
-            if not self._connection.meter.limits.select_only:  # else it is no SQL
+            if not self._connection.meter.limits.select_only:  # a SELECT changes nothing
                 self._update(sql)
 
     def _names(self) -> WorldNames:

@@ -113,7 +113,8 @@ def import_poses(
         except ArgumentError as error:
             is_of_caller = entities is not None or world is not None
             kind = ArgumentError if is_of_caller else RecordError
-            raise kind(f"{place}: {error.message}") from error
+            message = f"{place}: {error.message}"
+            raise kind(message, suggestions=error.suggestions) from error
     warn(_missing(place, episodes[0][1], has_entities=entities is not None))
     return written
 

@@ -69,6 +69,8 @@ def write_mcap(file: Path, motion: Motion) -> Path:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, lambda place: _write(place, motion))
+    except RecordError:
+        raise
     except OSError as error:
         raise RecordError(f"{file} cannot be written: {error.strerror}") from error
     return file

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import select
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,8 +34,8 @@ Answers: TypeAlias = Iterator[tuple[int, list[Answer]]]
 Answerer: TypeAlias = Callable[[Question, Sequence[Batch]], Answers]
 # How often Ray, or Spark on this machine, starts a task again whose process was killed.
 RETRIES = 3
-# The largest answers that go through a pipe, bytes: with what the pool adds, less than PIPE_BUF.
-_MAX_MESSAGE = 2048
+# The largest answers that go through a pipe, bytes: with what the pool adds, it is written at once.
+_MAX_MESSAGE = getattr(select, "PIPE_BUF", 512) // 2
 _RAY_HINT = "engine='ray' needs Ray: pip install 'ssduck[ray]'"
 _SPARK_HINT = "engine='spark' needs PySpark and Java 17 or newer: pip install 'ssduck[spark]'"
 _PARTS = "batch int, question binary, entries binary"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -297,13 +296,18 @@ def _repair(run: FolderRun, damage: _RunDamage) -> bool:
 
 def set_aside(file: Path) -> None:
     """Adds `.damaged` to the name of a file, if it is there; replaces none."""
-    if not os.path.lexists(file):
+    if not _is_there(file):
         return
     place, number = file.with_name(f"{file.name}{DAMAGED}"), 1
-    while os.path.lexists(place):
+    while _is_there(place):
         number += 1
         place = file.with_name(f"{file.name}{DAMAGED}-{number}")
     file.rename(place)
+
+
+def _is_there(file: Path) -> bool:
+    """Checks whether there is a file, perhaps a link to nothing."""
+    return file.exists() or file.is_symlink()
 
 
 def _write_about(about: Path) -> None:

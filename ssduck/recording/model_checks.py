@@ -96,14 +96,14 @@ def _check_entities(models: Mapping[str, pa.Table]) -> None:
         _fail("an entity has no name")
     links = _link_counts(rows)
     geometries = frozenset(models["geometries"]["id"].to_pylist())
-    drawn: set[tuple[str, int]] = set()  # most bodies look like others
+    drawn: dict[tuple[str, int], None] = {}  # most bodies look like others
     for row in rows.to_pylist():
         if row["kind"] == "sensor":
             _check_sensor(row, links)
         elif row["movable"] is None:
             _fail(f"it is unknown whether the body {short_repr(row['name'])} can move")
         elif row.get("visuals") is not None:
-            drawn.add((row["visuals"], links[row["id"]]))
+            drawn[row["visuals"], links[row["id"]]] = None
     for text, count in drawn:
         _check_visuals(text, count, geometries)
 

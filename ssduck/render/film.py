@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
@@ -15,6 +14,7 @@ from PIL import Image
 
 from ssduck.adapters.optional import library
 from ssduck.errors import ArgumentError, UnsupportedError, nearest
+from ssduck.recording.stores.atomic_files import temporary_path
 from ssduck.render.canvas import Picture
 
 # The colours of a picture of a GIF.
@@ -59,8 +59,7 @@ def write_film(path: Path, pictures: Iterator[Picture], fps: float) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    # A name that nobody can have put a link under, which would be written through.
-    unfinished = path.with_name(f".{secrets.token_hex(8)}.unfinished")
+    unfinished = temporary_path(path)
     try:
         _WRITERS[path.suffix.lower()](unfinished, pictures, fps)
         unfinished.replace(path)

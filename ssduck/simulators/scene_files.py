@@ -16,8 +16,6 @@ from pathlib import Path, PurePosixPath
 from typing import Literal, NoReturn, TypeAlias
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
 from ssduck.simulators.model_xml import parse_xml
@@ -50,8 +48,8 @@ _PICTURES = re.compile(r"(?:^|\s)(?:map_|bump|disp|decal|refl|norm)\S*([^\n]*)",
 _WORD = re.compile(r"\S+")
 # The largest length of a name, letters, and number of words of a line that has one.
 MAX_NAME, MAX_WORDS = 500, 16
-# The largest length of a line of OBJ files and files of materials, bytes.
-MAX_LINE = 1_000
+# The longest piece of a line of OBJ files and of materials that PyBullet reads at once, bytes.
+PIECE = 1023
 # Where PyBullet looks beside the working directory.
 _DATA = ("", "data", "../data", "../../data")
 
@@ -172,11 +170,11 @@ class _SceneFiles:
             case "model":
                 self._read_model(file)
             case "OBJ":
-                text = _text_of_lines(file)
+                text = _text_as_read(file)
                 self._add_parts(file, _MATERIALS, text, "materials")
                 self._add_parts(file, _MATERIALS, _JOINED_LINES.sub("", text), "materials")
             case "materials":
-                self._add_parts(file, _PICTURES, _text_of_lines(file), "picture")
+                self._add_parts(file, _PICTURES, _text_as_read(file), "picture")
             case "COLLADA":
                 for part in _root(file).iter("init_from"):
                     self._add_name(file, _SCHEME.sub("", _plain_text(file, part)))
@@ -349,27 +347,17 @@ def _text(file: Path) -> str:
     return file.read_bytes().decode("utf-8", errors="surrogateescape")
 
 
-def _text_of_lines(file: Path) -> str:
-    """Returns the text of a file that PyBullet reads line by line.
-
-    Raises:
-        SceneError: it would take a line for several.
-    """
-    if fault := long_line_fault(file.read_bytes()):
-        raise SceneError(f"{file}: {fault}")
-    return _text(file)
+def _text_as_read(file: Path) -> str:
+    """Returns the text of a file, then the same as PyBullet reads it, if that is another one."""
+    content = file.read_bytes()
+    cut = b"\n".join(piece for line in content.split(b"\n") for piece in line_pieces(line))
+    both = content if cut == content else content + b"\n" + cut
+    return both.decode("utf-8", errors="surrogateescape")
 
 
-def long_line_fault(content: bytes) -> str:
-    """Returns that PyBullet would take a line of an OBJ file or of materials for several, if so."""
-    ends = np.flatnonzero(np.frombuffer(content, np.uint8) == ord("\n"))
-    lengths = np.diff(ends, prepend=-1, append=len(content)) - 1
-    if (lengths <= MAX_LINE).all():
-        return ""
-    return (
-        f"line {int(np.argmax(lengths > MAX_LINE)) + 1} has more than {MAX_LINE:,} bytes, and "
-        "PyBullet reads lines in pieces of 1,023"
-    )
+def line_pieces(line: bytes) -> list[bytes]:
+    """Returns the lines that PyBullet takes a line of an OBJ file or of materials for."""
+    return [line[start : start + PIECE] for start in range(0, len(line), PIECE)] or [b""]
 
 
 def _refuse(source: Path, name: str, folder: Path) -> NoReturn:

@@ -235,6 +235,7 @@ def test_nothing_is_written_through_links_with_the_names_of_unfinished_files(
         file.with_name(f".{file.name}.unfinished").symlink_to(outside)
     ssduck.check(record, repair=True)
     ssduck.lake(record).set_tags({"mine": 1})
+    assert outside.read_text() == "mine"
     run = runs_in(made / "folder")[0]
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     write_runs([run], record / "a.mcap", "mcap")

@@ -273,3 +273,16 @@ def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
                     assert rows(there, table) == expected
     pybullet.disconnect(client)
     assert ssduck_("check", "s3://lake/changing").exit_code == 0
+
+
+def test_a_repair_renames_what_is_damaged(server) -> None:
+    place = "s3://lake/torn"
+    for height in (1.0, 2.0):
+        ssduck.write_record(place, ["cup"], {"cup": [[0, 0, height]]}, [0.0], world="lab")
+    about = ObjectPath(f"{place}/ssduck.json")
+    with about._store.open_output_stream(about.key) as stream:
+        stream.write(b'{"x":')
+    (damage,) = ssduck.check(place, repair=True)
+    assert damage.is_repaired
+    assert not ssduck.check(place)
+    assert "ssduck.json.damaged" in {file.name for file in ObjectPath(place).iterdir()}

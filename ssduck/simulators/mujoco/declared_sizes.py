@@ -27,8 +27,9 @@ _COUNTS = {
     "composite": ("count",),
     "flexcomp": ("count", "cellcount"),
 }
-# A point of <flexcomp> is a body of up to six tetrahedra, for each of which MuJoCo works as long.
-_ELEMENTS_OF_A_POINT = 10
+# A point of <flexcomp> is a body of up to two triangles, or of six tetrahedra; MuJoCo works as long
+# for each of them.
+_ELEMENTS_OF_A_POINT = {2: 3, 3: 10}
 # The attributes whose product is a number of numbers.
 _NUMBERS = {
     "texture": ("width", "height", "nchannel"),
@@ -42,7 +43,14 @@ _NUMBERS_WITHIN = {"sensor": ("dim", "num", "nsample"), "actuator": ("actdim", "
 _CUBES = ("cube", "skybox")
 # The places of the numbers in params whose product is a number of points, by the kind of mesh; and
 # the numbers of a point, with those of MuJoCo's work: a million points take it some GB or a minute.
-_POINTS = {"plate": (0, 1), "wedge": (0, 1), "supersphere": (0, 0), "supertorus": (0, 0)}
+# MuJoCo compares each corner of a cone with each.
+_POINTS = {
+    "plate": (0, 1),
+    "wedge": (0, 1),
+    "cone": (0, 0),
+    "supersphere": (0, 0),
+    "supertorus": (0, 0),
+}
 _NUMBERS_OF_A_POINT = 1000
 # The attributes of <size> that are numbers of numbers.
 _SIZES = ("nuserdata", "nkey", "njmax", "nconmax", "nstack")
@@ -181,7 +189,8 @@ class _Files:
         MuJoCo looks beside the main file, then beside that with the name; a backslash is a slash.
         """
         places = [folder / (name or "").replace("\\", "/") for folder in self._folders]
-        return [place for place in places if name and place.is_file()]
+        found = {place.resolve(): place for place in reversed(places) if name and place.is_file()}
+        return [*reversed(found.values())]
 
     def read(self, file: Path) -> ET.Element | None:
         """Returns the root of a file, with those of included files within each <include>.
@@ -227,13 +236,20 @@ def _size(root: ET.Element, main: Path, attached: Mapping[str, _Size]) -> _Size:
             return total
         copies *= _product(element, _COUNTS.get(element.tag, ()))
         if element.tag in ("composite", "flexcomp"):
-            points = _ELEMENTS_OF_A_POINT if element.tag == "flexcomp" else 1
-            total = total.plus(_Size(elements=points), copies)
+            total = total.plus(_Size(elements=_elements_of_a_point(element)), copies)
             copies = 1
         elif element.tag == "attach":
             total = total.plus(attached.get(element.get("model", ""), _Size()), copies)
         waiting += [(child, copies) for child in element]
     return total
+
+
+def _elements_of_a_point(element: ET.Element) -> int:
+    """Returns how many elements MuJoCo makes for each point of <composite> or <flexcomp>."""
+    if element.tag == "composite":
+        return 1
+    is_solid = len([word for word in element.get("count", "").split() if word != "1"]) > 2
+    return _ELEMENTS_OF_A_POINT[3 if is_solid or element.get("dim") == "3" else 2]
 
 
 def _declared_numbers(root: ET.Element, main: Path) -> int:

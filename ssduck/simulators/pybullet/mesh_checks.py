@@ -13,7 +13,7 @@ import numpy as np
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
 from ssduck.simulators.pybullet.collada import collada_fault
-from ssduck.simulators.scene_files import long_line_fault
+from ssduck.simulators.scene_files import PIECE, line_pieces
 
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
@@ -27,6 +27,8 @@ _NUMBER = rb"[+-]?0*[1-9][0-9]*"
 _WORD = re.compile(
     _NUMBER + rb"(?:/|/" + _NUMBER + rb"|/(?:" + _NUMBER + rb")?/" + _NUMBER + rb")?"
 )
+# The beginning of a line that is no comment.
+_TOLD = re.compile(rb"[ \t]*[a-z]")
 # PyBullet reads numbers of 32 bits.
 _MAX_NUMBER = 2**31 - 1
 
@@ -71,7 +73,7 @@ def _fault_of(file: Path, _time: int, _size: int) -> str:
 def _obj_fault(file: Path) -> str:
     """Returns what is wrong with an OBJ file, in words; nothing if it can be read."""
     content = file.read_bytes()
-    if fault := long_line_fault(content):
+    if fault := _line_fault(content):
         return fault
     lines = [(found.start(), _words(found[1])) for found in _FACE.finditer(content)]
     if not lines:
@@ -94,6 +96,20 @@ def _obj_fault(file: Path) -> str:
     made = vertices.searchsorted(groups[groups.searchsorted(starts)])
     if ((numbers == 0) | (numbers > made) | (numbers < -before)).any():
         return f"a face refers to a missing vertex: there are {len(vertices)} in the file"
+    return ""
+
+
+def _line_fault(content: bytes) -> str:
+    """Returns that PyBullet would take a line for several that tell of other things, if so."""
+    for number, line in enumerate(content.split(b"\n") if len(content) > PIECE else (), 1):
+        if len(line) < PIECE:
+            continue
+        others = line_pieces(line)[1:]
+        if line.lstrip()[:1] != b"#" or any(map(_TOLD.match, others)):
+            return (
+                f"line {number} has {len(line):,} bytes, and PyBullet reads lines in pieces of "
+                f"{PIECE:,}"
+            )
     return ""
 
 

@@ -33,7 +33,7 @@ ASSETS = {
     "skybox": '<texture name="t" type="skybox" builtin="flat" width="30000"/>',
     "cube": '<texture name="t" builtin="flat" width="30000" height="1"/>',
     "hfield": '<hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/>',
-    "cone": '<mesh name="m" builtin="cone" params="200000 1"/>',
+    "cone": '<mesh name="m" builtin="cone" params="400 1"/>',
     "plate": '<mesh name="m" builtin="plate" params="400 400"/>',
     "wedge": '<mesh name="m" builtin="wedge" params="400 400 60 60 0"/>',
     "supersphere": '<mesh name="m" builtin="supersphere" params="400 1 1"/>',
