@@ -155,7 +155,9 @@ class LinkPoses:
 
     Args:
         positions: (n, 3), the origins of the link frames.
-        matrices: (n, 3, 3), the orientations of the link frames.
+        matrices: (n, 3, 3), the orientations of the link frames, or a function that returns them
+            when they are needed: what `rotation_matrices` makes of the quaternions, so that a past
+            tick, which has these only, gives the same answers to the last bit.
         states: (n, 13), or a function that returns them when they are needed: a point of the link
             (its centre of mass) x y z, the orientation of the link frame w x y z, the velocity of
             the point x y z, the angular velocity x y z.
@@ -163,20 +165,27 @@ class LinkPoses:
         orientations: (n, 4), those of the states, if they are there before these.
 
     Attributes:
-        positions, matrices, are_finite: see above.
+        positions, are_finite: see above.
     """
 
     def __init__(
         self,
         positions: Array,
-        matrices: Array,
+        matrices: Array | Callable[[], Array],
         states: Array | Callable[[], Array],
         *,
         are_finite: bool = False,
         orientations: Array | None = None,
     ) -> None:
-        self.positions, self.matrices, self.are_finite = positions, matrices, are_finite
-        self._states, self._orientations = states, orientations
+        self.positions, self.are_finite = positions, are_finite
+        self._matrices, self._states, self._orientations = matrices, states, orientations
+
+    @property
+    def matrices(self) -> Array:
+        """The orientations of the link frames, (n, 3, 3)."""
+        if callable(self._matrices):
+            self._matrices = self._matrices()
+        return self._matrices
 
     @property
     def states(self) -> Array:

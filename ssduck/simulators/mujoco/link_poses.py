@@ -12,17 +12,18 @@ from typing import Any
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Indices
-from ssduck.geometry.poses import cross, multiply
+from ssduck.geometry.poses import cross, multiply, rotation_matrices
 from ssduck.simulators.interface import Body, LinkPoses
 from ssduck.simulators.mujoco.bodies import numbers_of, sites_on
 
-# MuJoCo's arrays of positions, matrices, orientations and twists of bodies, and of the centres of
-# mass of their trees, which twists are stated at; and the numbers of a body in each.
-_ARRAYS = {"xpos": 3, "xmat": 9, "xquat": 4, "cvel": 6, "subtree_com": 3}
+# MuJoCo's arrays of positions, orientations and twists of bodies, and of the centres of mass of
+# their trees, which twists are stated at; and the numbers of a body in each. Its matrices differ
+# from those that a past tick has of the orientations, in the last bits of some builds.
+_ARRAYS = {"xpos": 3, "xquat": 4, "cvel": 6, "subtree_com": 3}
 # Likewise, of sites.
-_SITE_ARRAYS = {"site_xpos": 3, "site_xmat": 9}
-# The ends of a link's position, matrix, orientation and twist among its numbers.
-_POSITION, _MATRIX, _ORIENTATION, _TWIST = 3, 12, 16, 22
+_SITE_ARRAYS = {"site_xpos": 3}
+# The ends of a link's position, orientation and twist among its numbers.
+_POSITION, _ORIENTATION, _TWIST = 3, 7, 13
 # If the squares of numbers add up to less, sums of their products are finite.
 _MODERATE = 1e100
 # BLAS multiplies longer vectors in threads, which takes far longer.
@@ -85,19 +86,18 @@ class LinkReader:
         count = len(self._roots)
         numbers = self._numbers(state)
         positions = numbers[: _POSITION * count].reshape(count, 3)
-        matrices = numbers[_POSITION * count : _MATRIX * count].reshape(count, 3, 3)
-        orientations = numbers[_MATRIX * count : _ORIENTATION * count].reshape(count, 4)
+        orientations = numbers[_POSITION * count : _ORIENTATION * count].reshape(count, 4)
         twists = numbers[_ORIENTATION * count : _TWIST * count].reshape(count, 6)
-        turns = None
         if len(self._sites):
-            turns = self._site_rows, self._model.site_quat.take(self._sites, axis=0)
+            turns = self._model.site_quat.take(self._sites, axis=0)
+            orientations[self._site_rows] = multiply(orientations[self._site_rows], turns)
         parts = positions, orientations, twists, numbers[_TWIST * count :].reshape(-1, 3)
         return LinkPoses(
             positions,
-            matrices,
-            partial(_states, parts, self._roots, turns),
+            partial(rotation_matrices, orientations),
+            partial(_states, parts, self._roots),
             are_finite=_are_moderate(numbers),
-            orientations=orientations if turns is None else None,
+            orientations=orientations,
         )
 
     def _numbers(self, state: Any) -> Array:
@@ -109,23 +109,17 @@ class LinkReader:
         return numbers if self._places is None else numbers.take(self._places)
 
 
-def _states(
-    parts: tuple[Array, Array, Array, Array], roots: Indices, turns: tuple[Indices, Array] | None
-) -> Array:
+def _states(parts: tuple[Array, Array, Array, Array], roots: Indices) -> Array:
     """Returns the states of n links; see `LinkPoses`.
 
     Args:
         parts: positions (n, 3), orientations (n, 4), twists (n, 6), and the centres of mass of the
             trees of all bodies, (bodies, 3): twists are stated at those.
         roots: (n,), the number of the root of each link's tree.
-        turns: the rows of sites, and their orientations in their links; None for none.
     """
     positions, orientations, twists, centres = parts
     states = np.zeros((len(positions), 13))
     states[:, :3], states[:, 3:7] = positions, orientations
-    if turns is not None:
-        own, quaternions = turns
-        states[own, 3:7] = multiply(states[own, 3:7], quaternions)
     arms = positions - centres.take(roots, axis=0)
     states[:, 7:10] = twists[:, 3:] + cross(twists[:, :3], arms)
     states[:, 10:] = twists[:, :3]

@@ -342,7 +342,9 @@ def test_contacts_of_two_bodies_that_press(monkeypatch, cone, few):
         mujoco.mj_step(model, data, 3)  # it changes nothing that was read
         for a, b in combinations_with_replacement(range(5), 2):
             for pair in ((a, b), (b, a)):
-                sides = zip(*(side.tolist() for side in read.pressing(*pair)), strict=True)
+                sides = zip(
+                    *(side.tolist() for side in read.between(*pair, pressing=True)), strict=True
+                )
                 told = [sorted(zip(roots, links, strict=True)) for roots, links in sides]
                 assert sorted(told) == sorted(expected.get((a, b), []))
         seen.update(expected)
