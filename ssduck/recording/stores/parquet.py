@@ -474,7 +474,7 @@ def _remove_empty(path: Path, made: Sequence[Path]) -> None:
 
     Another recorder may have begun an episode in it; then it stays.
     """
-    with suppress(OSError):
+    with suppress(OSError, ValueError):
         with suppress(FileNotFoundError):  # the disk was full before
             (path / "episodes").rmdir()
         (path / ABOUT).unlink(missing_ok=True)
@@ -482,9 +482,9 @@ def _remove_empty(path: Path, made: Sequence[Path]) -> None:
             if Path(name) != path:
                 Path(name).rmdir()
     for folder in made:
-        with suppress(OSError):  # there are files in it, or it was not made
+        with suppress(OSError, ValueError):  # it has files, or was not made
             folder.rmdir()
-    with suppress(OSError):  # the name is too long
+    with suppress(OSError, ValueError):
         if (path / "episodes").exists() and not (path / ABOUT).exists():
             create_file(path / ABOUT, json_text(DESCRIPTION))
 

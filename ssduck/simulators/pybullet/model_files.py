@@ -85,10 +85,11 @@ class ModelFile:
     def _check_world(self, world: ET.Element) -> None:
         """Checks the `<worldbody>` of an MJCF file."""
         _check_names(part for part in world.iter() if part.tag in ("body", "joint", "geom"))
-        bodies = Counter(body.get("name") for body in world.iter("body"))
-        twice = next((name for name, count in bodies.items() if name and count > 1), None)
-        if twice is not None:
-            raise SceneError(f"{bodies[twice]} bodies have the name {short_repr(twice)}")
+        for tree in world.findall("body"):
+            bodies = Counter(body.get("name") for body in tree.iter("body"))
+            twice = next((name for name, count in bodies.items() if name and count > 1), None)
+            if twice is not None:
+                raise SceneError(f"{bodies[twice]} bodies have the name {short_repr(twice)}")
         sizes = (geom.get("size") for geom in self.root.iterfind(".//default/geom"))
         has_default_size = any(sizes)
         for geom in world.iter("geom"):
