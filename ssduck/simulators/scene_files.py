@@ -350,14 +350,14 @@ def _text(file: Path) -> str:
 def _text_as_read(file: Path) -> str:
     """Returns the text of a file, then the same as PyBullet reads it, if that is another one."""
     content = file.read_bytes()
-    cut = b"\n".join(piece for line in content.split(b"\n") for piece in line_pieces(line))
+    cut = cut_lines(content, PIECE)
     both = content if cut == content else content + b"\n" + cut
     return both.decode("utf-8", errors="surrogateescape")
 
 
-def line_pieces(line: bytes) -> list[bytes]:
-    """Returns the lines that PyBullet takes a line of an OBJ file or of materials for."""
-    return [line[start : start + PIECE] for start in range(0, len(line), PIECE)] or [b""]
+def cut_lines(content: bytes, size: int) -> bytes:
+    """Returns a file as PyBullet reads it: each piece of so many bytes of a line is a line."""
+    return re.sub(rb"[^\n]{%d}(?=[^\n])" % size, rb"\g<0>\n", content)
 
 
 def _refuse(source: Path, name: str, folder: Path) -> NoReturn:

@@ -241,6 +241,7 @@ OBJECTS = {
     "behind a null character": (f"{FAR}f 1 2 \0 3\n", "no face has three corners"),
     "a texture 0": (f"{FAR}f 1 2 3\no b\nf 1 2/0 3\n", "a corner that is none: '1 2/0 3'"),
     "no normal": (f"{FAR}f 1 2 3\no b\nf 1 2 3//\n", "a corner that is none"),
+    "no text": (f"{FAR}f 1 2 3\no b\nf 1 2 \udcff\n", "a corner that is none: .*xff"),
     "two corners of none": (f"{FAR}f 1 2 3\no b\nf 1 2//\n", "a corner that is none"),
     "behind a long comment": ("#" + "x" * 1022 + f"f 1 2 99999999\n{CUBE}", "line 1 has 1,0.. bytes"),
     "a long line": (f"{FAR}o {'a' * 1021}\n{CUBE}", "line 10 has 1,023 bytes"),
@@ -250,7 +251,7 @@ OBJECTS = {
 @pytest.mark.parametrize("name", OBJECTS)
 def test_what_pybullet_would_read_beyond_is_an_error(tmp_path: Path, name: str) -> None:
     content, words = OBJECTS[name]
-    (tmp_path / "m.obj").write_text(content)
+    (tmp_path / "m.obj").write_text(content, errors="surrogateescape")
     (tmp_path / "s.urdf").write_text(mesh("m.obj"))
     with pytest.raises(SceneError, match=f"m.obj: .*{words}"):
         ssduck.load(tmp_path / "s.urdf", simulator="pybullet")

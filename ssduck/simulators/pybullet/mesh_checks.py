@@ -13,7 +13,7 @@ import numpy as np
 from ssduck.errors import SceneError
 from ssduck.formatting import short_repr
 from ssduck.simulators.pybullet.collada import collada_fault
-from ssduck.simulators.scene_files import PIECE, line_pieces
+from ssduck.simulators.scene_files import PIECE, cut_lines
 
 _SCHEME = re.compile(r"(?:package|model|file):/{0,2}")
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
@@ -27,6 +27,8 @@ _NUMBER = rb"[+-]?0*[1-9][0-9]*"
 _WORD = re.compile(
     _NUMBER + rb"(?:/|/" + _NUMBER + rb"|/(?:" + _NUMBER + rb")?/" + _NUMBER + rb")?"
 )
+# A line that PyBullet may take for several.
+_LONG_LINE = re.compile(rb"[^\n]{%d,}" % PIECE)
 # The beginning of a line that is no comment.
 _TOLD = re.compile(rb"[ \t]*[a-z]")
 # PyBullet reads numbers of 32 bits.
@@ -83,7 +85,7 @@ def _obj_fault(file: Path) -> str:
     for start, words in lines:
         # PyBullet ends there, and frees what it has not made if this is behind the first group.
         if start > second and not all(map(_WORD.fullmatch, words)):
-            return f"a face has a corner that is none: {short_repr(b' '.join(words).decode())}"
+            return f"a face has a corner that is none: {_shown(words)}"
     faces = [(start, list(map(_vertex, words))) for start, words in lines]
     faces = [face for face in faces if len(face[1]) > 2]  # PyBullet leaves out the others
     if not faces:
@@ -101,16 +103,19 @@ def _obj_fault(file: Path) -> str:
 
 def _line_fault(content: bytes) -> str:
     """Returns that PyBullet would take a line for several that tell of other things, if so."""
-    for number, line in enumerate(content.split(b"\n") if len(content) > PIECE else (), 1):
-        if len(line) < PIECE:
-            continue
-        others = line_pieces(line)[1:]
+    for found in _LONG_LINE.finditer(content):
+        line, others = found[0], cut_lines(found[0], PIECE).split(b"\n")[1:]
         if line.lstrip()[:1] != b"#" or any(map(_TOLD.match, others)):
+            number = content.count(b"\n", 0, found.start()) + 1
             return (
                 f"line {number} has {len(line):,} bytes, and PyBullet reads lines in pieces of "
                 f"{PIECE:,}"
             )
     return ""
+
+
+def _shown(words: list[bytes]) -> str:
+    return short_repr(b" ".join(words).decode(errors="backslashreplace"))
 
 
 def _words(text: bytes) -> list[bytes]:

@@ -13,6 +13,7 @@ from ssduck.formatting import joined_names, short_repr
 from ssduck.simulators.pybullet.ignored_parts import free_bodies, has_unknown_angles, ignored_parts
 from ssduck.simulators.pybullet.model_numbers import check_numbers
 from ssduck.simulators.scene_bodies import BodySpec
+from ssduck.simulators.scene_files import cut_lines
 
 # Elements of SDF files whose text PyBullet reads without a check.
 _TEXTS = frozenset(
@@ -151,14 +152,9 @@ def _is_cut(content: bytes, root: ET.Element) -> bool:
         content: the bytes of the file.
         root: the root element of the file as it stands there.
     """
-    lines = content.split(b"\n")
-    if max(map(len, lines)) < MAX_LINE:
+    cut = cut_lines(content, MAX_LINE)
+    if cut == content:
         return False
-    cut = b"\n".join(
-        line[start : start + MAX_LINE]
-        for line in lines
-        for start in range(0, max(len(line), 1), MAX_LINE)
-    )
     try:
         return _told(ET.fromstring(cut)) != _told(root)  # noqa: S314
     except (ET.ParseError, ValueError):
