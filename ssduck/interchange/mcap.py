@@ -30,7 +30,7 @@ from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.mcap_records import records_of
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Frame, Motion
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.atomic_files import write_with_folders
 from ssduck.schema import POSE
 
 WORLD_FRAME = "world"
@@ -66,13 +66,7 @@ def write_mcap(file: Path, motion: Motion) -> Path:
             f"episode {motion.run.number} of {motion.run.world!r} has a tick at {wrong[0]:g} s: "
             "times in an MCAP file are from 0 s to 292 years"
         )
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(file, lambda place: _write(place, motion))
-    except RecordError:
-        raise
-    except OSError as error:
-        raise RecordError(f"{file} cannot be written: {error.strerror}") from error
+    write_with_folders(file, lambda place: _write(place, motion))
     return file
 
 

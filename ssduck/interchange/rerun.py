@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from ssduck.adapters.optional import library
-from ssduck.errors import RecordError
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.interchange.meshes import mesh_of
 from ssduck.interchange.motion import Motion
-from ssduck.recording.stores.atomic_files import write_atomically
+from ssduck.recording.stores.atomic_files import write_with_folders
 
 
 def write_rrd(file: Path, motion: Motion) -> Path:
@@ -30,13 +29,7 @@ def write_rrd(file: Path, motion: Motion) -> Path:
         RecordError: the file cannot be written.
     """
     rerun = library("rerun", "rerun")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(file, lambda place: _write(rerun, place, motion))
-    except RecordError:
-        raise
-    except OSError as error:
-        raise RecordError(f"{file} cannot be written: {error.strerror}") from error
+    write_with_folders(file, lambda place: _write(rerun, place, motion))
     return file
 
 

@@ -44,6 +44,21 @@ def write_atomically(place: Path, write: Callable[[Path], None]) -> None:
     sync_folder(place.parent)
 
 
+def write_with_folders(place: Path, write: Callable[[Path], None]) -> None:
+    """Writes a file, all or nothing, and the folders that it is in.
+
+    Raises:
+        RecordError: it cannot be written; or `write` raises one.
+    """
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(place, write)
+    except RecordError:
+        raise
+    except OSError as error:
+        raise RecordError(f"{place} cannot be written: {error.strerror}") from error
+
+
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
     """Waits until no other writer is in such a context for a folder, whose files may be changed.
