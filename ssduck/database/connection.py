@@ -273,11 +273,13 @@ class Connection:
 
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table, or a dataset of Arrow, readable under a name."""
-        self._connection.register(name, table)
+        with ctrl_c.translated():
+            self._connection.register(name, table)
 
     def unregister(self, name: str) -> None:
         """Removes a registered table."""
-        self._connection.unregister(name)
+        with ctrl_c.translated():
+            self._connection.unregister(name)
 
     def offer_function(self, name: str, *function: Any, **options: Any) -> None:
         """Has a Python function registered with SQL when a statement names it.

@@ -49,6 +49,7 @@ from ssduck.recording.spec import Recording, check_names, no_ticks_message
 from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.recording.tags import Tags
 from ssduck.sql.types import Signature, SqlType
+from ssduck.world import ctrl_c
 from ssduck.world.observers import EpisodeObserver
 from ssduck.world.world import World
 
@@ -108,7 +109,7 @@ class Database:
             SqlError: waiting ticks cannot be stored, for example on a full disk; the connection is
                 closed nevertheless.
         """
-        with self._lock:
+        with ctrl_c.deferred(), self._lock:  # views of a file are dropped, too
             if not self.connection.is_open:
                 return
             try:

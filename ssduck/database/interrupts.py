@@ -13,12 +13,14 @@ import selectors
 import signal
 import socket
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from signal import set_wakeup_fd
 from threading import get_ident, main_thread
 from typing import TypeAlias
+
+import duckdb
 
 from ssduck.world.ctrl_c import handler_of
 
@@ -168,3 +170,20 @@ def _close_in_child() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_close_in_child)
+
+
+@contextmanager
+def translated() -> Iterator[None]:
+    """Raises KeyboardInterrupt where DuckDB makes another error of Ctrl-C.
+
+    It hears it by itself, or Python does while DuckDB asks Arrow for the types of a table.
+    """
+    try:
+        yield
+    except (RuntimeError, duckdb.Error) as error:
+        text = str(error)
+        if text == "Query interrupted" or (
+            isinstance(error, duckdb.Error) and "KeyboardInterrupt" in text
+        ):
+            raise KeyboardInterrupt from error
+        raise

@@ -17,6 +17,7 @@ from ssduck.recording.stores.memory import MemoryStore
 from ssduck.recording.stores.model_tables import RUN_SCHEMA
 from ssduck.recording.stores.parquet import PART_TICKS, ParquetRecording
 from ssduck.recording.tags import Tags
+from ssduck.world import ctrl_c
 from ssduck.world.world import World
 
 
@@ -85,7 +86,11 @@ class Recorders:
         """Stops recording the ticks of a world in its history, and stores the waiting ticks."""
         if bound.history is None:
             return
-        history, is_file = bound.history, self._connection.is_file
+        with ctrl_c.deferred():
+            self._stop(bound, bound.history)
+
+    def _stop(self, bound: BoundWorld, history: WorldHistory) -> None:
+        is_file = self._connection.is_file
         if is_file and history.recorder is not None and bound.reference() is not None:
             history.record.warn_of_masses()
         history.record.is_closed = True

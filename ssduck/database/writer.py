@@ -13,6 +13,7 @@ import duckdb
 import pyarrow as pa
 
 from ssduck.database.file_paths import damage_text, is_damage
+from ssduck.database.interrupts import translated
 from ssduck.errors import RecordError, SqlError
 from ssduck.recording.processes import OpenedRecord
 
@@ -103,25 +104,23 @@ class WriterConnection:
     ) -> pa.Table:
         """Returns all rows of a SELECT, which may read the given tables."""
         self._check_process()
-        with self._reading_lock, ExitStack() as stack:
-            for name, table in (tables or {}).items():
-                self._reading.register(name, table)
-                stack.callback(self._reading.unregister, name)
-            try:
+        try:
+            with self._reading_lock, translated(), ExitStack() as stack:
+                for name, table in (tables or {}).items():
+                    self._reading.register(name, table)
+                    stack.callback(self._reading.unregister, name)
                 return self._reading.sql(sql, params=parameters).to_arrow_table()
-            except duckdb.Error as error:
-                if tables and _is_ctrl_c(error):
-                    raise KeyboardInterrupt from error
-                raise self._reading_error(error) from error
+        except duckdb.Error as error:
+            raise self._reading_error(error) from error
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
         self._check_process()
-        with self._reading_lock:
-            try:
+        try:
+            with self._reading_lock, translated():
                 return self._reading.execute(sql).fetchall()
-            except duckdb.Error as error:
-                raise self._reading_error(error) from error
+        except duckdb.Error as error:
+            raise self._reading_error(error) from error
 
     def _check_process(self) -> None:
         if self._opened is not None:
@@ -144,11 +143,8 @@ class WriterConnection:
 def _storing_errors() -> Iterator[None]:
     """Turns DuckDB's errors while rows are stored into ssduck's, or into KeyboardInterrupt."""
     try:
-        yield
-    except RuntimeError as error:
-        if _is_ctrl_c(error):
-            raise KeyboardInterrupt from error
-        raise
+        with translated():
+            yield
     except duckdb.FatalException as error:
         raise SqlError(
             f"DuckDB closed the database: {error}; the rows stored before are in the file: close "
@@ -156,19 +152,7 @@ def _storing_errors() -> Iterator[None]:
             is_final=True,
         ) from error
     except duckdb.Error as error:
-        if _is_ctrl_c(error):
-            raise KeyboardInterrupt from error
         raise SqlError(
             f"recorded ticks cannot be stored: {error}; the rows stored before are "
             "intact, and the others wait in memory until there is space"
         ) from error
-
-
-def _is_ctrl_c(error: Exception) -> bool:
-    """Checks whether an error is what DuckDB makes of Ctrl-C.
-
-    It hears it by itself, or Python does while DuckDB asks Arrow for the types of a table.
-    """
-    if isinstance(error, duckdb.Error):
-        return "KeyboardInterrupt" in str(error)
-    return str(error) == "Query interrupted"

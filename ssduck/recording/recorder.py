@@ -26,6 +26,7 @@ from ssduck.recording.row_selection import RecordedRows
 from ssduck.recording.spec import RETENTION_PARTS, Recording
 from ssduck.recording.static_tables import IdProvider
 from ssduck.recording.stores.base import PairRequest, TickArchive, TickStore
+from ssduck.world import ctrl_c
 from ssduck.world.layout import EntityInfo
 from ssduck.world.snapshot import Snapshot
 
@@ -242,7 +243,7 @@ class Recorder:
             RecordError: the rows cannot be stored in a folder; they stay buffered.
             SqlError: the same of a database.
         """
-        with self._lock:
+        with ctrl_c.deferred(), self._lock:  # no row may be lost or stored twice
             self.wait()
             error = self._writer.pop_failure()
             if len(self._writer):  # the batches are stored below, or that fails again
@@ -262,8 +263,8 @@ class Recorder:
             RecordError: a folder cannot be written; the rows that are not stored stay buffered.
             SqlError: the same of a database.
         """
-        self.flush()
-        with self._lock:
+        with ctrl_c.deferred(), self._lock:
+            self.flush()
             self._store.complete()
             self._store.finish()
 

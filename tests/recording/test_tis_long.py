@@ -1,0 +1,103 @@
+"""Ctrl-C while ticks are stored: each of them is stored once, in all formats."""
+
+from __future__ import annotations
+
+import math
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+import ssduck
+
+TICKS = 12
+# How often Ctrl-C is pressed, at lines that are spread over a method.
+PRESSES = 100
+PARTS = f"{Path(ssduck.__file__).parent}/"
+
+
+class Presser:
+    """Presses Ctrl-C before a line of ssduck's that comes after so many others.
+
+    Attributes:
+        count: the number of lines so far.
+    """
+
+    def __init__(self, line: float) -> None:
+        self._line = line
+        self.count = 0
+
+    def __enter__(self):
+        sys.settrace(self._trace)
+        return self
+
+    def __exit__(self, *_):
+        sys.settrace(None)
+
+    def _trace(self, frame, event, _):
+        if not frame.f_code.co_filename.startswith(PARTS):
+            return None
+        if event == "line":
+            self.count += 1
+            if self.count == self._line:
+                signal.raise_signal(signal.SIGINT)
+        return self._trace
+
+
+class InDatabase:
+    """The ticks of a world in a DuckDB file."""
+
+    def __init__(self, file: Path) -> None:
+        self.ss = ssduck.load("kitchen", file, recording=ssduck.Recording(tables=("entities",)))
+
+    def flush(self) -> None:
+        self.ss.flush()
+
+    def close(self) -> None:
+        self.ss.close()
+
+
+class InFolder:
+    """The ticks of a world in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ss = ssduck.load("kitchen", recording=None)
+        self._recording = self.ss.record_to(folder, recording=ssduck.Recording(tables=("entities",)))
+
+    def flush(self) -> None:
+        self._recording.flush()
+
+    def close(self) -> None:
+        self._recording.close()
+        self.ss.close()
+
+
+def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], method: str) -> int:
+    """Checks what is stored if Ctrl-C comes at a line of a method; returns the number of lines."""
+    recorded = form(path)
+    recorded.ss["kitchen"].step(TICKS, every=1)
+    with suppress(KeyboardInterrupt), Presser(line) as presser:
+        getattr(recorded, method)()
+    recorded.flush() if method == "flush" else None
+    recorded.close()
+    with ssduck.open(path) as ss:
+        counts = ss.sql("SELECT count(*), count(DISTINCT tick) FROM ticks_history").fetchall()
+        assert counts == [(TICKS + 1, TICKS + 1)]
+        sql = "SELECT count(*), count(DISTINCT (tick, id)) FROM entities_history"
+        rows, different = ss.sql(sql).fetchall()[0]
+        assert rows == different == (TICKS + 1) * ss.sql("SELECT count(*) FROM entities").fetchall()[0][0]
+        assert ssduck.episodes(path)[0].complete
+    assert ssduck.check(path) == []
+    return presser.count
+
+
+@pytest.mark.parametrize("method", ["flush", "close"])
+@pytest.mark.parametrize("form", [InDatabase, InFolder])
+def test_all_is_stored_once(form, method, tmp_path):
+    count = stored_once(tmp_path / "whole.duckdb", math.inf, form, method)
+    assert count > PRESSES
+    for press in range(PRESSES):
+        line = 1 + press * (count - 1) // (PRESSES - 1)
+        stored_once(tmp_path / f"{line}.duckdb", line, form, method)
