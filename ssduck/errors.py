@@ -10,7 +10,8 @@ import difflib
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 # Longer messages and lines of a program are cut, to stay readable.
@@ -238,6 +239,22 @@ class SimulatorError(SelectScriptError, RuntimeError):
 
 class RecordError(SelectScriptError, OSError):
     """A record cannot be opened, read or written."""
+
+
+@contextmanager
+def record_errors() -> Iterator[None]:
+    """Turns errors of the operating system about files into RecordErrors that name them.
+
+    A folder without permission, say, is met wherever it is listed or looked at first.
+    """
+    try:
+        yield
+    except SelectScriptError:
+        raise
+    except OSError as error:
+        if error.filename is None:
+            raise
+        raise RecordError(f"{error.filename}: {error.strerror}") from error
 
 
 class SqlError(SelectScriptError, RuntimeError):

@@ -55,7 +55,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.limits import Limits, UsageMeter
-from ssduck.recording.processes import OpenedRecord
+from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.object_store import ObjectPath
@@ -219,7 +219,7 @@ class Connection:
         self.has_records = True
         return self.reader()
 
-    def reader(self, record: Path | None = None) -> WriterConnection:
+    def reader(self, record: OpenedRecord | None = None) -> WriterConnection:
         """Returns a second connection to the same database, to read recorded ticks.
 
         Args:
@@ -227,8 +227,8 @@ class Connection:
         """
         file = Path(self._path) if self.is_file else None
         if record is not None:
-            self._opened = OpenedRecord(record)
-        if isinstance(record, ObjectPath):
+            self._opened = record
+        if record is not None and isinstance(record.path, ObjectPath):
             self._is_altered = reach_objects(self._connection)  # so no other one gets the instance
         return WriterConnection(self._cursor(), self._cursor(), file, record)
 
@@ -493,7 +493,7 @@ class Connection:
         DuckDB's error, or inside DuckDB, which makes another error of it, or none.
         """
         if self._opened is not None:
-            self._opened.check_process()
+            self._opened.check()
         if self._tracer is not None:
             self._tracer(sql)
         self._raised.clear()

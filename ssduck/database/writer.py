@@ -15,7 +15,7 @@ import pyarrow as pa
 from ssduck.database.file_paths import damage_text, is_damage
 from ssduck.database.interrupts import translated
 from ssduck.errors import RecordError, SqlError
-from ssduck.recording.processes import OpenedRecord
+from ssduck.recording.opened_record import OpenedRecord
 
 # The size of DuckDB's log, in bytes, from which on it is moved to the file. That takes tenths of a
 # second, and rewrites some earlier rows, so that fewer and larger moves take less time.
@@ -41,10 +41,9 @@ class WriterConnection:
         connection: duckdb.DuckDBPyConnection,
         reading: duckdb.DuckDBPyConnection,
         file: Path | None = None,
-        record: Path | None = None,
+        record: OpenedRecord | None = None,
     ) -> None:
         self._record = record
-        self._opened = None if record is None else OpenedRecord(record)
         self._connection = connection
         self._reading = reading
         self._file = file
@@ -103,7 +102,7 @@ class WriterConnection:
         tables: Mapping[str, pa.Table] | None = None,
     ) -> pa.Table:
         """Returns all rows of a SELECT, which may read the given tables."""
-        self._check_process()
+        self._check_record()
         try:
             with self._reading_lock, translated(), ExitStack() as stack:
                 for name, table in (tables or {}).items():
@@ -115,23 +114,23 @@ class WriterConnection:
 
     def fetchall(self, sql: str) -> list[tuple[Any, ...]]:
         """Returns all rows of a SELECT, as tuples."""
-        self._check_process()
+        self._check_record()
         try:
             with self._reading_lock, translated():
                 return self._reading.execute(sql).fetchall()
         except duckdb.Error as error:
             raise self._reading_error(error) from error
 
-    def _check_process(self) -> None:
-        if self._opened is not None:
-            self._opened.check_process()
+    def _check_record(self) -> None:
+        if self._record is not None:
+            self._record.check()
 
     def _reading_error(self, error: duckdb.Error) -> SqlError | RecordError:
         if self._record is None:
             return SqlError(f"recorded ticks cannot be read: {error}")
         if is_damage(error):
-            return RecordError(damage_text(self._record, error))
-        return RecordError(f"{self._record} cannot be read: {error}")
+            return RecordError(damage_text(self._record.path, error))
+        return RecordError(f"{self._record.path} cannot be read: {error}")
 
     def close(self) -> None:
         """Closes the connection."""

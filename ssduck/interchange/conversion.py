@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
-from ssduck.errors import ArgumentError, RecordError, nearest, warn
+from ssduck.errors import ArgumentError, RecordError, nearest, record_errors, warn
 from ssduck.formatting import short_repr
 from ssduck.interchange import lerobot, lerobot_reader, mcap, rerun
 from ssduck.interchange.entities import KINDS, Entities
@@ -61,6 +61,7 @@ def write_runs(
     return [write(file, motion_of(run)) for file, run in files]
 
 
+@record_errors()
 def import_poses(
     source: str | Path,
     folder: str | Path,

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck import validation
-from ssduck.errors import ArgumentError
+from ssduck.errors import ArgumentError, record_errors
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import rotation_matrices
 from ssduck.interchange.entities import Entities, entities_of
@@ -169,6 +169,7 @@ class RecordWriter:
                 self.begin(is_export=False)
             self.write(batch)
 
+    @record_errors()
     def begin(self, *, is_export: bool) -> None:
         """Begins the episode; if it is an export, it exists only when it is closed."""
         self._store = ParquetStore(

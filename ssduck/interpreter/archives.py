@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ssduck.database.database import Database
-from ssduck.errors import RecordError, nearest
+from ssduck.errors import RecordError, nearest, record_errors
 from ssduck.recording.episode import Episode
+from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
 from ssduck.recording.replay.checked_rows import CheckedRows
@@ -77,6 +78,7 @@ class RecordedRun(Protocol):
         """The contents of the run."""
 
 
+@record_errors()
 def episodes(path: str | Path) -> list[Episode]:
     """Returns the episodes in a folder or in a DuckDB file, by world and number.
 
@@ -109,7 +111,9 @@ def recorded_runs(path: Path, database: Database) -> Sequence[RecordedRun]:
         return runs_in(path)
     if not path.is_file():
         raise RecordError(f"there is no record {path}: neither a folder nor a DuckDB file")
-    return _runs_in_file(path, database.connection.attach(path), database.connection.reader(path))
+    return _runs_in_file(
+        path, database.connection.attach(path), database.connection.reader(OpenedRecord(path))
+    )
 
 
 def select_runs(
@@ -176,11 +180,12 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
         recording = _recording({**run.recording, "tables": tables}, run.about_file)
-        archive = ParquetArchive(run, recording, database.connection.reader(run.path))
+        opened = OpenedRecord(run.path, run.about_file, run.description)
+        archive = ParquetArchive(run, recording, database.connection.reader(opened), opened)
         ticks, models = archive.ticks, archive.model_rows()
     else:
         assert isinstance(run, StoredRun)
-        archive = run.history(database.connection.reader(run.path))
+        archive = run.history(database.connection.reader(OpenedRecord(run.path)))
         ticks, models = archive.ticks(), archive.model_rows()
     try:
         description = run_of(models)

@@ -34,6 +34,7 @@ from ssduck.language.tree import (
 )
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
+from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.replay.checked_rows import CheckedRows
 from ssduck.recording.replay.pair_answers import PairQueries
@@ -135,7 +136,7 @@ class BatchInterpreter:
             tables,
             models,
             run,
-            connection.reader(expand_path(source)),
+            connection.reader(OpenedRecord(expand_path(source))),
             connection.register,
         )
         self.parts = self._archive.parts

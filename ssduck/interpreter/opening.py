@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, RecordError
+from ssduck.errors import ArgumentError, RecordError, record_errors
 from ssduck.interpreter.archives import recorded_runs, replayed_world, select_runs
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.limits import Limits, time_of_opening
@@ -68,6 +68,7 @@ def load(
     return interpreter
 
 
+@record_errors()
 def open_record(
     path: str | Path,
     world: str | None = None,

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.errors import RecordError, SqlError
+from ssduck.errors import RecordError, SqlError, record_errors
 from ssduck.interpreter.archives import StoredRun, recorded_runs, replayed_world
 from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_aside
 from ssduck.recording.paths import expand_path
 from ssduck.schema import MODELS, TABLES
 
 
+@record_errors()
 def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     """Returns the damaged and missing files of a record; reads all of it.
 

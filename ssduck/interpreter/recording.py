@@ -14,7 +14,7 @@ import pyarrow as pa
 from ssduck import validation
 from ssduck.adapters.result import Result
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, EvaluationError
+from ssduck.errors import ArgumentError, EvaluationError, record_errors
 from ssduck.formatting import short_repr
 from ssduck.interchange.pairs import checked_distance, pair_query, write_pairs
 from ssduck.interpreter.planner import Planner
@@ -112,6 +112,7 @@ class RecordingMethods(ABC):
             seconds = None if age is None else validation.seconds(age)
             return past_of(self._database.record_of(chosen), seconds)
 
+    @record_errors()
     def record_to(
         self,
         path: str | Path,
@@ -155,6 +156,7 @@ class RecordingMethods(ABC):
             folder = expand_path(path).absolute()
             return self._database.record_to(chosen, recording, folder, checked_tags(tags))
 
+    @record_errors()
     def export(
         self,
         path: str | Path,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, record_errors
 from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.opening import open_record
 from ssduck.recording.episode import Episode
@@ -15,6 +15,7 @@ from ssduck.recording.stores.parquet import whole_record
 from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
 
 
+@record_errors()
 def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
     """Writes all episodes of a record to a new folder, in the present format.
 

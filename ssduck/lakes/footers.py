@@ -10,6 +10,7 @@ from contextlib import closing
 
 from ssduck.database.database import Database
 from ssduck.lakes.workers import UNREADABLE
+from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.part_statistics import check_statistics
@@ -30,7 +31,7 @@ def footer_errors(runs: Mapping[int, FolderRun]) -> dict[int, Exception]:
         records.setdefault((str(run.path), run.world), {})[number] = run
     with closing(Database(":memory:", None)) as database:
         for own in records.values():
-            connection = database.connection.reader(next(iter(own.values())).path)
+            connection = database.connection.reader(OpenedRecord(next(iter(own.values())).path))
             with closing(connection):
                 errors |= _errors_of_record(connection, own)
     return errors

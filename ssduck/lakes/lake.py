@@ -17,7 +17,7 @@ from sqlglot import exp
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, warn
+from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, record_errors, warn
 from ssduck.gym.terms import Reward, Terms
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
@@ -88,6 +88,7 @@ class Lake:
         checksum = zlib.crc32(self.path.encode())
         return Path(*parts[:fixed]) / f"{MANIFEST}-{checksum:08x}.parquet"
 
+    @record_errors()
     def refresh(self, *, forget_missing: bool = False) -> None:
         """Reads what is new, was changed or is missing since the manifest was made.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from ssduck.errors import RecordError, SelectScriptError
+from ssduck.errors import RecordError, SelectScriptError, warn
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry, are_sizes
 from ssduck.recording.episode_steps import FOLDER as STEPS
@@ -79,12 +79,22 @@ class FoundEpisode:
 def records_below(place: Path) -> Iterator[Path]:
     """Yields the records in a folder and its folders, or the path itself if it is a record.
 
-    A record may have others in its folder, beside its own files.
+    A record may have others in its folder, beside its own files. Warns of folders that cannot be
+    listed.
+
+    Raises:
+        OSError: the folder itself cannot be listed.
     """
+
+    def note(error: OSError) -> None:
+        if error.filename == str(place):
+            raise error
+        warn(f"records in {error.filename} are left out: {error.strerror}")
+
     if place.is_file():
         yield place
         return
-    for folder, folders, files in os.walk(place):
+    for folder, folders, files in os.walk(place, onerror=note):
         if ABOUT in files or {"episodes", "ticks"} <= set(folders):
             yield Path(folder)
             folders[:] = set(folders) - OF_RECORD

@@ -64,7 +64,9 @@ class InFolder:
 
     def __init__(self, folder: Path) -> None:
         self.ss = ssduck.load("kitchen", recording=None)
-        self._recording = self.ss.record_to(folder, recording=ssduck.Recording(tables=("entities",)))
+        self._recording = self.ss.record_to(
+            folder, recording=ssduck.Recording(tables=("entities",))
+        )
 
     def flush(self) -> None:
         self._recording.flush()
@@ -87,7 +89,11 @@ def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], meth
         assert counts == [(TICKS + 1, TICKS + 1)]
         sql = "SELECT count(*), count(DISTINCT (tick, id)) FROM entities_history"
         rows, different = ss.sql(sql).fetchall()[0]
-        assert rows == different == (TICKS + 1) * ss.sql("SELECT count(*) FROM entities").fetchall()[0][0]
+        assert (
+            rows
+            == different
+            == (TICKS + 1) * ss.sql("SELECT count(*) FROM entities").fetchall()[0][0]
+        )
         assert ssduck.episodes(path)[0].complete
     assert ssduck.check(path) == []
     return presser.count

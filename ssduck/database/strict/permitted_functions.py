@@ -6,8 +6,10 @@ text as SQL, and, because no limit stops them, that make a long text or list of 
 `list_reduce` can), or whose time grows with the product of the lengths of two texts (as that of
 `levenshtein` and of `json_merge_patch`) or with the square of one (as that of a regular expression
 that is looked for again and again), or that hash each element of a list, which takes seconds for a
-million (as `list_distinct` does). `json_contains` is left out, too: DuckDB walks through nested
-JSON by recursion there, and 50,000 brackets end the process.
+million (as `list_distinct` does). None knows time zones: DuckDB compares an unknown name with those
+of all zones, in a time that grows with its length, and hears nothing meanwhile. `json_contains` is
+left out, too: DuckDB walks through nested JSON by recursion there, and 50,000 brackets end the
+process.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ _OPERATORS = """
 """
 # Functions of one or more values, aggregates and window functions.
 _FUNCTIONS = """
-abs acos acosh add age aggregate ago any_value apply approx_count_distinct approx_quantile
+abs acos acosh add age aggregate any_value apply approx_count_distinct approx_quantile
 arbitrary arg_max arg_max_null arg_max_nulls_last arg_min arg_min_null
 arg_min_nulls_last argmax argmin array_agg array_aggr array_aggregate array_append array_apply
 array_cat array_concat array_contains array_cosine_distance array_cosine_similarity
@@ -37,7 +39,7 @@ days_in_month decade decimal_average decimal_division decode degrees dense_rank 
 element_at encode ends_with entropy epoch epoch_ms epoch_ns epoch_us era even exp factorial favg
 fdiv fill filter first first_value flatten floor fmod formatReadableDecimalSize formatReadableSize
 format_bytes from_base64 from_binary from_hex fsum gamma gcd gen_random_uuid geomean geometric_mean
-get_bit get_current_time get_current_timestamp grade_up greatest greatest_common_divisor
+get_bit grade_up greatest greatest_common_divisor
 group_concat hamming hash hex histogram hour if ilike_escape instr isfinite isinf isnan isodow
 isoyear jaccard json_array json_array_length
 json_exists json_extract json_extract_path json_extract_path_text json_extract_string
@@ -55,11 +57,11 @@ list_negative_inner_product list_pack list_position list_prepend list_product li
 list_reverse_sort list_select list_sem list_skewness list_slice list_sort list_stddev_pop
 list_stddev_samp list_sum list_transform list_value list_var_pop list_var_samp
 list_where list_zip listagg ln log log10 log2 lower ltrim mad make_date make_time make_timestamp
-make_timestamp_ms make_timestamp_ns make_timestamptz make_type map map_contains
+make_timestamp_ms make_timestamp_ns make_type map map_contains
 map_contains_entry map_contains_value map_entries map_extract map_extract_value
 map_keys map_values max max_by md5 md5_number mean median microsecond millennium millisecond min
 min_by minute mismatches mod mode month monthname multiply nanosecond nextafter normalized_interval
-not_ilike_escape not_like_escape now nth_value ntile nullif octet_length ord parse_dirname
+not_ilike_escape not_like_escape nth_value ntile nullif octet_length ord parse_dirname
 parse_dirpath parse_filename parse_formatted_bytes parse_path path_join percent_rank pi position pow
 power prefix product quantile quantile_cont quantile_disc quarter radians random rank rank_dense
 regexp_escape regexp_extract regexp_full_match regexp_matches
@@ -70,11 +72,11 @@ sqrt starts_with stddev stddev_pop stddev_samp str_split strftime string_agg
 string_split string_to_array strip_accents strlen strpos strptime struct_concat
 struct_contains struct_extract struct_extract_at struct_has struct_indexof struct_insert struct_keys
 struct_pack struct_position struct_values substr substring substring_grapheme subtract suffix sum
-sum_no_overflow sumkahan switch tan tanh time_bucket timezone timezone_hour timezone_minute to_base
+sum_no_overflow sumkahan switch tan tanh time_bucket timezone_hour timezone_minute to_base
 to_base64 to_binary to_centuries to_days to_decades to_hex to_hours to_json to_microseconds
-to_millennia to_milliseconds to_minutes to_months to_quarters to_seconds to_timestamp to_weeks
-to_years today transaction_timestamp trim trunc try_strptime typeof ucase unbin unhex unicode
-union_extract union_tag union_value unnest upper uuid uuid_extract_timestamp uuid_extract_version
+to_millennia to_milliseconds to_minutes to_months to_quarters to_seconds to_weeks
+to_years today trim trunc try_strptime typeof ucase unbin unhex unicode
+union_extract union_tag union_value unnest upper uuid uuid_extract_version
 uuidv4 uuidv7 var_pop var_samp variance wavg week weekday weekofyear weighted_avg xor year yearweek
 """
 
@@ -122,12 +124,21 @@ LIKES = {
     "not_ilike_escape": "NOT ILIKE",
 }
 MAX_EXPRESSION = 200
-# Types that are left out, and what to use: numbers of any length are read in the square of it, and
-# deeply nested JSON that becomes a VARIANT ends the process.
+# Words that are functions of these types, unless a column has their name.
+ZONED_WORDS = frozenset(("current_time", "current_timestamp"))
+# Functions that read a time by a format, and the parts of a format that are a time zone.
+READING_TIMES = frozenset(("strptime", "try_strptime"))
+ZONES = ("%z", "%Z")
+# Types that are left out, and what to use: numbers of any length are read in the square of it,
+# deeply nested JSON that becomes a VARIANT ends the process, and texts may name any time zone.
 UNBOUNDED_TYPES = {
     "bignum": "DOUBLE or HUGEINT",
     "varint": "DOUBLE or HUGEINT",
     "variant": "JSON",
+    "timestamptz": "TIMESTAMP",
+    "timestamp with time zone": "TIMESTAMP",
+    "timetz": "TIME",
+    "time with time zone": "TIME",
 }
 # Functions in FROM.
 TABLE_FUNCTIONS = frozenset(("generate_series", "json_each", "json_tree", "range", "unnest"))

@@ -28,10 +28,13 @@ from ssduck.database.strict.permitted_functions import (
     MAX_EXPRESSION,
     OPERATORS,
     PATHS,
+    READING_TIMES,
     REGULAR,
     TABLE_FUNCTIONS,
     UNBOUNDED_TYPES,
     WILDCARDS,
+    ZONED_WORDS,
+    ZONES,
 )
 from ssduck.database.strict.statement_size import check_statement_size
 from ssduck.errors import LimitError, SourceSpan, nearest
@@ -234,6 +237,11 @@ class _Walk:
             self._refuse(node, f"SQL is one SELECT here, without {words}")
         if kind == "TYPE" and (instead := UNBOUNDED_TYPES.get(folded(node["type_name"]))):
             self._refuse(node, f"there is no type {node['type_name']} here: use {instead}")
+        if kind == "COLUMN_REF" and len(names := node["column_names"]) == 1:
+            name = folded(names[0])
+            if name in ZONED_WORDS:  # a function, unless a column is called so
+                local = name.replace("current_", "local")
+                self._refuse(node, f"{name} is no function that SQL may call: use {local}")
 
     def _check_table(self, node: Node, queries: AbstractSet[str]) -> None:
         name, schema = folded(node["table_name"]), folded(node["schema_name"])
@@ -275,6 +283,8 @@ class _Walk:
             self._check_expression(node, f"the regular expression of {name}")
         if name in LIKES:
             self._check_expression(node, f"the pattern of {LIKES[name]}")
+        if name in READING_TIMES:
+            self._check_expression(node, f"the format of {name}", without=ZONES)
         if name in AGGREGATING:
             for argument in node["arguments"][1:2]:
                 literal = argument["expression"].get("literal") or {}
@@ -298,13 +308,21 @@ class _Walk:
         if isinstance(text, str) and sum(map(text.count, WILDCARDS)) > 1:
             self._refuse(node, f"the path of {name} has at most one of * and .. here")
 
-    def _check_expression(self, node: Node, what: str) -> None:
-        """Checks that an expression or a pattern is short, and known before the statement runs."""
+    def _check_expression(self, node: Node, what: str, without: Collection[str] = ()) -> None:
+        """Checks that an expression or a pattern is short, and known before the statement runs.
+
+        Args:
+            node: the call.
+            what: what its second argument is, in words.
+            without: what it may not contain.
+        """
         for argument in node["arguments"][1:2]:
             literal = argument["expression"].get("literal")
             text = literal.get("text") if isinstance(literal, dict) else None
             if not isinstance(text, str) or len(text) > MAX_EXPRESSION:
                 self._refuse(node, f"{what} is a text of at most {MAX_EXPRESSION} letters here")
+            if part := next((part for part in without if part in text), None):
+                self._refuse(node, f"{what} has no {part} here")
 
     def _refuse(
         self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from ssduck.errors import RecordError
 from ssduck.recording.model_checks import check_models
-from ssduck.recording.processes import OpenedRecord
+from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import default_values, with_joint_numbers
 from ssduck.recording.stores.base import (
@@ -55,6 +55,7 @@ class ParquetArchive(TickArchive):
         run: the episode.
         recording: what was recorded of each tick.
         connection: the archive's own connection, which reads the files.
+        opened: the record, which must still be there whenever it is read.
 
     Attributes:
         ticks: the numbers and times of the stored ticks.
@@ -66,11 +67,17 @@ class ParquetArchive(TickArchive):
 
     has_single_links = True
 
-    def __init__(self, run: FolderRun, recording: Recording, connection: StoreConnection) -> None:
+    def __init__(
+        self,
+        run: FolderRun,
+        recording: Recording,
+        connection: StoreConnection,
+        opened: OpenedRecord,
+    ) -> None:
         self.recording = recording
         self.tables = run.tables
         self._run = run
-        self._opened = OpenedRecord(run.path)
+        self._opened = opened
         self._connection = connection
         self._starts, self.ticks = run.ticks()
         # Fails now if files are missing, or DuckDB cannot read them, rather than in a later query.
@@ -221,7 +228,7 @@ class ParquetArchive(TickArchive):
 
     def fetch_stored(self, table: str, first: int, last: int) -> pa.Table:
         """Returns the same rows, with the links of all bodies."""
-        self._opened.check_process()
+        self._opened.check()
         if table == FRAMES and table not in self._files:  # no body has several links
             return arrow_types(table).empty_table()
         found = self._parts_with(table, first, last)

@@ -1,0 +1,163 @@
+"""A record that is removed or replaced while it is open, and files without permission."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import contextmanager
+
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError
+
+QUESTION = "SELECT count(*) FROM kitchen{} AS value;"
+ROWS = "SELECT count(*) FROM kitchen.entities_history"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A folder with a recording of two ticks, and one with three."""
+    folder = tmp_path_factory.mktemp("recorded")
+    with ssduck.load("kitchen") as ss:
+        ss["kitchen"].step()
+        ss.export(folder / "two")
+        ss["kitchen"].step()
+        ss.export(folder / "three")
+    return folder
+
+
+@pytest.fixture
+def run(recorded, tmp_path):
+    """A record in a folder that every user may look into."""
+    run = shutil.copytree(recorded / "two", tmp_path / "lake" / "run")
+    closed = [p for p in run.parents if p.stat().st_uid == os.getuid() and not p.stat().st_mode & 1]
+    for parent in closed:
+        parent.chmod(0o711)
+    yield run
+    for parent in closed:
+        parent.chmod(0o700)
+
+
+def ask(ss):
+    """Asks all doors to the past; returns the errors."""
+    errors = []
+    for question in (
+        lambda: ss.eval(QUESTION),
+        lambda: ss.eval("SELECT max(z(this)) FROM kitchen{} AS value;"),
+        lambda: ss.sql(ROWS).fetchall(),
+    ):
+        with pytest.raises(RecordError) as caught:
+            question()
+        errors.append(str(caught.value))
+    return errors
+
+
+@pytest.mark.parametrize("is_asked", [False, True])
+def test_a_record_that_is_replaced(run, recorded, is_asked):
+    with ssduck.open(run) as ss:
+        if is_asked:
+            ss.eval(QUESTION)
+            ss.sql(ROWS).fetchall()
+        shutil.rmtree(run)
+        shutil.copytree(recorded / "three", run)
+        errors = ask(ss)
+        assert all(str(run) in error for error in errors)
+        if is_asked:  # otherwise a checksum may be wrong first
+            assert all("another recording than when it was opened" in error for error in errors)
+    with ssduck.open(run) as ss:
+        assert ss.eval("SELECT count(*) FROM kitchen AS value;") > 0
+
+
+@pytest.mark.parametrize("is_asked", [False, True])
+def test_a_record_that_is_removed(run, is_asked):
+    with ssduck.open(run) as ss:
+        if is_asked:
+            ss.eval(QUESTION)
+        shutil.rmtree(run)
+        errors = ask(ss)
+        assert all(str(run) in error for error in errors)
+        if is_asked:  # otherwise a part may be missed first
+            assert all("was removed after it was opened" in error for error in errors)
+
+
+def test_tags_of_an_open_record(run):
+    with ssduck.open(run) as ss:
+        before = ss.eval(QUESTION)
+        ssduck.lake(run).set_tags({"checked": True})
+        assert ss.eval(QUESTION) == before
+
+
+@contextmanager
+def nobody():
+    """Another user than root, who may read everything."""
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(0)
+
+
+DOORS = {
+    "open": ssduck.open,
+    "open partial": lambda run: ssduck.open(run, partial=True),
+    "episodes": ssduck.episodes,
+    "check": ssduck.check,
+    "upgrade": lambda run: ssduck.upgrade(run, run.parent / "upgraded"),
+    "write": lambda run: ssduck.write_record(run, ["cup"], {"cup": [0, 0, 1]}, [0.0]),
+    "import": lambda run: ssduck.import_poses(run, run.parent / "imported", world="kitchen"),
+}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+@pytest.mark.parametrize("mode", [0o000, 0o644], ids=oct)
+@pytest.mark.parametrize("door", DOORS)
+def test_a_folder_without_permission(door, mode, run):
+    ssduck.open(run).close()  # imports what it needs
+    run.chmod(mode)
+    try:
+        with nobody(), pytest.raises(RecordError, match=f"{run.parent}.*Permission denied"):
+            DOORS[door](run)
+    finally:
+        run.chmod(0o755)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+@pytest.mark.parametrize("table", ["episodes", "ticks", "entities", "models", "index"])
+def test_a_part_without_permission(table, run):
+    ssduck.open(run).close()
+    (run / table).chmod(0o000)
+    try:
+        with nobody(), pytest.raises(RecordError, match="Permission denied"):
+            ssduck.open(run)
+    finally:
+        (run / table).chmod(0o755)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+def test_a_lake_names_the_folders_that_it_leaves_out(run):
+    other = shutil.copytree(run, run.parent / "other" / "run").parent
+    run.parent.chmod(0o755)
+    other.chmod(0o000)
+    try:
+        with nobody(), pytest.warns(UserWarning, match=f"records in {other} are left out"):
+            lake = ssduck.lake(run.parent)
+        assert len(lake) == 1
+    finally:
+        other.chmod(0o755)
+    assert len(ssduck.lake(run.parent)) == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+def test_a_lake_without_permission(run):
+    run.parent.chmod(0o711)
+    with nobody(), pytest.raises(RecordError, match=f"{run.parent}: Permission denied"):
+        ssduck.lake(run.parent)
+    run.parent.chmod(0o755)
+    run.chmod(0o644)
+    with nobody():
+        assert "Permission denied" in ssduck.lake(run.parent).episodes["error"][0].as_py()
+    run.chmod(0o755)
