@@ -20,6 +20,7 @@ import json
 import math
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,8 @@ TASKS_PATH, INFO_PATH, STATS_PATH = "meta/tasks.parquet", "meta/info.json", "met
 CHUNK_SIZE, DATA_FILE_SIZE = 1000, 100
 # Simulated times differ from whole frames by less, as a fraction of a frame.
 _TOLERANCE = 1e-3
+# The largest number of frames per second that is found in the times of ticks.
+_MAX_FPS = 1_000_000
 _ADVICE = "give the frames per second (--fps); a frame has the last tick until its time then"
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 INDICES = ("frame_index", "episode_index", "index", "task_index")
@@ -70,12 +73,16 @@ def write_dataset(folder: Path, motions: Iterable[Motion], fps: int | None = Non
     try:
         if folder.exists() and any(folder.iterdir()):
             raise RecordError(f"{folder} is not empty: give a new folder")
+        is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
         try:
             _Dataset(folder, fps, has_frame_per_tick=fps is None).write(motions)
         except BaseException:
             for name in ("meta", "data"):
                 shutil.rmtree(folder / name, ignore_errors=True)
+            if is_new:
+                with suppress(OSError):  # someone else has put a file there
+                    folder.rmdir()
             raise
     except OSError as error:
         if isinstance(error, RecordError):
@@ -275,7 +282,7 @@ def _frames_per_second(times: Array, which: str) -> int:
     if not len(steps):
         raise ArgumentError(f"{which} has one tick: {_ADVICE}")
     step = float(np.median(steps))
-    fps = round(1.0 / step) if step > 0.0 else 0
+    fps = round(1.0 / step) if step > 1.0 / _MAX_FPS else 0
     if fps < 1 or abs(1.0 / step - fps) > _TOLERANCE * fps:
         raise ArgumentError(
             f"the ticks of {which} are {step:g} s apart, no fraction of 1 s: {_ADVICE}"

@@ -34,6 +34,8 @@ Language: TypeAlias = Literal["selectscript", "sql"]
 # The seconds of a scene that a film shows unless it says otherwise.
 SECONDS = 5.0
 MAX_PICTURES = 100_000
+# The least number of pictures a second.
+MIN_FPS = 0.001
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Film:
         language: the language of the query.
 
     Raises:
-        ArgumentError: a number is not positive, or the span is empty.
+        ArgumentError: a number is not positive, the span is empty, or the camera sees nothing.
     """
 
     span: tuple[float, float] | None = None
@@ -65,7 +67,10 @@ class Film:
     def __post_init__(self) -> None:
         validation.positive_number(self.speed, "render: speed", "positive speed")
         validation.positive_number(self.fps, "render: fps", "positive number of pictures a second")
+        if self.fps < MIN_FPS:
+            raise ArgumentError(f"render: fps is at least {MIN_FPS:g}, not {self.fps:g}")
         validation.picture_size(*self.size, "render")
+        _check_camera(self.camera)
         if self.span is not None and not self.span[0] <= self.span[1] < math.inf:
             raise ArgumentError(
                 f"render: the span ends before it starts: {self.span[0]:g} s to {self.span[1]:g} s"
@@ -73,14 +78,33 @@ class Film:
 
     def times(self, start: float, end: float) -> Array:
         """Returns the simulated times of the pictures from one time to another, s."""
-        count = math.floor((end - start) * self.fps / self.speed + 1e-6) + 1
-        if count > MAX_PICTURES:
+        last = (end - start) * self.fps / self.speed + 1e-6
+        if not last < MAX_PICTURES:
             raise ArgumentError(
-                f"render: {count:,} pictures are more than {MAX_PICTURES:,}; choose a shorter "
-                "span, a higher speed or fewer pictures a second"
+                f"render: {last + 1:,.0f} pictures are more than {MAX_PICTURES:,}; choose a "
+                "shorter span, a higher speed or fewer pictures a second"
             )
-        times = start + np.arange(count, dtype=np.float64) * (self.speed / self.fps)
+        times = start + np.arange(math.floor(last) + 1, dtype=np.float64) * (self.speed / self.fps)
         return np.asarray(times, dtype=np.float64)
+
+
+def _check_camera(camera: Camera | None) -> None:
+    """Checks that a camera can see something.
+
+    Raises:
+        ArgumentError: a number is not finite, it looks at where it is, or its angle is none.
+    """
+    if camera is None:
+        return
+    if not all(map(math.isfinite, (*camera.eye, *camera.target))) or (
+        tuple(camera.eye) == tuple(camera.target)
+    ):
+        raise ArgumentError(
+            f"render: a camera looks from one place to another, not from {list(camera.eye)} "
+            f"to {list(camera.target)}"
+        )
+    if not 0.0 < camera.fov < 180.0:
+        raise ArgumentError(f"render: the angle of a camera is in (0, 180), not {camera.fov:g}")
 
 
 def render(

@@ -169,9 +169,11 @@ def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
     ssduck.write_record(tmp_path / "a", ["pot"], np.zeros((3, 1, 3)), [0, 0.1, 0.2])
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((1, 1, 3)), [0])
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((3, 1, 3)), [0, 0.05, 0.1])
+    ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((2, 1, 3)), [0, 5e-324])
     cases = [
         ([0], None, "not evenly spaced"),
         ([3], None, "has one tick"),
+        ([5], None, "no fraction of 1 s"),
         ([1, 4], None, "has 20 ticks per second, and the episodes before it 10"),
         ([1, 0], None, "not evenly spaced"),
         ([1, 2], None, "has other observation.environment_state .* such as 'cup.qw'"),
@@ -181,7 +183,7 @@ def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
     for chosen, fps, message in cases:
         with pytest.raises(ArgumentError, match=message):
             write_dataset(tmp_path / "d", [motion_of(runs[n]) for n in chosen], fps)
-        assert not list((tmp_path / "d").iterdir())
+        assert not (tmp_path / "d").exists()
     write_dataset(tmp_path / "e", [motion_of(runs[n]) for n in (0, 3)], 10)
     frames = pq.read_table(tmp_path / "e/data/chunk-000/file-000.parquet")
     assert frames["episode_index"].to_pylist() == [0, 0, 0, 0, 1]

@@ -246,11 +246,23 @@ def test_errors_leave_no_file(record, tmp_path, values, name, error, message):
         ({"fps": math.nan}, "pictures a second"),
         ({"size": (0, 10)}, "width"),
         ({"span": (2.0, 1.0)}, "the span ends before it starts: 2 s to 1 s"),
+        ({"fps": 1e-300}, "fps is at least 0.001, not 1e-300"),
+        ({"camera": Camera(eye=(math.nan, 0.0, 0.0))}, "from one place to another"),
+        ({"camera": Camera(target=(0.0, math.inf, 0.0))}, "from one place to another"),
+        ({"camera": Camera((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))}, "from one place to another"),
+        ({"camera": Camera(fov=0.0)}, r"in \(0, 180\), not 0"),
+        ({"camera": Camera(fov=180.0)}, r"in \(0, 180\), not 180"),
     ],
 )
 def test_a_film_checks_its_values(values, message):
     with pytest.raises(ArgumentError, match=message):
         Film(**values)
+
+
+@pytest.mark.parametrize("end", [1e6, 1e308])
+def test_a_film_of_too_many_pictures(end):
+    with pytest.raises(ArgumentError, match="pictures are more than 100,000; choose a shorter"):
+        Film().times(-end, end)
 
 
 def test_ffmpeg_that_fails_leaves_the_file_as_it_was(record, tmp_path, monkeypatch):
