@@ -327,7 +327,7 @@ class Database:
 
         The history before is dropped, unless it is in a file.
         """
-        with self._lock:
+        with ctrl_c.deferred(), self._lock:  # the one recording ends, the other begins
             bound = self._worlds.entry(world)
             check_is_live(world)
             if recording is not None:
@@ -353,7 +353,7 @@ class Database:
         self, world: World, recording: Recording, path: Path, tags: Tags | None = None
     ) -> ParquetRecording:
         """Writes the ticks of a world to a folder, too, from now on."""
-        with self._lock:
+        with ctrl_c.deferred(), self._lock:
             check_is_live(world)
             check_names(recording, world.snapshot.entities)
             name = self.schema_of(world)

@@ -40,11 +40,17 @@ def visuals_text(visuals: Sequence[VisualShape], geometry_id: Callable[[Geometry
             geometry_id(visual.geometry),
             *np.asarray(visual.position, dtype=float).tolist(),
             *np.asarray(visual.orientation, dtype=float).tolist(),
-            *np.clip(visual.colour or (), 0.0, 1.0).tolist(),
+            *_shares(visual.colour),
         ]
         for visual in visuals
     ]
     return json.dumps(rows, separators=(",", ":"))
+
+
+def _shares(colour: Sequence[float] | None) -> list[float]:
+    """Returns the shares of a colour; none of one that is not finite, which nothing can draw."""
+    shares = np.clip(colour or (), 0.0, 1.0)
+    return shares.tolist() if np.isfinite(shares).all() else []
 
 
 def visuals_of(

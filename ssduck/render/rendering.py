@@ -53,7 +53,7 @@ class Film:
         language: the language of the query.
 
     Raises:
-        ArgumentError: a number is not positive, the span is empty, or the camera sees nothing.
+        ArgumentError: a number is not positive, or the span is empty.
     """
 
     span: tuple[float, float] | None = None
@@ -70,7 +70,6 @@ class Film:
         if self.fps < MIN_FPS:
             raise ArgumentError(f"render: fps is at least {MIN_FPS:g}, not {self.fps:g}")
         validation.picture_size(*self.size, "render")
-        _check_camera(self.camera)
         if self.span is not None and not self.span[0] <= self.span[1] < math.inf:
             raise ArgumentError(
                 f"render: the span ends before it starts: {self.span[0]:g} s to {self.span[1]:g} s"
@@ -86,25 +85,6 @@ class Film:
             )
         times = start + np.arange(math.floor(last) + 1, dtype=np.float64) * (self.speed / self.fps)
         return np.asarray(times, dtype=np.float64)
-
-
-def _check_camera(camera: Camera | None) -> None:
-    """Checks that a camera can see something.
-
-    Raises:
-        ArgumentError: a number is not finite, it looks at where it is, or its angle is none.
-    """
-    if camera is None:
-        return
-    if not all(map(math.isfinite, (*camera.eye, *camera.target))) or (
-        tuple(camera.eye) == tuple(camera.target)
-    ):
-        raise ArgumentError(
-            f"render: a camera looks from one place to another, not from {list(camera.eye)} "
-            f"to {list(camera.target)}"
-        )
-    if not 0.0 < camera.fov < 180.0:
-        raise ArgumentError(f"render: the angle of a camera is in (0, 180), not {camera.fov:g}")
 
 
 def render(

@@ -6,6 +6,7 @@ starts; errors name the file, the key and the reason.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from ssduck.errors import SceneError, UnknownNameError, nearest
+from ssduck.errors import ArgumentError, SceneError, UnknownNameError, nearest
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, read_body, read_floor
 from ssduck.simulators.sensor_types import SENSOR_TYPES, SensorSetting, SensorType
 from ssduck.simulators.toml_reader import REQUIRED, Quaternion, TomlTable, Vector
@@ -21,11 +22,29 @@ from ssduck.simulators.toml_reader import REQUIRED, Quaternion, TomlTable, Vecto
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera: eye and target (metres), and vertical field of view (degrees)."""
+    """A pinhole camera.
+
+    Attributes:
+        eye: where it is, [x, y, z], m, world frame.
+        target: what it looks at, likewise.
+        fov: the vertical angle of view, degrees, in (0, 180).
+
+    Raises:
+        ArgumentError: a number is not finite, it looks at where it is, or it has no such angle.
+    """
 
     eye: Vector = (3.0, -3.0, 2.5)
     target: Vector = (0.0, 0.0, 0.5)
     fov: float = 50.0
+
+    def __post_init__(self) -> None:
+        eye, target = tuple(self.eye), tuple(self.target)
+        if not all(map(math.isfinite, (*eye, *target))) or eye == target:
+            raise ArgumentError(
+                f"a camera looks from one place to another, not from {list(eye)} to {list(target)}"
+            )
+        if not 0.0 < self.fov < 180.0:
+            raise ArgumentError(f"the angle of a camera is in (0, 180), not {self.fov:g}")
 
 
 CONSTRAINT_TYPES = ("fixed", "point", "prismatic", "gear")
@@ -246,6 +265,9 @@ def _scene(table: TomlTable, path: Path) -> Scene:
     _check_unique(path, "sensor", [sensor.name for sensor in sensors], everything)
     constraints = tuple(_constraint(entry, names) for entry in table.tables("constraint"))
     camera = table.table("camera")
+    eye, target = camera.vector("eye", Camera.eye), camera.vector("target", Camera.target)
+    if eye == target:
+        camera.fail("target", "the target is where the camera is")
     engine = table.table("engine")
     scene = Scene(
         name=table.text("name", _default_name(path)),
@@ -255,8 +277,8 @@ def _scene(table: TomlTable, path: Path) -> Scene:
         timestep=table.number("timestep", Scene.timestep, above=0.0),
         time=table.number("time", Scene.time, at_least=0.0),
         camera=Camera(
-            camera.vector("eye", Camera.eye),
-            camera.vector("target", Camera.target),
+            eye,
+            target,
             camera.number("fov", Camera.fov, above=0.0, below=180.0),
         ),
         floor=floor,
@@ -271,8 +293,6 @@ def _scene(table: TomlTable, path: Path) -> Scene:
         ),
         simulator=table.text("simulator", "") or None,
     )
-    if scene.camera.eye == scene.camera.target:
-        camera.fail("target", "the target is where the camera is")
     if not scene.name.isidentifier():
         table.fail("name", f"{scene.name!r} is no name: letters, digits and _ only")
     camera.end()

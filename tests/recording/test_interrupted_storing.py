@@ -14,7 +14,7 @@ import ssduck
 
 TICKS = 12
 # How often Ctrl-C is pressed, at lines that are spread over a method.
-PRESSES = 12
+PRESSES = 6
 PARTS = f"{Path(ssduck.__file__).parent}/"
 
 
@@ -107,3 +107,22 @@ def test_all_is_stored_once(form, method, tmp_path):
     for press in range(PRESSES):
         line = 1 + press * (count - 1) // (PRESSES - 1)
         stored_once(tmp_path / f"{line}.duckdb", line, form, method)
+
+
+def test_another_recording_begins_or_the_one_goes_on(tmp_path):
+    def begin(path: Path, line: float) -> int:
+        with ssduck.load("kitchen", path) as ss:
+            ss["kitchen"].step(2, every=1)
+            with suppress(KeyboardInterrupt), Presser(line) as presser:
+                ss.record("kitchen", ssduck.Recording(tables=("entities",)), tags={"new": True})
+            ss["kitchen"].step(2, every=1)
+            assert len(ss.past("kitchen").times) in (3, 5)
+        *_, last = ssduck.episodes(path)
+        assert last.complete
+        assert last.ticks == (3 if last.tags else 5)
+        return presser.count
+
+    count = begin(tmp_path / "whole.duckdb", math.inf)
+    for press in range(PRESSES):
+        line = 1 + press * (count - 1) // (PRESSES - 1)
+        begin(tmp_path / f"{line}.duckdb", line)

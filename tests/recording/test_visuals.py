@@ -1,6 +1,7 @@
 """Records have what is drawn of bodies, and the camera of their worlds."""
 
 import numpy as np
+import pybullet
 import pytest
 
 import ssduck
@@ -51,6 +52,26 @@ def test_a_record_has_what_was_drawn(kitchen, name):
         assert world.camera == camera != Camera()
     colours = {row[9:] for rows in expected.values() for row in rows}
     assert len(colours) > 10
+
+
+def test_a_colour_that_is_not_finite_is_none(tmp_path):
+    client = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=[0.1] * 3, physicsClientId=client
+    )
+    body = pybullet.createMultiBody(1, shape, physicsClientId=client)
+    pybullet.changeVisualShape(body, -1, rgbaColor=(np.nan, 0, 0, 1), physicsClientId=client)
+    with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
+        ss.add_variable("lab", ssduck.World.attach(client, names={body: "box"}))
+        with ss.record_to(tmp_path / "run"):
+            ss["lab"].step(3)
+    pybullet.disconnect(client)
+    for name in ("run", "run.duckdb"):
+        with ssduck.open(tmp_path / name) as ss:
+            (shape,) = drawn(ss.worlds[0])["box"]
+            assert len(shape) == 9  # without a colour
+            assert ss.eval("SELECT max(z(this)) FROM lab{} AS value;") == 0.0
+        assert ssduck.check(tmp_path / name) == []
 
 
 def test_an_old_record_is_drawn_by_its_shapes_without_colours(tmp_path):

@@ -247,16 +247,27 @@ def test_errors_leave_no_file(record, tmp_path, values, name, error, message):
         ({"size": (0, 10)}, "width"),
         ({"span": (2.0, 1.0)}, "the span ends before it starts: 2 s to 1 s"),
         ({"fps": 1e-300}, "fps is at least 0.001, not 1e-300"),
-        ({"camera": Camera(eye=(math.nan, 0.0, 0.0))}, "from one place to another"),
-        ({"camera": Camera(target=(0.0, math.inf, 0.0))}, "from one place to another"),
-        ({"camera": Camera((1.0, 1.0, 1.0), (1.0, 1.0, 1.0))}, "from one place to another"),
-        ({"camera": Camera(fov=0.0)}, r"in \(0, 180\), not 0"),
-        ({"camera": Camera(fov=180.0)}, r"in \(0, 180\), not 180"),
     ],
 )
 def test_a_film_checks_its_values(values, message):
     with pytest.raises(ArgumentError, match=message):
         Film(**values)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"eye": (math.nan, 0.0, 0.0)}, "from one place to another"),
+        ({"target": (0.0, math.inf, 0.0)}, "from one place to another"),
+        ({"eye": (1.0, 1.0, 1.0), "target": [1.0, 1.0, 1.0]}, "from one place to another"),
+        ({"fov": 0.0}, r"in \(0, 180\), not 0"),
+        ({"fov": 180.0}, r"in \(0, 180\), not 180"),
+        ({"fov": math.nan}, r"in \(0, 180\), not nan"),
+    ],
+)
+def test_a_camera_checks_its_values(values, message):
+    with pytest.raises(ArgumentError, match=message):
+        Camera(**values)
 
 
 @pytest.mark.parametrize("end", [1e6, 1e308])
