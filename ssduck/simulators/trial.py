@@ -246,7 +246,7 @@ def main() -> None:
     sys.addaudithook(audit)
     try:
         simulator = simulators.load(request.scene)
-        bodies, _ = simulator.describe() or ([], [])
+        bodies = _described(simulator, request.scene)
         tell(loaded=True)
         _use(simulator, bodies)
     except MemoryError:
@@ -259,6 +259,14 @@ def main() -> None:
         tell(error=message, type=SceneError.__name__, suggestions=[])
     else:
         tell(passed=True)
+
+
+def _described(simulator: Simulator, scene: Scene) -> list[Body]:
+    try:
+        bodies, _ = simulator.describe() or ([], [])
+    except SceneError as error:
+        raise SceneError(f"{scene.path}: {error.message}") from error
+    return bodies
 
 
 def _limit_process(limits: Limits) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import repeat
 from typing import Any, TypeVar
@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import SimulatorError, warn
+from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
@@ -60,6 +60,8 @@ FAR_PLANE = 100.0
 _FREE_FILTER, _FIXED_FILTER = (1, -1), (2, -3)
 # The number of lists of bodies whose reading stays prepared.
 _READERS = 2
+# The largest number of a mesh: PyBullet computes with single floats.
+MAX_NUMBER = float(np.finfo(np.float32).max)
 
 
 class PyBulletSimulator:
@@ -144,6 +146,7 @@ class PyBulletSimulator:
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
+        self._check_meshes(description.body for description in new.values())
         _warn_of_stand_ins(
             [description.body for description in new.values() if not description.exact]
         )
@@ -224,6 +227,20 @@ class PyBulletSimulator:
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return description
+
+    def _check_meshes(self, bodies: Iterable[Body]) -> None:
+        """Warns of meshes with numbers that are not finite in PyBullet.
+
+        Raises:
+            SceneError: a body with such a mesh is of a scene.
+        """
+        for body in bodies:
+            meshes = (shape.geometry.vertices for shape in body.shapes)
+            if not all((np.abs(vertices) <= MAX_NUMBER).all() for vertices in meshes):
+                message = f"{body.name!r} has a mesh with numbers that are not finite"
+                if body.handle in self.loaded.origins:
+                    raise SceneError(f"{message} as single floats, which are below 3.4e38")
+                warn(f"{message}: its boxes, and what is computed of them, are wrong")
 
     # -- state ----------------------------------------------------------------------------
 
