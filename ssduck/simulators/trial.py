@@ -17,6 +17,7 @@ import signal
 import subprocess
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.limits import Limits, ending_text, limit_process_memory, python_command
-from ssduck.simulators.backends import backend, drawn_shapes
+from ssduck.simulators.backends import backend
 from ssduck.simulators.interface import DEFAULT_BACKEND, Body, Simulator
 from ssduck.simulators.recognition import MUJOCO, simulator_of_scene
 from ssduck.simulators.scene_bodies import MODEL_SUFFIXES
@@ -41,8 +42,10 @@ from ssduck.simulators.scenes import Camera, Scene, shipped_scenes
 
 # A process may take so long to start on a busy machine, s.
 _START_SECONDS = 60.0
+# A process that tells nothing more may take so long to end, s.
+_ENDING_SECONDS = 5.0
 # A scene may take so long to be loaded, however short the time of programs is, s.
-LEAST_LOADING = 10.0
+LEAST_LOADING = 30.0
 # The longest line that is read of what the process tells, bytes.
 _MAX_LINE = 65_536
 # The errors that the process may tell, by name; others are a SceneError.
@@ -183,6 +186,9 @@ def _try(request: _Request) -> None:
                     raise _ERRORS.get(name, SceneError)(message, suggestions=map(str, names))
                 case _:
                     break
+        else:
+            with suppress(subprocess.TimeoutExpired):  # how did it end?
+                process.wait(_ENDING_SECONDS)
     finally:
         deadline.cancel()
         with process:
@@ -228,6 +234,7 @@ def _loading_seconds(limits: Limits) -> float:
 def main() -> None:
     """Loads the scene that the parent sends, and uses it a little."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    warnings.simplefilter("ignore")  # the parent warns
     tells = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
     os.dup2(2, 1)  # simulators print
     request = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent
@@ -286,8 +293,6 @@ def _limit_process(limits: Limits) -> None:
 def _use(simulator: Simulator, bodies: Sequence[Body]) -> None:
     """Reads what a world may read of a simulation, and makes a step and a picture of it."""
     with suppress(Exception):  # an error of this kind is one when it is used, too
-        for body in bodies:
-            drawn_shapes(simulator, body)
         simulator.read_link_poses(tuple(bodies), with_velocities=True)
         simulator.read_joints(bodies)
         simulator.step(1)

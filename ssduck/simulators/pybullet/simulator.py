@@ -22,6 +22,7 @@ from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
@@ -60,7 +61,7 @@ FAR_PLANE = 100.0
 _FREE_FILTER, _FIXED_FILTER = (1, -1), (2, -3)
 # The number of lists of bodies whose reading stays prepared.
 _READERS = 2
-# The largest number of a mesh: PyBullet computes with single floats.
+# The largest number of a shape: PyBullet computes with single floats.
 MAX_NUMBER = float(np.finfo(np.float32).max)
 
 
@@ -146,7 +147,7 @@ class PyBulletSimulator:
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
-        self._check_meshes(description.body for description in new.values())
+        self._check_shapes(description.body for description in new.values())
         _warn_of_stand_ins(
             [description.body for description in new.values() if not description.exact]
         )
@@ -228,16 +229,17 @@ class PyBulletSimulator:
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return description
 
-    def _check_meshes(self, bodies: Iterable[Body]) -> None:
-        """Warns of meshes with numbers that are not finite in PyBullet.
+    def _check_shapes(self, bodies: Iterable[Body]) -> None:
+        """Warns of shapes with numbers that are not finite in PyBullet.
 
         Raises:
-            SceneError: a body with such a mesh is of a scene.
+            SceneError: a body with such a shape is of a scene.
         """
         for body in bodies:
-            meshes = (shape.geometry.vertices for shape in body.shapes)
-            if not all((np.abs(vertices) <= MAX_NUMBER).all() for vertices in meshes):
-                message = f"{body.name!r} has a mesh with numbers that are not finite"
+            wrong = next((shape for shape in body.shapes if not _is_finite(shape)), None)
+            if wrong is not None:
+                kind = wrong.geometry.type
+                message = f"{body.name!r} has a {kind} with numbers that are not finite"
                 if body.handle in self.loaded.origins:
                     raise SceneError(f"{message} as single floats, which are below 3.4e38")
                 warn(f"{message}: its boxes, and what is computed of them, are wrong")
@@ -544,6 +546,13 @@ def _warn_of_stand_ins(bodies: Sequence[Body]) -> None:
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
             "the shapes themselves",
         )
+
+
+def _is_finite(shape: PlacedGeometry) -> bool:
+    """Checks the numbers of a shape as single floats."""
+    geometry = shape.geometry
+    numbers = (geometry.vertices, geometry.size, shape.position, shape.orientation)
+    return all((np.abs(each) <= MAX_NUMBER).all() for each in numbers)
 
 
 def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
