@@ -19,11 +19,27 @@ _MAX_KINDS = 5
 # The largest number of names in a message.
 MAX_NAMED = 50
 
+# Words that never begin an expression of a program, so that no name can be one of them.
+RESERVED_WORDS = frozenset(("OR", "XOR", "AND", "NOT", "IN", "FROM", "WHERE", "SELECT", "AS"))
+
 _SHORT_REPR = Repr()
 _SHORT_REPR.maxlist = _SHORT_REPR.maxtuple = _SHORT_REPR.maxdict = _SHORT_REPR.maxset = (
     MAX_SHOWN_ELEMENTS
 )
 _SHORT_REPR.maxstring = _SHORT_REPR.maxlong = _SHORT_REPR.maxother = 2 * MAX_TEXT_LENGTH
+
+
+def path_text(world: str, entity: str, part: str) -> str:
+    """Returns how a program names a link or a site.
+
+    >>> path_text("lab", "arm", "tip"), path_text("lab", "select", "tip")
+    ('lab.arm.tip', "lab['select']['tip']")
+    """
+    names = (world, entity, part)
+    words = (*RESERVED_WORDS, "THIS")  # `lab.this.tip` asks for the tips of a column
+    if all(name.isidentifier() and name.upper() not in words for name in names):
+        return ".".join(names)
+    return f"{world}[{entity!r}][{part!r}]"
 
 
 def short_repr(value: Any) -> str:

@@ -1,8 +1,14 @@
-"""The limits of a program: time, rows, memory, depth, files, statements, `eval` and progress."""
+"""The limits of a program: time, rows, memory, depth, files, statements, `eval` and progress.
+
+What a process that ssduck starts begins with, and how it ended, is here, too.
+"""
 
 from __future__ import annotations
 
+import json
 import math
+import signal
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -41,6 +47,8 @@ class Limits:
             own or the user's, and of nothing that ssduck keeps for itself.
         progress: whether programs that take longer than a second show their progress on a terminal
             (on standard error) or in a notebook.
+        trial: whether a process of its own loads a scene first, unless it comes with ssduck, so
+            that a file that crashes the simulator is an error; None for `not files`.
 
     Raises:
         ArgumentError: a limit has an invalid value.
@@ -57,6 +65,7 @@ class Limits:
     files: bool = True
     select_only: bool = False
     progress: bool = True
+    trial: bool | None = None
 
     def __post_init__(self) -> None:
         for name in ("seconds", "rows", "memory", "depth"):
@@ -69,7 +78,9 @@ class Limits:
             else:
                 value = validation.integer_above_0(value, f"{rule}, and a whole number")
             object.__setattr__(self, name, value)
-        for name in ("eval", "files", "select_only", "progress"):
+        if self.trial is None:
+            object.__setattr__(self, "trial", not self.files)
+        for name in ("eval", "files", "select_only", "progress", "trial"):
             object.__setattr__(
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
@@ -83,7 +94,8 @@ class Limits:
     def strict(cls, **changes: Any) -> Limits:
         """Returns limits for untrusted programs.
 
-        10 s, a million rows, 1 GB, no `eval`, no files, and of SQL only SELECT.
+        10 s, a million rows, 1 GB, no `eval`, no files, of SQL only SELECT, and scenes are loaded
+        by a process of its own first.
 
         Args:
             changes: limits that differ from these.
@@ -99,6 +111,37 @@ class Limits:
                 **changes,
             }
         )
+
+
+# -- processes --------------------------------------------------------------------------------
+
+# Gives a process the path of its parent before it imports more than the standard library. The
+# current folder, which may be a stranger's, is on it only if it is on the parent's.
+_START = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
+    "from {module} import main; main()"
+)
+
+
+def python_command(module: str, *arguments: str) -> list[str]:
+    """Returns the command of a new process of Python that runs the `main` of a module of ssduck.
+
+    Args:
+        module: the full name of the module.
+        arguments: what `sys.argv` holds after its first element.
+    """
+    path = json.dumps(list(map(str, sys.path)))
+    return [sys.executable, "-P", "-c", _START.format(module=module), path, *arguments]
+
+
+def ending_text(status: int) -> str:
+    """Returns the exit status of a process in words, or the name of the signal that ended it."""
+    if status >= 0:
+        return f"exit status {status}"
+    try:
+        return signal.Signals(-status).name
+    except ValueError:  # a signal without a name, as those of real time are
+        return f"signal {-status}"
 
 
 def limit_process_memory(limits: Limits) -> None:

@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager
 from typing import NoReturn
 
 from ssduck.errors import LimitError
-from ssduck.limits import GRACE, Limits, limit_process_memory
+from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory
 
 _BEGINS, _ENDS = b"b", b"e"
 # The signals that end both processes; Windows, which has no fork, lacks the last one.
@@ -112,10 +112,7 @@ def late_text(limits: Limits) -> str:
     return f"the program took more than {limits.seconds:g} s, and its process was ended"
 
 
+
 def signal_text(number: int) -> str:
     """Returns the name of the signal that ended a process, with its likely reason."""
-    try:
-        name = signal.Signals(number).name
-    except ValueError:  # a signal without a name, as those of real time are
-        return f"signal {number}"
-    return f"{name}; it may have needed more memory than available"
+    return f"{ending_text(-number)}; it may have needed more memory than available"

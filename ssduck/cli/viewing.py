@@ -70,7 +70,9 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     Raises:
         BadParameter: an episode of a scene is requested.
     """
+    from ssduck.limits import Limits
     from ssduck.simulators.scenes import find_scene
+    from ssduck.simulators.trial import Trial
     from ssduck.view.view import view_record, view_scene
     from ssduck.world.world import World
 
@@ -81,9 +83,11 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     if episode is not None:
         raise typer.BadParameter(f"--episode: {location} is no record")
     scene = find_scene(location)
+    trial = Trial(scene, Limits(trial=True))
 
     def load() -> World:
-        world = World.load(scene)
+        with trial.passed():
+            world = World.load(scene)
         world.name = scene.name
         return world
 

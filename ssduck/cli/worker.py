@@ -21,16 +21,10 @@ from typing import Any, TextIO
 from ssduck.cli.child_process import late_text, signal_text
 from ssduck.cli.records import open_or_load, whole_steps
 from ssduck.errors import LimitError, SelectScriptError
-from ssduck.limits import GRACE, Limits, limit_process_memory
+from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory, python_command
 from ssduck.mcp.answers import InterpreterAnswers, Language, WorkerError
 from ssduck.simulators.scenes import find_scene
 
-# Starts the worker with the path of its parent. The current folder, which may be a stranger's, is
-# not on it unless it is on the parent's.
-_START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
-    "from ssduck.cli.worker import main; main()"
-)
 # The line that stops the question before it.
 _STOP = "stop"
 _GONE = "variables that programs have set are gone"
@@ -173,9 +167,8 @@ class WorkerAnswers:
         return answer["value"]
 
     def _start(self) -> None:
-        path, source = list(map(str, sys.path)), asdict(self._source)
         self._process = subprocess.Popen(  # noqa: S603  # this file
-            [sys.executable, "-P", "-c", _START, json.dumps(path), json.dumps(source)],
+            python_command(__name__, json.dumps(asdict(self._source))),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -203,7 +196,7 @@ class WorkerAnswers:
 
 
 def _reason(status: int) -> str:
-    return f"exit status {status}" if status >= 0 else signal_text(-status)
+    return ending_text(status) if status >= 0 else signal_text(-status)
 
 
 # -- in the worker ----------------------------------------------------------------------------

@@ -24,6 +24,7 @@ from ssduck.recording.spec import Recording
 from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
 from ssduck.simulators.scenes import Scene, find_scene
 from ssduck.simulators.toml_reader import TomlTable, Vector
+from ssduck.simulators.trial import Trial
 from ssduck.world.world import World
 
 WORLD = "sim"
@@ -101,7 +102,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
 
     Args:
         task: the task.
-        limits: the limits of its terms.
+        limits: the limits of its terms, and of the process that loads its scene first.
 
     Attributes:
         task: the task.
@@ -110,6 +111,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     def __init__(self, task: Task, limits: Limits) -> None:
         self.task = task
         self._steps, self._is_closed = 0, False
+        self._trial = Trial(task.scene, limits)
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._load()
@@ -188,7 +190,8 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     def _load(self) -> None:
         """Loads the scene in place of the one before."""
         before = self._world if WORLD in self._interpreter else None
-        self._interpreter.add_variable(WORLD, World.load(self.task.scene))
+        with self._trial.passed():
+            self._interpreter.add_variable(WORLD, World.load(self.task.scene))
         if before is not None:
             before.close()
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Literal, TypeAlias
 
@@ -17,6 +17,7 @@ from ssduck.adapters.registry import all_adapters, loaded_adapters
 from ssduck.errors import ArgumentError, nearest
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.language.comments import DelimitedText, delimited
+from ssduck.language.quoting import escaped
 from ssduck.schema import HISTORIES, TABLES
 from ssduck.sql.relations import RELATIONS
 from ssduck.world.entities import Entity
@@ -78,7 +79,7 @@ class Completion:
     """A name that may stand at a place.
 
     Attributes:
-        text: the name, as it is written.
+        text: the name, as it is written: inside a text, without what would end that.
         start: the index in the text from which on the name replaces what is there.
         kind: what it is.
         usage: how it is used, `near(a, b, d) -> bool`; empty where the name says it.
@@ -137,9 +138,8 @@ def complete(
     if inside is not None:
         if inside.opening not in ("'", '"') or (language == "sql" and inside.opening == '"'):
             return []  # a comment, or a quoted identifier
-        start = inside.start + 1
-        place = _Place(ss, language, text, "", start)
-        return _nearest_first(text[start:cursor], _entities(place, ss.worlds))
+        place = _Place(ss, language, text, "", inside.start + 1)
+        return _nearest_first(text[place.start : cursor], _names_in_text(place))
     plain = _without(text, parts)
     word = _WORD.search(plain[:cursor])
     assert word is not None
@@ -213,7 +213,7 @@ def _members(place: _Place, path: list[str]) -> Iterator[Completion]:
     if len(path) > 1:
         return
     if isinstance(owner, World):
-        yield from _entities(place, [owner])
+        yield from (each for each in _entities(place, [owner]) if each.text.isidentifier())
     elif isinstance(owner, Entity):
         yield from _links(place, owner)
     elif path[0] in _aliases(place):
@@ -229,13 +229,28 @@ def _sql_members(place: _Place, path: list[str], worlds: dict[str, World]) -> It
         yield from _columns(place, table)
 
 
+def _names_in_text(place: _Place) -> Iterator[Completion]:
+    """Yields the names of entities, as they are written inside of a text.
+
+    A name from elsewhere ends no text. Neither language can write control characters in a text.
+    """
+    opening = place.start - 1
+    quote = place.text[opening]
+    # Backslashes have a meaning in texts of SQL with an E before them.
+    has_escapes = place.language == "sql" and place.text[:opening].upper().endswith("E")
+    for each in _entities(place, place.ss.worlds):
+        if not each.text.isprintable() or (has_escapes and "\\" in each.text):
+            continue
+        is_sql = place.language == "sql"
+        text = each.text.replace("'", "''") if is_sql else escaped(each.text, quote)
+        yield replace(each, text=text)
+
+
 def _entities(place: _Place, worlds: Iterable[World]) -> Iterator[Completion]:
-    """Yields the names of entities; outside a text, those that can be written without quotes."""
-    is_text = not place.before and place.start > 0
+    """Yields the names of entities."""
     for world in worlds:
         for info in world.snapshot.entities:
-            if is_text or info.name.isidentifier():
-                yield place.completion(info.name, "entity", about=f"A {info.kind} of {world.name}.")
+            yield place.completion(info.name, "entity", about=f"A {info.kind} of {world.name}.")
 
 
 def _links(place: _Place, entity: Entity) -> Iterator[Completion]:

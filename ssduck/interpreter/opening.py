@@ -18,6 +18,7 @@ from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
 from ssduck.simulators.scenes import find_scene, shipped_scenes
+from ssduck.simulators.trial import Trial
 from ssduck.world.world import World
 
 
@@ -37,13 +38,15 @@ def load(
         database: the path of a DuckDB file, or `":memory:"`.
         recording: the recording of the world; see `Interpreter`.
         limits: the limits of programs and SQL; `Limits.strict()` for programs from elsewhere. With
-            `files=False`, models, meshes and textures must be in the folder of the scene.
+            `files=False`, models, meshes and textures must be in the folder of the scene. With
+            `trial=True`, as then, a process of its own loads the scene first, unless it is shipped.
         simulator: `"mujoco"` or `"pybullet"`; by default MuJoCo, if it is installed, for an MJCF
             file, and PyBullet for everything else.
 
     Raises:
         UnknownNameError: no scene has that name; the error suggests the nearest names.
         SceneError: the scene cannot be loaded; the error names file, key and reason.
+        LimitError: the process that loads it first takes too long, or too much memory.
 
     >>> import ssduck
     >>> with ssduck.load("kitchen") as ss:
@@ -59,8 +62,9 @@ def load(
         check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
-        world = World.load(description, simulator=simulator)
-        interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
+        with Trial(description, limits, simulator).passed():
+            world = World.load(description, simulator=simulator)
+            interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:
         interpreter.close()

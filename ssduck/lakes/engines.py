@@ -11,6 +11,7 @@ import os
 import pickle
 import select
 import sys
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -21,9 +22,10 @@ from typing import Any, Literal, TypeAlias
 
 import pyarrow as pa
 
+import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
 from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
-from ssduck.lakes.pool import end_at_once, pools
+from ssduck.lakes.pool import end_at_once, pools, safe_path
 from ssduck.lakes.questions import Question
 from ssduck.lakes.workers import Answer, answer_episodes
 
@@ -105,13 +107,13 @@ def _send_answers(question: Question, batch: Batch, folder: Path) -> bytes | Pat
     """Returns the answers of a batch as a message that comes whole or not at all.
 
     Pipes write a message of some kilobytes at once. Of a longer one, half may be there when the
-    process is killed, and the pool would wait for the other half forever. So long answers go to a
-    file, and the message is its path.
+    process is killed, and the pool would wait for the other half forever. So long answers, and long
+    errors, go to a file, and the message is its path.
 
     Raises:
         EvaluationError: the file cannot be written.
     """
-    content = pickle.dumps(answer_episodes(question, batch))
+    content = _pickled_answers(question, batch)
     if len(content) <= _MAX_MESSAGE:
         return content
     try:
@@ -126,14 +128,30 @@ def _send_answers(question: Question, batch: Batch, folder: Path) -> bytes | Pat
     return Path(name)
 
 
+def _pickled_answers(question: Question, batch: Batch) -> bytes:
+    """Returns the answers of a batch, or the error in their place; either may be long."""
+    try:
+        return pickle.dumps(answer_episodes(question, batch))
+    except Exception as error:  # noqa: BLE001  # `_received` raises it
+        error.add_note(f"In a process of the lake:\n{traceback.format_exc()}")
+        try:
+            content = pickle.dumps(error)
+            pickle.loads(content)  # noqa: S301  # what is made again from its text may not be
+        except Exception:  # noqa: BLE001  # the same
+            return pickle.dumps(EvaluationError(f"{type(error).__name__}: {error}"))
+        return content
+
+
 def _received(message: bytes | Path) -> list[Answer]:
-    """Returns the answers that a process of this machine sent."""
+    """Returns the answers that a process of this machine sent, or raises the error that it had."""
     if isinstance(message, Path):
         content = message.read_bytes()
         message.unlink()
     else:
         content = message
-    answers: list[Answer] = pickle.loads(content)  # noqa: S301  # of our own process
+    answers: list[Answer] | Exception = pickle.loads(content)  # noqa: S301  # of our own process
+    if isinstance(answers, Exception):
+        raise answers
     return answers
 
 
@@ -146,7 +164,8 @@ def answer_on_ray(
         question: the question.
         batches: the batches.
         options: the arguments of `ray.init`, unless Ray runs already; by default, a cluster on
-            this machine only, without a dashboard.
+            this machine only, without a dashboard. Its processes import nothing from the current
+            folder, unless the options have a `runtime_env` or a `job_config`.
 
     Raises:
         UnsupportedError: Ray is not installed.
@@ -161,7 +180,12 @@ def answer_on_ray(
             "_node_ip_address": "127.0.0.1",
             "log_to_driver": False,
         }
-        ray.init(**(local if options is None else options))
+        settings = local if options is None else dict(options)
+        if not settings.keys() & {"runtime_env", "job_config"}:
+            # Ray puts the folder first on the path of its workers, but for jobs of its client.
+            settings["job_config"] = ray.job_config.JobConfig(_client_job=True)
+        with safe_path(**_where_ssduck_is()):
+            ray.init(**settings)
     task = ray.remote(max_retries=RETRIES)(answer_episodes)
     shared = ray.put(question)
     references = {task.remote(shared, batch): index for index, batch in enumerate(batches)}
@@ -170,13 +194,21 @@ def answer_on_ray(
         yield references.pop(done), ray.get(done)
 
 
+def _where_ssduck_is() -> dict[str, str]:
+    """Returns the variable that lets workers find ssduck, wherever this process has found it."""
+    name = "PYTHONPATH"
+    folder = str(Path(ssduck.__file__).parent.parent)
+    return {name: os.pathsep.join(filter(None, (os.environ.get(name), folder)))}
+
+
 def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) -> Answers:
     """Answers batches as a job of Spark: `mapInArrow` over the batches, one a partition.
 
     Args:
         question: the question.
         batches: the batches.
-        session: the `SparkSession`; None for one on this machine, `local[*]`.
+        session: the `SparkSession`; None for one on this machine, `local[*]`, whose workers import
+            nothing from the current folder.
 
     Raises:
         UnsupportedError: PySpark is not installed.
@@ -198,7 +230,8 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         }
         for name, value in settings.items():
             builder = builder.config(name, value)
-        session = builder.getOrCreate()
+        with safe_path(**_where_ssduck_is()):  # Java starts now, and its workers as Java is
+            session = builder.getOrCreate()
     text = pickle.dumps(question)
     rows = [(index, text, to_bytes(batch)) for index, batch in enumerate(batches)]
     parts = session.createDataFrame(rows, _PARTS).repartition(len(batches), "batch")

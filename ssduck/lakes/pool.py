@@ -59,21 +59,26 @@ _starting = threading.Lock()
 
 
 @contextmanager
-def _safe_path() -> Iterator[None]:
+def safe_path(**others: str) -> Iterator[None]:
     """Lets processes that start not import from the current folder, which may be a stranger's.
 
     They get the path of their parent before they import more than the standard library.
+
+    Args:
+        others: other variables of their environment.
     """
+    settings = {_SAFE: "1", **others}
     with _starting:
-        before = os.environ.get(_SAFE)
-        os.environ[_SAFE] = "1"
+        before = {name: os.environ.get(name) for name in settings}
+        os.environ.update(settings)
         try:
             yield
         finally:
-            if before is None:
-                del os.environ[_SAFE]
-            else:
-                os.environ[_SAFE] = before
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
 
 
 class _Process(SpawnProcess):
@@ -81,7 +86,7 @@ class _Process(SpawnProcess):
 
     @staticmethod
     def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802  # of the library
-        with _safe_path():
+        with safe_path():
             return SpawnProcess._Popen(process_obj)  # noqa: SLF001
 
 
@@ -129,7 +134,7 @@ class ProcessPools:
                 kept.timer.cancel()
                 return kept.executor, True
             kept.end()
-        with _safe_path():
+        with safe_path():
             return ProcessPoolExecutor(count, _Context(), _end_with_parent), False
 
     def keep(self, executor: ProcessPoolExecutor, count: int) -> None:

@@ -15,12 +15,13 @@ from typing import NoReturn
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import LimitError, ParseError, SourceSpan, nearest
+from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.comments import divisions
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
 from ssduck.language.sql_suggestions import STATEMENTS
 from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
-from ssduck.language.token_cursor import LEVEL_OF, RESERVED, is_kind, is_word, slice_of, span_of
+from ssduck.language.token_cursor import LEVEL_OF, is_kind, is_word, slice_of, span_of
 from ssduck.language.tokenizer import LETTERS_PER_WORD, tokenize
 from ssduck.language.tree import (
     AdapterClause,
@@ -48,7 +49,7 @@ from ssduck.language.tree import (
 
 def is_reserved(name: str) -> bool:
     """Checks whether a name cannot be that of a variable."""
-    return name.upper() in RESERVED or name.upper() in ("TRUE", "FALSE", "THIS")
+    return name.upper() in RESERVED_WORDS or name.upper() in ("TRUE", "FALSE", "THIS")
 
 
 def parse(text: str, max_words: int | None = None) -> Program:

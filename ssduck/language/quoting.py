@@ -1,4 +1,4 @@
-"""Reads quoted texts."""
+"""Reads and writes quoted texts."""
 
 from __future__ import annotations
 
@@ -21,3 +21,17 @@ def unquoted(quoted: str) -> str:
     quote = quoted[0]
     escaped = rf"\\\\(?=\\*(?:{quote}|$))|\\{quote}|{quote}{quote}"
     return re.sub(escaped, lambda match: match.group()[-1], quoted[1:-1])
+
+
+def escaped(text: str, quote: str) -> str:
+    r"""Returns a text as it is written between quotes; `unquoted` reads it.
+
+    >>> escaped("it's", "'"), escaped("it's", '"')
+    ("it''s", "it's")
+
+    Args:
+        text: the text.
+        quote: the quote around it.
+    """
+    doubled = rf"\\+(?={quote}|\Z)|{quote}"
+    return re.sub(doubled, lambda match: 2 * match.group(), text)

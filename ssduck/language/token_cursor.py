@@ -8,6 +8,7 @@ from typing import NoReturn, TypeVar
 from sqlglot.tokenizer_core import Token, TokenType
 
 from ssduck.errors import ParseError, SourceSpan, nearest
+from ssduck.formatting import RESERVED_WORDS
 from ssduck.language.sql_suggestions import STATEMENTS, suggestion_for
 from ssduck.language.tree import Suspicion
 
@@ -25,8 +26,6 @@ CLAUSES = frozenset(
     )
 )
 OPERATOR_WORDS = ("OR", "XOR", "AND", "NOT", "IN")
-# Words that never begin an expression, so that no name can be one of them.
-RESERVED = frozenset((*OPERATOR_WORDS, "FROM", "WHERE", "SELECT", "AS"))
 
 
 # Loosest first; each level is left-associative.
@@ -128,7 +127,7 @@ class Cursor:
         Raises:
             ParseError: something else comes next.
         """
-        if self.token is not None and self.token.text.upper() in RESERVED:
+        if self.token is not None and self.token.text.upper() in RESERVED_WORDS:
             self.fail(f"expected {expected}")
         return self.expect(TokenType.VAR, expected)
 

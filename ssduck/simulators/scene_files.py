@@ -71,10 +71,13 @@ def check_scene_inside(scene: str | Path, folder: Path | None = None) -> None:
         _refuse(file, real, own)
 
 
-def check_files_inside(scene: Scene) -> None:
+def check_files_inside(scene: Scene) -> tuple[Path, ...]:
     """Checks that a scene names files of its own folder only: models, meshes and textures.
 
     A simulator looks for a file in other folders, too, if it is not there.
+
+    Returns:
+        The files that it may read, and others of such names in the folder.
 
     Raises:
         SceneError: a file is elsewhere, is no regular file, or cannot be checked.
@@ -83,7 +86,29 @@ def check_files_inside(scene: Scene) -> None:
     for body in scene.bodies:
         if isinstance(body.model, Path):
             files.add_model(body.model.resolve(), scene.path)
-    files.check()
+    return files.check()
+
+
+def files_beside(scene: Scene) -> tuple[Path, ...]:
+    """Returns the models of a scene, and the files that they name, as far as they are beside them."""
+    found: dict[Path, None] = {}
+    for body in scene.bodies:
+        if isinstance(body.model, Path):
+            found[body.model] = None
+            found.update(dict.fromkeys(_named_beside(body.model)))
+    return tuple(found)
+
+
+def _named_beside(model: Path) -> Iterator[Path]:
+    try:
+        root = parse_xml(model.read_bytes(), with_comments=True)
+    except (ET.ParseError, OSError, ValueError):
+        return  # the simulator tells of it
+    for part in root.iter():
+        for name in (*part.attrib.values(), part.text or ""):
+            name = _SCHEME.sub("", name.strip(), count=1)
+            if name and "\0" not in name and os.path.isfile(model.parent / name):  # noqa: PTH113
+                yield model.parent / name
 
 
 @dataclass(frozen=True)
@@ -122,20 +147,22 @@ class _SceneFiles:
         self._add_words(str(model.relative_to(self._folder)))
         self._read(model, "model")
 
-    def check(self) -> None:
-        """Checks all files that a simulator may read.
+    def check(self) -> tuple[Path, ...]:
+        """Checks all files that a simulator may read, and returns them.
 
         Raises:
             SceneError: one is elsewhere, is no regular file, or cannot be checked.
         """
         known = -1
+        files: tuple[Path, ...] = ()
         while known != len(self._checked):  # a file that is read may name others
-            known = len(self._checked)
-            for file in self._reachable():
+            known, files = len(self._checked), tuple(self._reachable())
+            for file in files:
                 for role in sorted(self._roles.get(_flat(file.name), ())):
                     self._read(file, role)
         for named in self._required:
             self._check_place(named)
+        return files
 
     def _reachable(self) -> Iterator[Path]:
         """Yields the files in the folder whose paths are made of the words.

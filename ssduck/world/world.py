@@ -22,7 +22,7 @@ from ssduck.errors import (
     UnsupportedError,
     nearest,
 )
-from ssduck.formatting import contents_of, short_repr
+from ssduck.formatting import contents_of, path_text, short_repr
 from ssduck.geometry.arrays import Indices
 from ssduck.schema import (
     LINK_FACTOR,
@@ -380,7 +380,7 @@ class World(ConstructibleWorld, ManipulableSimulation, OpenRaveWorld, PublicName
                 paths_of = {link: f"{owner}.{link}" for owner, link in links}
                 near = tuple(paths_of[link] for link in nearest(name, paths_of))
             return UnknownNameError(message, suggestions=near)
-        choices = " or ".join(_path(self.name, owner, name) for owner in owners[:_MAX_OWNERS])
+        choices = " or ".join(path_text(self.name, owner, name) for owner in owners[:_MAX_OWNERS])
         return UnknownNameError(f"{message}; a part of another one has that name: write {choices}")
 
     def entity(self, id: int) -> Entity:
@@ -545,9 +545,3 @@ def _plain(value: Any) -> Any:
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
     return [_plain(part) for part in value] if is_list else value
 
-
-def _path(world: str, entity: str, part: str) -> str:
-    """Returns how a program names a link or a site."""
-    if all(map(str.isidentifier, (world, entity, part))):
-        return f"{world}.{entity}.{part}"
-    return f"{world}[{entity!r}][{part!r}]"

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import ssduck
 from ssduck.errors import ArgumentError, NumberError
 from ssduck.interpreter.completion import complete
+from ssduck.language.quoting import escaped, unquoted
 from ssduck.schema import TABLES
 
 
@@ -142,3 +147,53 @@ def test_a_place_outside_the_text(ss, cursor):
 def test_an_unknown_language(ss):
     with pytest.raises(ArgumentError, match="selectscript or sql"):
         complete(ss, "abc", 0, "prolog")
+
+
+# -- names from elsewhere -----------------------------------------------------------------------
+
+NAMES = ["c' OR True #", 'c" OR True #', "c\\", "c\\' OR 1=1 --", "c''", 'c\\\\"', "c\\d"]
+UNWRITABLE = ["c\u001b[2J", "c\u202eb", "c\n.quit", "c\u0007"]
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory):
+    scene = tmp_path_factory.mktemp("hostile") / "scene.toml"
+    bodies = (f"[[body]]\nname={json.dumps(name)}\nbox=[1,1,1]\n" for name in NAMES + UNWRITABLE)
+    scene.write_text('name = "lab"\n' + "".join(bodies), encoding="utf-8")
+    with ssduck.load(scene) as loaded:
+        yield loaded
+
+
+def chosen(ss, program, language):
+    """Each program in which a choice replaces what is typed, with the end of its text."""
+    for choice in complete(ss, program, len(program), language):
+        yield program[: choice.start] + choice.text
+
+
+@pytest.mark.parametrize("quote", ["'", '"'])
+def test_a_choice_inside_a_text_is_the_name(hostile, quote):
+    typed = f"SELECT id(this) FROM lab WHERE id(this) == {quote}c"
+    programs = [f"{begun}{quote} AS list;" for begun in chosen(hostile, typed, "selectscript")]
+    assert sorted(hostile.eval(program) for program in programs) == sorted([n] for n in NAMES)
+
+
+@pytest.mark.parametrize("prefix", ["", "E", "e"])
+def test_a_choice_inside_a_text_of_sql_is_the_name(hostile, prefix):
+    typed = f"SELECT name FROM lab.entities WHERE name = {prefix}'c"
+    programs = [f"{begun}'" for begun in chosen(hostile, typed, "sql")]
+    found = [hostile.sql(program).fetchall() for program in programs]
+    wanted = [name for name in NAMES if not (prefix and "\\" in name)]
+    assert sorted(found) == sorted([(name,)] for name in wanted)
+
+
+@pytest.mark.parametrize("text", ["lab.", "x = lab.c", "'c", '"c', "SELECT this FROM lab WHERE '"])
+@pytest.mark.parametrize("language", ["selectscript", "sql"])
+def test_no_choice_has_control_characters(hostile, text, language):
+    choices = complete(hostile, text, len(text), language)
+    assert all(each.text.isprintable() for each in choices)
+    assert choices or "lab." in text or '"' in text or "lab.c" in text
+
+
+@given(text=st.text("'\"\\\\ab #", max_size=8), quote=st.sampled_from(["'", '"']))
+def test_an_escaped_text_is_read_as_it_was(text, quote):
+    assert unquoted(f"{quote}{escaped(text, quote)}{quote}") == text

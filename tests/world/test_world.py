@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from unittest.mock import patch
 
 import numpy as np
 import pybullet
@@ -17,7 +18,10 @@ from ssduck.errors import (
     SimulatorError,
     UnknownNameError,
 )
+from ssduck.formatting import RESERVED_WORDS
+from ssduck.language.token_cursor import CLAUSES
 from ssduck.simulators.scenes import Camera, find_scene
+from ssduck.world import world as world_module
 from tests.support.urdf import collision, joint, link, robot
 
 
@@ -545,3 +549,18 @@ def test_time_does_not_run_backwards(kitchen, count):
     with pytest.raises(ValueError, match=f"cannot run {count} steps"):
         kitchen.step(count)
     assert kitchen.step(0).time == 0.0
+
+
+def test_the_name_of_a_part_is_told_as_a_program_writes_it(tmp_path):
+    """Names may be words of the language: each advice is a program."""
+    words = (*CLAUSES, *RESERVED_WORDS, "THIS", "TRUE", "NULL", "CASE", "IF", "arm", "it's", "a b")
+    names = sorted({word.lower() for word in words})
+    (tmp_path / "m.urdf").write_text(robot(link("base"), link("tip"), joint("j", "fixed", "base", "tip")))
+    bodies = "".join(f'[[body]]\nname="{name}"\nurdf="m.urdf"\n' for name in names)
+    (tmp_path / "scene.toml").write_text(f'name="lab"\n{bodies}')
+    with ssduck.load(tmp_path / "scene.toml") as ss, patch.object(world_module, "_MAX_OWNERS", 99):
+        with pytest.raises(UnknownNameError) as raised:
+            ss["lab"]["tip"]
+        advice = raised.value.message.partition("write ")[2].split(" or ")
+        assert "lab.arm.tip" in advice
+        assert sorted(ss.eval(f"{each};").entity.name for each in advice) == names

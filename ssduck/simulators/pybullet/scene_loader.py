@@ -95,7 +95,25 @@ def load_models(scene: Scene, client: int) -> LoadedBodies:
     _create_constraints(scene, loaded, client)
     # The contacts and rays of the first tick are those of the present poses.
     pybullet.performCollisionDetection(client)
+    for handle, name in loaded.names.items():
+        _check_poses(handle, f"{scene.path}: {name!r}", client)
     return loaded
+
+
+def _check_poses(handle: int, place: str, client: int) -> None:
+    """Checks that the links of a body have poses: a joint about an axis of length 0 gives none.
+
+    Raises:
+        SceneError: a number is not finite.
+    """
+    count = pybullet.getNumJoints(handle, client)
+    links = pybullet.getLinkStates(handle, range(count), physicsClientId=client) if count else ()
+    names = ["its base"] + [f"the joint {joint.name!r}" for joint in _joints_of(handle, client)]
+    poses = [pybullet.getBasePositionAndOrientation(handle, client)]
+    poses += [(link[4], link[5]) for link in links]
+    for name, pose in zip(names, poses, strict=True):
+        if not all(math.isfinite(number) for part in pose for number in part):
+            raise SceneError(f"{place} has no pose at {name}: is an axis or an origin no vector?")
 
 
 def _names(

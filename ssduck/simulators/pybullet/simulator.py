@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import repeat
 from typing import Any, TypeVar
@@ -18,10 +18,11 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.errors import SimulatorError, warn
+from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
+from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
 from ssduck.simulators.interface import (
     Body,
@@ -60,6 +61,8 @@ FAR_PLANE = 100.0
 _FREE_FILTER, _FIXED_FILTER = (1, -1), (2, -3)
 # The number of lists of bodies whose reading stays prepared.
 _READERS = 2
+# The largest number of a shape: PyBullet computes with single floats.
+MAX_NUMBER = float(np.finfo(np.float32).max)
 
 
 class PyBulletSimulator:
@@ -144,6 +147,7 @@ class PyBulletSimulator:
         saved = SavedShapes(self.client, added)
         with captured():  # PyBullet prints warnings about shapes that it does not return
             new = self._call(lambda: {h: self._describe_body(h, saved) for h in added})
+        self._check_shapes(description.body for description in new.values())
         _warn_of_stand_ins(
             [description.body for description in new.values() if not description.exact]
         )
@@ -224,6 +228,21 @@ class PyBulletSimulator:
         )
         pybullet.addUserData(handle, self._tag, "1", -1, -1, self.client)
         return description
+
+    def _check_shapes(self, bodies: Iterable[Body]) -> None:
+        """Warns of shapes with numbers that are not finite in PyBullet.
+
+        Raises:
+            SceneError: a body with such a shape is of a scene.
+        """
+        for body in bodies:
+            wrong = next((shape for shape in body.shapes if not _is_finite(shape)), None)
+            if wrong is not None:
+                kind = wrong.geometry.type
+                message = f"{body.name!r} has a {kind} with numbers that are not finite"
+                if body.handle in self.loaded.origins:
+                    raise SceneError(f"{message} as single floats, which are below 3.4e38")
+                warn(f"{message}: its boxes, and what is computed of them, are wrong")
 
     # -- state ----------------------------------------------------------------------------
 
@@ -527,6 +546,13 @@ def _warn_of_stand_ins(bodies: Sequence[Body]) -> None:
             "have exact = false in the table of shapes: World.attach(client, shapes={…}) takes "
             "the shapes themselves",
         )
+
+
+def _is_finite(shape: PlacedGeometry) -> bool:
+    """Checks the numbers of a shape as single floats."""
+    geometry = shape.geometry
+    numbers = (geometry.vertices, geometry.size, shape.position, shape.orientation)
+    return all((np.abs(each) <= MAX_NUMBER).all() for each in numbers)
 
 
 def visual_colours(client: int, handle: int) -> list[tuple[int, int, Sequence[float]]]:
