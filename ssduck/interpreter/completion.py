@@ -68,6 +68,8 @@ _SQL_SOURCE = re.compile(
 _SQL_DELIMITED = re.compile(
     r"--[^\n]*|/\*.*?(?:\*/|\Z)|'(?:[^']|'')*(?:'|\Z)|\"[^\"]*(?:\"|\Z)", re.DOTALL
 )
+# The letters before the cursor that are searched: the time grows with their square.
+_LETTERS_BEFORE = 500
 # These end before the end of their line.
 _LINE_COMMENTS = ("--", "//", "#")
 # The words behind which a source follows.
@@ -141,7 +143,7 @@ def complete(
         place = _Place(ss, language, text, "", inside.start + 1)
         return _nearest_first(text[place.start : cursor], _names_in_text(place))
     plain = _without(text, parts)
-    word = _WORD.search(plain[:cursor])
+    word = _WORD.search(plain, max(cursor - _LETTERS_BEFORE, 0), cursor)
     assert word is not None
     if word[0][:1].isdigit():
         return []
@@ -180,18 +182,21 @@ def _reaches(part: DelimitedText, cursor: int) -> bool:
 
 def _without(text: str, parts: Iterable[DelimitedText]) -> str:
     """Returns a program with signs of no meaning in place of its texts and comments."""
+    pieces, end = [], 0
     for part in parts:
         sign = "?" if part.opening in ("'", '"') else " "
-        text = text[: part.start] + sign * (part.end - part.start) + text[part.end :]
-    return text
+        pieces += [text[end : part.start], sign * (part.end - part.start)]
+        end = part.end
+    return "".join((*pieces, text[end:]))
 
 
 def _candidates(place: _Place) -> Iterable[Completion]:
     """Yields all names that may stand at a place."""
-    path = _PATH.search(place.before)
+    first = max(len(place.before) - _LETTERS_BEFORE, 0)
+    path = _PATH.search(place.before, first)
     if path is not None:
         return _members(place, re.findall(r"\w+", path[1]))
-    previous = _PREVIOUS_WORD.search(place.before)
+    previous = _PREVIOUS_WORD.search(place.before, first)
     word = previous[1].upper() if previous is not None else ""
     if word == "AS":
         return _forms(place) if place.language == "selectscript" else ()

@@ -95,8 +95,8 @@ class _Asking:
         Args:
             query: a SelectScript query that selects entities and has no AS, such as
                 `SELECT obj FROM kitchen WHERE isRobot(this)`.
-            width: pixels, at most 2,000.
-            height: pixels, at most 2,000.
+            width: pixels; more than 2,000 are 2,000.
+            height: likewise.
         """
         data = await self._answer(self._answers.picture, query, width, height)
         return Image(data=data, format="png")

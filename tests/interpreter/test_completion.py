@@ -197,3 +197,14 @@ def test_no_choice_has_control_characters(hostile, text, language):
 @given(text=st.text("'\"\\\\ab #", max_size=8), quote=st.sampled_from(["'", '"']))
 def test_an_escaped_text_is_read_as_it_was(text, quote):
     assert unquoted(f"{quote}{escaped(text, quote)}{quote}") == text
+
+
+@pytest.mark.parametrize(
+    "before", ["a" + ".b" * 25_000, "x" * 50_000, "'" * 50_000, "x = 1; " * 7_000]
+)
+@pytest.mark.parametrize("language", ["selectscript", "sql"])
+def test_a_long_program_before_the_cursor(hostile, before, language):
+    """What is there is looked at once: in the square of the length, each would take a minute."""
+    short = complete(hostile, "; l", language=language)
+    found = complete(hostile, f"{before}; l", language=language)
+    assert [each.text for each in found] == [each.text for each in short] != []
