@@ -90,7 +90,7 @@ def check_files_inside(scene: Scene) -> tuple[Path, ...]:
 
 
 def files_beside(scene: Scene) -> tuple[Path, ...]:
-    """Returns the models of a scene, and the files that they name, as far as they are beside them."""
+    """Returns the models of a scene, and the files beside them that they name."""
     found: dict[Path, None] = {}
     for body in scene.bodies:
         if isinstance(body.model, Path):
@@ -105,8 +105,8 @@ def _named_beside(model: Path) -> Iterator[Path]:
     except (ET.ParseError, OSError, ValueError):
         return  # the simulator tells of it
     for part in root.iter():
-        for name in (*part.attrib.values(), part.text or ""):
-            name = _SCHEME.sub("", name.strip(), count=1)
+        for text in (*part.attrib.values(), part.text or ""):
+            name = _SCHEME.sub("", text.strip(), count=1)
             if name and "\0" not in name and os.path.isfile(model.parent / name):  # noqa: PTH113
                 yield model.parent / name
 

@@ -7,6 +7,7 @@ import os
 import pickle
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
@@ -287,3 +288,39 @@ def _values(answers):
     if answers["answer"].type == pa.string():
         values = [None if value is None else json.loads(value) for value in values]
     return values
+
+
+class _OddError(Exception):
+    """An error that pickle cannot make again."""
+
+    def __init__(self, text, more):
+        super().__init__(f"{text}{more}")
+
+
+@pytest.mark.parametrize(
+    ("error", "is_long", "kind", "message"),
+    [
+        (EvaluationError("short"), False, EvaluationError, "short"),
+        (ValueError("a" * 100_000), True, ValueError, "a" * 100_000),
+        (_OddError("odd", "ly"), False, EvaluationError, "_OddError: oddly"),
+    ],
+)
+def test_long_errors_come_through_files(
+    recorded, tmp_path, monkeypatch, error, is_long, kind, message
+):
+    def fail(question, batch, depth=20 if is_long else 0):
+        if depth:
+            fail(question, batch, depth - 1)
+        raise error
+
+    monkeypatch.setattr(engines, "answer_episodes", fail)
+    sent = engines._send_answers(ProgramQuestion("1;"), [], tmp_path)
+    assert len(pickle.dumps(sent)) < 4096  # PIPE_BUF
+    assert isinstance(sent, bytes) != bool(list(tmp_path.iterdir()))
+    assert isinstance(sent, Path) or not is_long
+    with pytest.raises(kind) as raised:
+        engines._received(sent)
+    assert raised.value.args == (message,)
+    if kind is type(error):
+        assert "in fail" in "".join(raised.value.__notes__)
+    assert not list(tmp_path.iterdir())

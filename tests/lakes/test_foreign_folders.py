@@ -13,6 +13,7 @@ import pytest
 
 import ssduck
 from ssduck.cli.worker import Source, WorkerAnswers
+from tests.support.command_line import BOX, ROOT
 from tests.support.rising_cups import write_rising_cups
 
 # What Python imports when a process starts, and what ssduck does.
@@ -48,6 +49,38 @@ def test_an_agent_starts_no_file_of_the_folder(foreign: Path) -> None:
 def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
     rows = ssduck.lake("record").ask("z(lab.cup) > 0.5;", processes=2, batch=1)
     assert rows["error"].to_pylist() == [None] * 3
+    assert not (foreign.parent / "run").exists()
+
+
+def test_the_trial_of_a_scene_starts_no_file_of_the_folder(foreign: Path) -> None:
+    for name in ("pybullet", "numpy", "pickle", "hashlib"):
+        (foreign / f"{name}.py").write_text(f"open({str(foreign.parent / 'run')!r}, 'a')\n")
+    (foreign / "box.urdf").write_text(BOX)
+    with ssduck.load("box.urdf", limits=ssduck.Limits.strict()) as ss:
+        assert ss.eval("SELECT id FROM box AS list;") == ["box"]
+    assert not (foreign.parent / "run").exists()
+
+
+STARTS = f"""
+import sys
+sys.path.append({str(ROOT)!r})
+import ssduck
+print(ssduck.lake("record").ask("z(lab.cup) > 0.5;", engine=sys.argv[1], batch=1)["error"])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["ray", "pyspark"])
+def test_clusters_start_no_file_of_the_folder(foreign: Path, engine: str) -> None:
+    pytest.importorskip(engine, reason="the engine is not installed")
+    for name in ("pyspark", "ray", "zoneinfo", "numpy", "pyarrow"):
+        mark = f"open({str(foreign.parent / 'run')!r}, 'a').write({name!r})\n"
+        (foreign / f"{name}.py").write_text(mark)
+    (foreign.parent / "asks.py").write_text(STARTS)
+    command = [sys.executable, foreign.parent / "asks.py", engine.removeprefix("py")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "null,\n    null,\n    null" in done.stdout
     assert not (foreign.parent / "run").exists()
 
 

@@ -209,7 +209,7 @@ def test_memory_is_limited(folder: Path) -> None:
     (folder / "m.xml").write_text(f'<mujoco><size memory="3G"/>{body}</mujoco>')
     pytest.importorskip("mujoco")
     ssduck.load(folder / "m.xml", limits=Limits.strict(memory=3 * 10**9)).close()
-    with pytest.raises((SceneError, LimitError), match="memory|allocate"):
+    with pytest.raises((SceneError, LimitError), match=r"memory|allocate"):
         ssduck.load(folder / "m.xml", limits=Limits.strict(memory=10**6))
 
 

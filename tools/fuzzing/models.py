@@ -66,8 +66,8 @@ SDF = """<sdf version="1.6"><world name="w"><gravity>0 0 -9.8</gravity><model na
 <link name="b"><pose>0 0 1 0 0 0</pose><inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy>
 <ixz>0</ixz><iyy>1</iyy><iyz>0</iyz><izz>1</izz></inertia></inertial>
 <collision name="c"><geometry><cylinder><radius>1</radius><length>1</length></cylinder></geometry>
-</collision><visual name="v"><geometry><sphere><radius>1</radius></sphere></geometry></visual></link>
-<joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz>
+</collision><visual name="v"><geometry><sphere><radius>1</radius></sphere></geometry></visual>
+</link><joint name="j" type="revolute"><parent>a</parent><child>b</child><axis><xyz>0 0 1</xyz>
 <limit><lower>-1</lower><upper>1</upper><effort>1</effort></limit>
 <dynamics><damping>1</damping><friction>1</friction></dynamics></axis></joint></model>
 <model name="n"><link name="l"><inertial><mass>1</mass><inertia><ixx>1</ixx><ixy>0</ixy>
