@@ -88,8 +88,8 @@ def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
     distinct = rows.select(names).group_by(names, use_threads=False).aggregate([])
     expected = join_model(table, distinct.select(keys), model, names)
     for name in names:
-        pairs = zip(distinct[name].to_pylist(), expected[name].to_pylist(), strict=True)
-        if any(one != other and not (_is_nan(one) and _is_nan(other)) for one, other in pairs):
+        found = (None if _is_nan(one) else one for one in distinct[name].to_pylist())
+        if any(one != other for one, other in zip(found, expected[name].to_pylist(), strict=True)):
             return f"the column {name!r} has another value than its model"
     return None
 
