@@ -44,8 +44,8 @@ from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# So many rows of a table without a key are checked at once: they fit the cache of a processor.
-_ROWS_AT_ONCE = 1 << 16
+# So many rows of a table without a key are checked at once.
+_ROWS_AT_ONCE = 1 << 18
 
 
 class ParquetArchive(TickArchive):

@@ -230,9 +230,19 @@ class RowChecks:
         return problem
 
     def _are_links(self, ids: Integers, links: Integers) -> bool:
-        """Checks whether all links are known, quickly: of many rows, as those of contacts."""
+        """Checks whether all links are known, quickly: of many rows, as those of contacts.
+
+        Rows of one link follow one another, for most stores; the first of them is looked up.
+        """
+        if not len(ids):
+            return False
+        is_first = np.empty(len(ids), dtype=bool)
+        is_first[0] = True
+        np.not_equal(ids[1:], ids[:-1], out=is_first[1:])
+        is_first[1:] |= links[1:] != links[:-1]
+        ids, links = ids[is_first], links[is_first]
         # Unsigned, a negative number is larger than any limit.
-        if not len(ids) or int(ids.view(np.uint64).max()) >= len(self._link_limits):
+        if int(ids.view(np.uint64).max()) >= len(self._link_limits):
             return False
         return bool((links.view(np.uint64) < self._link_limits.take(ids)).all())
 
