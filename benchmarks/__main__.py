@@ -1,8 +1,8 @@
 """Runs benchmarks and prints tables of times and ratios in Markdown.
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
-language and adapters. All of them take some minutes, and so do the tables raw, strict, checksums
-and interchange. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
+language and adapters. All of them take some minutes, and so do the tables raw, strict,
+checksums, first and interchange. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
 `python -m benchmarks lake [FOLDER]` needs gymnasium and MuJoCo, and Ray and Spark for their rows.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.
@@ -16,6 +16,7 @@ import sys
 from benchmarks import (
     adapters,
     checksums,
+    first_questions,
     gym_steps,
     interchange,
     lake,
@@ -45,6 +46,7 @@ LONG_TABLES = {
     "raw": raw,
     "strict": strict,
     "checksums": checksums,
+    "first": first_questions,
     "interchange": interchange,
 }
 # Tables that need an extra.

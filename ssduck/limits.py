@@ -28,6 +28,7 @@ LEAST_OPENING = 10.0
 _SIZES, _SPARE = Path("/proc/self/statm"), 10**9
 # The largest number of words and signs of a program under a limit of time.
 MAX_WORDS = 50_000
+_now = time.monotonic
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,8 @@ class UsageMeter:
 
     Attributes:
         start: when the program started, by the monotonic clock, s.
+        step: counts a step in Python: a row, a call, a part of a path. It raises a LimitError if
+            the time is up, or the program was stopped.
     """
 
     def __init__(self, limits: Limits, is_stopped: Callable[[], bool] | None = None) -> None:
@@ -214,16 +217,10 @@ class UsageMeter:
         self._deadline = None if seconds is None else self.start + seconds
         self._size = 0
         # From when on `check_time` is to be called: always if the program can be stopped.
-        self._first_look = self._deadline if is_stopped is None else -math.inf
-
-    def step(self) -> None:
-        """Counts a step in Python: a row, a call, a part of a path.
-
-        Raises:
-            LimitError: the time is up.
-        """
-        if self._first_look is not None and time.monotonic() > self._first_look:
-            self.check_time()
+        self._first_look = math.inf if self._deadline is None else self._deadline
+        if is_stopped is not None:
+            self._first_look = -math.inf
+        self.step = _clock(self._deadline, limits.seconds, is_stopped)
 
     def charge(self, size: int) -> None:
         """Counts the size of a large value that the program has made in Python.
@@ -238,26 +235,26 @@ class UsageMeter:
         maximum = self.limits.memory
         if maximum is not None and self._size > maximum:
             raise LimitError(f"the program makes values of more than {maximum:,} bytes")
-        if self._first_look is not None and time.monotonic() > self._first_look:
-            self.check_time()
+        if _now() > self._first_look:
+            self.step()
 
     def combination_counter(self) -> Callable[[], None]:
         """Returns a function to call for each combination of rows that Python evaluates.
 
         The function raises a LimitError if there are too many, or the time is up.
         """
-        maximum = self.limits.rows
+        maximum, step = self.limits.rows, self.step
         if maximum is None:
-            return self.step
-        count, first_look = 0, self._first_look
+            return step
+        count, now, first_look = 0, _now, self._first_look
 
         def count_combination() -> None:
             nonlocal count
             count += 1
             if count > maximum:
                 raise LimitError(f"a query looks at more than {maximum} rows")
-            if first_look is not None and time.monotonic() > first_look:
-                self.check_time()
+            if now() > first_look:
+                step()
 
         return count_combination
 
@@ -267,12 +264,7 @@ class UsageMeter:
         Raises:
             LimitError: the time is up, or the program was stopped.
         """
-        if self._deadline is None:
-            return
-        if self._is_stopped is not None and self._is_stopped():
-            raise LimitError("the program was stopped")
-        if time.monotonic() > self._deadline:
-            raise LimitError(f"the program took more than {self.limits.seconds:g} s")
+        self.step()
 
     @property
     def deadline(self) -> float | None:
@@ -292,3 +284,35 @@ class UsageMeter:
         """
         if self.limits.rows is not None and count > self.limits.rows:
             raise LimitError(f"a query has more than {self.limits.rows} rows")
+
+
+def _clock(
+    deadline: float | None, seconds: float | None, is_stopped: Callable[[], bool] | None
+) -> Callable[[], None]:
+    """Returns a function that raises a LimitError if there is no time left.
+
+    It is called for each row: a method, with what it looks up, would take twice as long.
+
+    Args:
+        deadline: when the time is up, by the monotonic clock, s; None for never.
+        seconds: how long the time is, s.
+        is_stopped: tells whether another thread has stopped the program; None if none can.
+    """
+    if deadline is None:
+        return _do_nothing
+    now = _now
+
+    def check() -> None:
+        if now() > deadline:
+            raise LimitError(f"the program took more than {seconds:g} s")
+
+    def check_both() -> None:
+        if is_stopped is not None and is_stopped():
+            raise LimitError("the program was stopped")
+        check()
+
+    return check if is_stopped is None else check_both
+
+
+def _do_nothing() -> None:
+    return

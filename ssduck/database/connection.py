@@ -36,10 +36,11 @@ from ssduck.database.instances import (
     set_up,
 )
 from ssduck.database.limited_fetch import (
+    EXECUTE,
+    RepeatedStatements,
     is_duckdb_error,
     limited_rows,
     limited_table,
-    types_of,
     whole_table,
 )
 from ssduck.database.on_demand import OnDemand
@@ -67,7 +68,6 @@ Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
 # Errors of functions that SQL calls, which stay as they are.
 _OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
-_EXECUTE = "EXECUTE "
 _SCHEMAS = (
     "SELECT schema_name FROM duckdb_schemas() "
     "WHERE NOT internal AND database_name = current_database() AND schema_name <> 'main'"
@@ -126,8 +126,7 @@ class Connection:
         self._attached: Path | None = None
         self._functions: set[str] = set()
         self._at_start: dict[str, Callable[[], None]] = {}
-        # The types of the columns of prepared statements, by what executes them; () if unknown.
-        self._prepared_types: dict[str, tuple[str, ...]] = {}
+        self._repeated = RepeatedStatements()
         # The exception of a function that SQL called: DuckDB keeps its text only.
         self._raised: list[BaseException] = []
         # The schemas of worlds, which no other connection makes.
@@ -359,15 +358,12 @@ class Connection:
 
     def rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
         """Returns all rows of a statement from the translator; the caller pins the worlds."""
-        if not sql.startswith(_EXECUTE):  # what it names is there
+        if not sql.startswith(EXECUTE):  # what it names is there
             self.on_demand.provide(sql, self)
 
         def fetch() -> list[tuple[Any, ...]]:
-            result = self._connection.execute(sql, parameters)
-            if self.has_limited_rows:
-                types = self._types(sql, result)
-                return limited_rows(result, types, self._max_rows, self.meter.charge)
-            return all_rows(result)
+            charge = self.meter.charge if self.has_limited_rows else None
+            return self._repeated.rows(self._connection, sql, parameters, self._max_rows, charge)
 
         rows = self._execute(sql, fetch)
         self.meter.check_rows(len(rows))
@@ -406,7 +402,7 @@ class Connection:
         limited = None
         if self.has_limited_rows:
             limited = partial(limited_rows, max_rows=self._max_rows, charge=self.meter.charge)
-        if not sql.startswith(_EXECUTE):
+        if not sql.startswith(EXECUTE):
             self.on_demand.provide(sql, self)
 
         def fetch() -> FetchedRows | None:
@@ -416,13 +412,6 @@ class Connection:
         if rows is not None:
             self.meter.check_rows(len(rows))
         return rows
-
-    def _types(self, sql: str, result: duckdb.DuckDBPyConnection) -> tuple[str, ...]:
-        """Returns the types of a result's columns; a prepared statement keeps its own."""
-        types = self._prepared_types.get(sql) or types_of(result)
-        if sql in self._prepared_types:
-            self._prepared_types[sql] = types
-        return types
 
     @property
     def has_limited_rows(self) -> bool:
@@ -474,11 +463,11 @@ class Connection:
         self.on_demand.provide(select, self)
         sql = f"PREPARE {quoted(name)} AS {select}"
         self._execute(sql, lambda: self._connection.execute(sql).fetchall())
-        self._prepared_types[execution_of(name)] = ()
+        self._repeated.forget(execution_of(name))
 
     def deallocate(self, name: str) -> None:
         """Drops a prepared statement."""
-        self._prepared_types.pop(execution_of(name), None)
+        self._repeated.forget(execution_of(name))
         self.run(f"DEALLOCATE {quoted(name)}")
 
     def internal_rows(self, sql: str, parameters: Parameters = None) -> list[tuple[Any, ...]]:
@@ -561,7 +550,7 @@ class Connection:
 
 def execution_of(name: str) -> str:
     """Returns the statement that executes a prepared one."""
-    return f"{_EXECUTE}{quoted(name)}"
+    return f"{EXECUTE}{quoted(name)}"
 
 
 def _end(listener: ctrl_c.InterruptListener, *, is_timed: bool) -> None:

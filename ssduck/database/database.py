@@ -140,8 +140,6 @@ class Database:
                 with PinnedWorlds(self._lock, self._worlds, statement.reads, is_settled=False):
                     self._worlds.write_contacts()
                     return self._raw_sql.ready_rows(statement)
-            if self.connection.meter.limits.seconds is not None:
-                check_length(sql)
             self._confine(sql)
             words = words_of(sql)
             tables = self._references.tables(words) - self._raw_sql.unread(sql)
@@ -168,6 +166,9 @@ class Database:
             LimitError: the statement is not permitted.
         """
         limits = self.connection.meter.limits
+        # What is known was parsed before.
+        if limits.seconds is not None and self._raw_sql.statements.known(sql) is None:
+            check_length(sql)
         if not (limits.files or self._is_sealed):
             self.connection.seal(self._record_folders)
             self._is_sealed = True

@@ -53,7 +53,8 @@ class Deadlines:
                 self._thread.start()
             self._entries[key] = meter, interrupt
             self._is_used = True
-            if _deadline(meter) < self._next_look:
+            deadline = meter.deadline
+            if deadline is not None and deadline < self._next_look:
                 self._condition.notify()
 
     def end(self, key: Hashable) -> None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 # DuckDB's types whose values are the same in Python's rows, in NumPy and in Arrow.
-_ARROW_TYPES = {
+ARROW_TYPES = {
     "BOOLEAN": pa.bool_(),
     "INTEGER": pa.int32(),
     "BIGINT": pa.int64(),
@@ -23,7 +23,7 @@ _ARROW_TYPES = {
 # More rows are fetched by column, which takes half of the time.
 MAX_TUPLES = 200
 # The same for ssduck's own statements, whose columns become tuples again.
-_BY_ROW = 100
+MANY_ROWS = 100
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class FetchedRows:
         first = list(zip(*self._first, strict=True)) or [()] * len(names)
         rest = [column.tolist() for column in self._rest] or [[]] * len(names)
         arrays = [
-            pa.array(list(chain(start, end)), _ARROW_TYPES[name])
+            pa.array(list(chain(start, end)), ARROW_TYPES[name])
             for start, end, name in zip(first, rest, types, strict=True)
         ]
         fields = [(name, array.type) for name, array in zip(names, arrays, strict=True)]
@@ -113,25 +113,24 @@ class FetchedRows:
 
 def are_plain(types: Iterable[str]) -> bool:
     """Checks whether Python's values of columns of these types are those of Arrow's."""
-    return _ARROW_TYPES.keys() >= set(types)
+    return ARROW_TYPES.keys() >= set(types)
 
 
 def has_plain_types(table: pa.Table) -> bool:
     """Checks whether the columns of a table can be fetched as Python's values."""
-    return all(kind in _ARROW_TYPES.values() for kind in table.schema.types)
+    return all(kind in ARROW_TYPES.values() for kind in table.schema.types)
 
 
 def fetched(
     result: duckdb.DuckDBPyConnection,
-    limited: Callable[[duckdb.DuckDBPyConnection, tuple[str, ...]], list[tuple[Any, ...]]] | None,
+    limited: Callable[..., list[tuple[Any, ...]]] | None,
     header: Header | None,
 ) -> FetchedRows | None:
     """Returns all rows of a result; None if an Arrow table is needed, or faster.
 
     Args:
         result: a connection that has executed a statement.
-        limited: a function that fetches the rows of columns of these types within limits; None for
-            all rows.
+        limited: a function that fetches the rows within limits, as `limited_rows`; None for all.
         header: the columns of rows that were fetched before, with the expected number of rows;
             None if they are not known.
     """
@@ -143,7 +142,8 @@ def fetched(
             result.abort()
             return None
     if limited is not None:
-        return FetchedRows(header, limited(result, header.types))
+        expected = MAX_TUPLES if header.is_long is False else 0
+        return FetchedRows(header, limited(result, header.types, expected=expected))
     if header.is_long is False:
         return FetchedRows(header, result.fetchall())
     rows = [] if header.is_long else result.fetchmany(MAX_TUPLES)
@@ -154,9 +154,9 @@ def fetched(
 
 def all_rows(result: duckdb.DuckDBPyConnection) -> list[tuple[Any, ...]]:
     """Returns all rows of a result; many rows are fetched by column, in a quarter of the time."""
-    rows: list[tuple[Any, ...]] = result.fetchmany(_BY_ROW)
-    if len(rows) == _BY_ROW:
-        if all(str(column[1]) in _ARROW_TYPES for column in result.description):
+    rows: list[tuple[Any, ...]] = result.fetchmany(MANY_ROWS)
+    if len(rows) == MANY_ROWS:
+        if all(str(column[1]) in ARROW_TYPES for column in result.description):
             columns = result.fetchnumpy().values()
             rows.extend(zip(*(column.tolist() for column in columns), strict=True))
         else:

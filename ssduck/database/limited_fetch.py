@@ -2,22 +2,42 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
-from typing import Any
+from typing import Any, TypeAlias
 
 import duckdb
 import pyarrow as pa
 
+from ssduck.database.fetched_rows import ARROW_TYPES, MANY_ROWS, all_rows
 from ssduck.errors import LimitError
+
+# Counts the size of values, bytes.
+Charge: TypeAlias = Callable[[int], None]
 
 # The largest number of rows that are fetched at a time, and their expected size, bytes.
 _MOST_ROWS, _MOST_BYTES = 10_000, 10_000_000
-_BATCH = 4_096
+# DuckDB computes so many rows at a time, whatever is fetched of them.
+_VECTOR = 2_048
+# So many rows of an Arrow table are measured at a time; the second if they all have one size.
+_BATCH, _LARGE_BATCH = 2 * _VECTOR, 32 * _VECTOR
 # The types whose values all have about the same size.
 _SMALL = frozenset(("BIGINT", "INTEGER", "DOUBLE", "BOOLEAN", "FLOAT", "HUGEINT"))
+# Those, and others of at most so many bytes in Arrow.
+_LARGEST_FIXED = 16
+_FIXED = _SMALL.union(
+    ("TINYINT", "SMALLINT", "UTINYINT", "USMALLINT", "UINTEGER", "UBIGINT", "DATE", "TIME"),
+    ("TIMESTAMP", "TIMESTAMP_S", "TIMESTAMP_MS", "TIMESTAMP_NS", "TIMESTAMP WITH TIME ZONE"),
+    ("INTERVAL",),
+)
+_TEXTS = ARROW_TYPES["VARCHAR"]
+# Of so many statements it is known how many rows they had.
+_MOST_KNOWN = 200
+# Begins a statement that executes a prepared one.
+EXECUTE = "EXECUTE "
 # The sizes of Python's objects, bytes.
 _ROW, _VALUE, _TEXT, _POINTER = 64, 32, 56, 8
 
@@ -35,6 +55,16 @@ class _RowSizes:
     fixed: int
     texts: tuple[itemgetter[int], ...]
     others: tuple[itemgetter[int], ...]
+
+    def first_count(self, expected: int) -> int:
+        """Returns how many rows are fetched first; the first one tells how large others may be.
+
+        Args:
+            expected: how many rows there were last time; 0 if that is not known.
+        """
+        if self.texts or self.others:
+            return min(expected + 1, _VECTOR)
+        return _MOST_BYTES // self.fixed
 
     def of(self, rows: list[tuple[Any, ...]]) -> int:
         """Returns the size of rows, bytes."""
@@ -65,7 +95,8 @@ def limited_rows(
     result: duckdb.DuckDBPyConnection,
     types: tuple[str, ...],
     max_rows: int | None,
-    charge: Callable[[int], None],
+    charge: Charge,
+    expected: int = 0,
 ) -> list[tuple[Any, ...]]:
     """Returns the rows of a result as tuples.
 
@@ -75,46 +106,194 @@ def limited_rows(
         max_rows: the number of rows after which no more are fetched; None for all.
         charge: a function that is called with the sizes of rows, bytes, and raises an error if they
             are too large.
+        expected: how many rows there were last time; 0 if that is not known.
     """
     sizes = _sizes_of(types)
-    rows: list[tuple[Any, ...]] = []
-    # The first row tells how large the others may be.
-    count, total = 1 if sizes.texts or sizes.others else _MOST_BYTES // sizes.fixed, 0
-    most = -1 if max_rows is None else max_rows
+    most = sys.maxsize if max_rows is None else max_rows
+    wanted = min(sizes.first_count(expected), most)
     try:
-        while most < 0 or len(rows) < most:
-            wanted = count if most < 0 else min(count, most - len(rows))
-            chunk = result.fetchmany(wanted)
+        rows = result.fetchmany(wanted)
+        total = sizes.of(rows)
+        charge(total)
+        while len(rows) == wanted < most:
+            count = max(1, min(_MOST_ROWS, _MOST_BYTES * wanted // total))
+            chunk = result.fetchmany(min(count, most - wanted))
             rows += chunk
+            wanted = min(wanted + count, most)
             size = sizes.of(chunk)
             charge(size)
-            if len(chunk) < wanted:
-                return rows
             total += size
-            count = max(1, min(_MOST_ROWS, _MOST_BYTES * len(rows) // total))
-        result.abort()
+        if len(rows) == most:
+            result.abort()
     except LimitError:
         result.abort()
         raise
     return rows
 
 
+class RepeatedStatements:
+    """Fetches the rows of statements, of which some run again and again."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, _RepeatedRows] = {}
+
+    def rows(
+        self,
+        connection: duckdb.DuckDBPyConnection,
+        sql: str,
+        parameters: Any,
+        max_rows: int | None,
+        charge: Charge | None,
+    ) -> list[tuple[Any, ...]]:
+        """Returns the rows of a statement as tuples.
+
+        Args:
+            connection: the same connection each time.
+            sql: the statement; if it executes a prepared one, its columns keep their types.
+            parameters: the values of its parameters.
+            max_rows: see `limited_rows`.
+            charge: see there; None for no limits.
+        """
+        if not parameters:
+            known = self._known.get(sql)
+            if known is None:
+                if len(self._known) >= _MOST_KNOWN:
+                    del self._known[next(iter(self._known))]
+                known = self._known[sql] = _RepeatedRows(sql)
+            return known.rows(connection, max_rows, charge)
+        result = connection.execute(sql, parameters)
+        if charge is None:
+            return all_rows(result)
+        return limited_rows(result, types_of(result), max_rows, charge)
+
+    def forget(self, sql: str) -> None:
+        """Forgets the columns of a statement."""
+        self._known.pop(sql, None)
+
+
+class _RepeatedRows:
+    """Fetches the rows of a statement without parameters, each time that it runs.
+
+    If there were many last time, they are fetched by column, in half of the time: measured before
+    they are Python's values.
+
+    Args:
+        sql: the statement.
+    """
+
+    def __init__(self, sql: str) -> None:
+        self._sql = sql
+        self._types: tuple[str, ...] = ()
+        self._expected = 0
+        self._is_plain = True
+        self._relation: duckdb.DuckDBPyRelation | None = None
+
+    def rows(
+        self, connection: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
+    ) -> list[tuple[Any, ...]]:
+        """Returns the rows as tuples; for the arguments see `RepeatedStatements.rows`."""
+        rows = None
+        if self._expected >= MANY_ROWS and self._is_plain:
+            rows = self._by_column(connection, max_rows, charge)
+        if rows is None:
+            rows = self._by_row(connection.execute(self._sql), max_rows, charge)
+        self._expected = len(rows)
+        return rows
+
+    def _by_row(
+        self, result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
+    ) -> list[tuple[Any, ...]]:
+        if charge is None:
+            return all_rows(result)
+        types = self._types or types_of(result)
+        if self._sql.startswith(EXECUTE):
+            self._types = types
+        return limited_rows(result, types, max_rows, charge, self._expected)
+
+    def _by_column(
+        self, connection: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
+    ) -> list[tuple[Any, ...]] | None:
+        """Returns the rows as tuples; None if their columns have other types than plain ones."""
+        if self._relation is None:  # it runs the statement each time that it is read
+            self._relation = connection.sql(self._sql)
+        rows: list[tuple[Any, ...]] = []
+        fixed = _ROW + _VALUE * len(self._relation.columns)
+
+        def take(batch: pa.RecordBatch) -> None:
+            columns = batch.columns
+            if charge is not None:
+                texts = sum(column.nbytes for column in columns if column.type == _TEXTS)
+                charge(batch.num_rows * fixed + texts)
+            rows.extend(zip(*map(_values, columns), strict=True))
+
+        self._is_plain = _read(self._relation, _BATCH, max_rows, take, _are_plain) is not None
+        return rows if self._is_plain else None
+
+
+def _are_plain(schema: pa.Schema) -> bool:
+    return all(kind in ARROW_TYPES.values() for kind in schema.types)
+
+
+def _values(column: pa.Array) -> list[Any]:
+    """Returns Python's values of a column of a plain type."""
+    if column.null_count and column.type != _TEXTS:
+        values: list[Any] = column.to_pylist()  # NumPy has no NULL among numbers
+    else:
+        values = column.to_numpy(zero_copy_only=False).tolist()
+    return values
+
+
 def limited_table(
-    relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Callable[[int], None]
+    relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Charge
 ) -> pa.Table:
     """Returns the rows of a relation as an Arrow table; for the arguments see `limited_rows`."""
-    batches, count = [], 0
+    batches: list[pa.RecordBatch] = []
+
+    def take(batch: pa.RecordBatch) -> None:
+        charge(batch.nbytes)
+        batches.append(batch)
+
+    schema = _read(relation, _batch_size(tuple(map(str, relation.types))), max_rows, take)
+    return pa.Table.from_batches(batches, schema)
+
+
+@lru_cache
+def _batch_size(types: tuple[str, ...]) -> int:
+    """Returns how many rows of columns of these types are measured at a time."""
+    if not _FIXED.issuperset(types):
+        return _BATCH
+    return max(_BATCH, min(_LARGE_BATCH, _MOST_BYTES // (_LARGEST_FIXED * len(types))))
+
+
+def _read(
+    relation: duckdb.DuckDBPyRelation,
+    size: int,
+    max_rows: int | None,
+    take: Callable[[pa.RecordBatch], None],
+    is_taken: Callable[[pa.Schema], bool] = lambda _: True,
+) -> pa.Schema | None:
+    """Passes the rows of a relation on, until there are enough; returns their columns.
+
+    Args:
+        relation: the relation.
+        size: how many rows there are in a batch.
+        max_rows: see `limited_rows`.
+        take: a function that is called with each batch.
+        is_taken: tells whether the rows of some columns are passed on; None is returned if not.
+    """
+    count = 0
     try:
-        reader = relation.to_arrow_reader(_BATCH)
-        for batch in reader:
-            charge(batch.nbytes)
-            batches.append(batch)
-            count += batch.num_rows
-            if max_rows is not None and count >= max_rows:
-                break
+        with relation.to_arrow_reader(size) as reader:
+            if not is_taken(reader.schema):
+                return None
+            for batch in reader:
+                take(batch)
+                count += batch.num_rows
+                if max_rows is not None and count >= max_rows:
+                    break
+            return reader.schema
     except (OSError, pa.ArrowException) as error:  # Arrow's error of DuckDB's
         raise duckdb_error(str(error)) from error
-    return pa.Table.from_batches(batches, reader.schema)
 
 
 def whole_table(relation: duckdb.DuckDBPyRelation) -> pa.Table:

@@ -301,9 +301,8 @@ def _scan(name: str, files: Sequence[Path]) -> str:
     present = set(pq.read_schema(files[0]).names)
     paths = ", ".join(exp.Literal.string(_exact(file)).sql("duckdb") for file in files)
     types = {column.name: column.sql for column in _columns(name)}
-    measured = RECORDED[name].tick_columns.measured if name in RECORDED else ()
     columns = [
-        (known(column) if column in measured else _quoted(column))
+        known(column, type)
         if column in present
         else f"NULL::{type} AS {_quoted(column)}"
         for column, type in types.items()

@@ -237,7 +237,7 @@ class _Files:
                 conditions += " AND f.time >= e.since"
             select = exp.select(
                 exp.column(_NUMBER, table="e"),
-                *(_stored(table, name) for name in columns),
+                *(self._stored(table, name) for name in columns),
             )
             select = select.from_(self._scan(f"{path}/{table}/world={world}"))
             parts.append(select.join(exp.table_(_EPISODES, alias="e"), on=_parsed(conditions)))
@@ -256,14 +256,19 @@ class _Files:
         read = exp.Anonymous(this="read_parquet", expressions=[files, is_hive])
         return exp.Table(this=read, alias=alias)
 
-
-def _stored(table: str, name: str) -> exp.Expr:
-    """Returns a column of a file; NULL for NaN, which a stranger may have stored."""
-    column = exp.column(name, table="f", quoted=True)
-    if name not in RECORDED[table].tick_columns.measured:
-        return column
-    known = exp.case().when(exp.not_(exp.IsNan(this=column)), column.copy())
-    return exp.alias_(known, name, quoted=True)
+    def _stored(self, table: str, name: str) -> exp.Expr:
+        """Returns a column of a file; NULL for NaN, which a stranger may have stored."""
+        column = exp.column(name, table="f", quoted=True)
+        types = {one.name: one.type for one in RECORDED[table].columns}
+        if types.get(name) != "double" or name == "time":
+            return column
+        if self.dialect == "spark":
+            known = exp.case().when(exp.not_(exp.IsNan(this=column)), column.copy())
+        else:  # see `history_sql.known`
+            is_finite = exp.Anonymous(this="isfinite", expressions=[column])
+            known = exp.case().when(is_finite, column.copy())
+            known = known.when(exp.IsInf(this=column.copy()), column.copy())
+        return exp.alias_(known, name, quoted=True)
 
 
 # -- the rows of the program ------------------------------------------------------------------

@@ -6,7 +6,7 @@ import duckdb
 import pytest
 
 import ssduck
-from ssduck.database import connection
+from ssduck.database import limited_fetch
 from ssduck.database.limited_fetch import limited_rows, types_of
 from ssduck.errors import LimitError
 
@@ -57,7 +57,7 @@ def test_the_types_of_a_kept_statement_are_read_once():
         program, read = ss.compile(PAIRS), []
         for _ in range(5):
             ss.eval(program)
-        with patch.object(connection, "types_of", lambda r: read.append(r) or types_of(r)):
+        with patch.object(limited_fetch, "types_of", lambda r: read.append(r) or types_of(r)):
             for _ in range(5):
                 found = ss.eval(program)
         assert not read

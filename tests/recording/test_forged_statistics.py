@@ -157,12 +157,22 @@ def _ticks(folder: Path) -> pa.ChunkedArray:
     return pq.ParquetFile(part(folder, "entities")).read()["tick"]
 
 
-def test_nan_beside_statistics_is_an_error(folder: Path) -> None:
-    """To SQL it is the greatest number, and statistics leave it out."""
+def test_nan_beside_statistics_is_unknown(folder: Path) -> None:
+    """Statistics leave it out; to plain SQL it is the greatest number, in ssduck's views NULL."""
     file = part(folder, "entities")
     rewrite(file, with_column("vx", lambda v: [float("nan"), *v[1:]]))
     assert hidden(file, "vx > 1e9") == 1
-    refused(folder, "entities", "vx")
+    with ssduck.open(folder) as ss:
+        for condition, count in (("vx > 1e9", 0), ("vx IS NULL", 1), ("isnan(vx)", 0)):
+            found = ss.sql(f"SELECT count(*) FROM entities_history WHERE {condition}")
+            assert found.fetchall() == [(count,)]
+    assert ssduck.check(folder) == []
+
+
+def test_times_that_are_nan_are_an_error_beside_statistics(folder: Path) -> None:
+    rewrite(part(folder, "entities"), with_column("time", lambda v: [float("nan"), *v[1:]]))
+    with ssduck.open(folder) as ss, pytest.raises(RecordError, match="entities"):
+        ss.sql("SELECT count(*) FROM entities_history")
 
 
 def test_bloom_filters_are_refused(folder: Path) -> None:

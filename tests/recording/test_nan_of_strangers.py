@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import ssduck
+from ssduck.errors import RecordError
 from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.checksums import write_parquet
@@ -168,6 +169,74 @@ def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
             for one in (lake, expected)
         )
         assert found.equals(wanted)
+
+
+# Questions about a number that is NaN in some rows, and their filters.
+DOORS = ("z > 1e9", "z IS NULL", "z < 1e9", "NOT z > -1e9", "z = 0")
+
+
+@pytest.mark.parametrize("statistics", [False, True])
+def test_all_doors_answer_the_same(tmp_path: Path, statistics: bool) -> None:
+    """NaN is NULL, whether a footer says of the column what other values it has, or nothing."""
+    record = write_rising_cups(tmp_path / "record", 2, 4)
+    for file in sorted(record.glob("entities/**/part-*.parquet")):
+        rows = pq.ParquetFile(file).read()
+        about = {k: v for k, v in rows.schema.metadata.items() if k != b"ssduck checksums"}
+        numbers = pa.array(([math.nan, 0.0, 3.0] * len(rows))[: len(rows)])
+        rows = with_column("z", numbers)(rows).replace_schema_metadata(about)
+        write_parquet(rows, file, write_statistics=statistics)
+    expected = [0.0, 3.0, None]
+    lake = ssduck.lake(record)
+    told = lake.ask("SELECT z(this) FROM lab{} AS list;", processes=1).to_pylist()
+    plain = duckdb.sql(lake.sql("SELECT tick, z(this) AS z FROM lab{}")).fetchall()
+    assert {value for row in told for value in row["answer"]} == set(expected)
+    assert {row[-2] for row in plain} == set(expected)
+    for episode in range(2):
+        with ssduck.open(record, episode=episode) as ss:
+            found = [row for (row,) in ss.sql("SELECT z FROM entities_history").fetchall()]
+            assert set(found) == set(expected)
+            assert sorted(map(str, found)) == sorted(map(str, told[episode]["answer"]))
+            assert ss.sql("SELECT min(z), max(z) FROM entities_history").fetchall() == [(0, 3)]
+            for condition in DOORS:
+                with duckdb.connect() as oracle:
+                    oracle.register("rows", pa.table({"z": pa.array(found, pa.float64())}))
+                    count = f"SELECT count(*) FROM {{}} WHERE {condition}"
+                    wanted = oracle.sql(count.format("rows")).fetchall()
+                assert ss.sql(count.format("entities_history")).fetchall() == wanted, condition
+
+
+@pytest.mark.parametrize("record", ["folder", "file.duckdb"], indirect=True)
+def test_limits_that_are_nan_are_null(record: Path) -> None:
+    if record.suffix:
+        with duckdb.connect(record) as plain:
+            plain.execute("UPDATE lab_record_0.\"joints model\" SET upper = 'nan'")
+    else:
+        without_checksums(record)
+        for table in ("joints", "models/joints"):
+            file = part(record, table)
+            rows = pq.ParquetFile(file).read()
+            nan = pa.array(np.full(len(rows), math.nan))
+            pq.write_table(with_column("upper", nan)(rows), file)
+    with ssduck.open(record) as ss:
+        for view in ("joints", "joints_history", "joints_model"):
+            ((count, known),) = ss.sql(f"SELECT count(*), count(upper) FROM {view}").fetchall()
+            assert count > 0, view
+            assert known == 0, view
+    assert ssduck.check(record) == []
+
+
+@pytest.mark.parametrize("record", ["folder", "file.duckdb"], indirect=True)
+def test_a_mass_that_is_nan_is_an_error(record: Path) -> None:
+    if record.suffix:
+        with duckdb.connect(record) as plain:
+            plain.execute("UPDATE lab_record_0.\"links model\" SET mass = 'nan'")
+    else:
+        without_checksums(record)
+        file = part(record, "models/links")
+        rows = pq.ParquetFile(file).read()
+        pq.write_table(with_column("mass", pa.array(np.full(len(rows), math.nan)))(rows), file)
+    with pytest.raises(RecordError, match="its column 'mass' lacks a value"):
+        ssduck.open(record)
 
 
 @pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])

@@ -131,7 +131,7 @@ REPEATED = [
     ("links", "name", "'another'"),
     ("joints", "type", "'another'"),
     ("joints", "upper", "7.5"),
-    ("joints", "upper", "'nan'::DOUBLE"),
+    ("entities", "mass", "'nan'::DOUBLE"),
     ("links", "region", "'sphere'"),
     ("links", "parent", "NULL"),
     ("links", "parent", "coalesce(parent, 0)"),

@@ -304,7 +304,7 @@ class DuckDBStore(TickStore, TickArchive):
         stored = RECORDED[table].tick_columns
         columns = stored.sql | ({"until": "BIGINT"} if "until" in types else {})
         missing = {"joint": JOINT_OF_LINK}
-        return f"({all_columns(place, columns, present, missing, stored.measured)})"
+        return f"({all_columns(place, columns, present, missing)})"
 
 
 def _changed_rows(table: str, rows: pa.Table) -> pa.Table:

@@ -35,12 +35,24 @@ def create_table(place: str, columns: Mapping[str, str], *, replace: bool = Fals
     return f"CREATE {'OR REPLACE ' if replace else ''}TABLE {place} ({listed})"
 
 
-def known(name: str) -> str:
+_NUMBER = "DOUBLE"
+
+
+def known(name: str, type: str) -> str:
     """Returns a column with NULL for NaN, which a stranger may have stored: SQL takes it as large.
 
-    DuckDB computes this in a few nanoseconds a value, a third faster than `nullif`.
+    DuckDB computes this in a few nanoseconds a value, a third faster than `nullif`. Of a column
+    whose statistics have bounds, it takes `isnan`, and comparisons with NaN, for false.
+
+    Args:
+        name: the column.
+        type: its type in SQL; only numbers may be NaN, and times are checked.
     """
-    return f"CASE WHEN NOT isnan({quoted(name)}) THEN {quoted(name)} END AS {quoted(name)}"
+    if type != _NUMBER or name == "time":
+        return quoted(name)
+    column = quoted(name)
+    cases = f"WHEN isfinite({column}) THEN {column} WHEN isinf({column}) THEN {column}"
+    return f"CASE {cases} END AS {column}"
 
 
 def all_columns(
@@ -48,7 +60,6 @@ def all_columns(
     columns: Mapping[str, str],
     present: Collection[str],
     missing: Mapping[str, str],
-    measured: Collection[str] = (),
 ) -> str:
     """Returns a SELECT of all columns of a stored table, whose older records may lack some.
 
@@ -57,10 +68,9 @@ def all_columns(
         columns: the types of the columns, by name.
         present: the names of the columns that the rows have.
         missing: the values of columns that they lack, in SQL; NULL for others.
-        measured: the names of columns whose unknown values may be NaN; NULL is returned for it.
     """
     listed = ", ".join(
-        (known(name) if name in measured else quoted(name))
+        known(name, type)
         if name in present
         else f"({missing.get(name, 'NULL')})::{type} AS {quoted(name)}"
         for name, type in columns.items()

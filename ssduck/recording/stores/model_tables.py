@@ -19,7 +19,7 @@ from ssduck.recording.static_tables import IdProvider, default_values, model_row
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import all_columns, create_table, quoted
 from ssduck.recording.stores.record_file import RecordFile
-from ssduck.recording.stores.stored_columns import types_of
+from ssduck.recording.stores.stored_columns import types_of, with_nulls
 from ssduck.recording.tags import Tags
 from ssduck.schema import MODELS
 from ssduck.simulators.scenes import Camera
@@ -141,7 +141,9 @@ class ModelTables:
         file = self._file
         assert file is not None
         models = {
-            name: file.read(self.connection, self.schema, f"{name} model", types_of(table.model))
+            name: with_nulls(
+                file.read(self.connection, self.schema, f"{name} model", types_of(table.model))
+            )
             for name, table in MODELS.items()
         }
         check_models(models, lambda table: f"{file.path}: {self.schema}.'{table} model'")

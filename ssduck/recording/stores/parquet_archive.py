@@ -44,8 +44,8 @@ from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# So many rows of a table without a key are checked at once: they fit the cache of a processor.
-_ROWS_AT_ONCE = 1 << 16
+# So many rows of a table without a key are checked at once.
+_ROWS_AT_ONCE = 1 << 18
 
 
 class ParquetArchive(TickArchive):
@@ -166,26 +166,21 @@ class ParquetArchive(TickArchive):
         if table not in self._columns:
             self._columns[table] = _columns_in(files[0])
         selected = files[parts.start : parts.stop]
-        measured = RECORDED[table].tick_columns.measured
-        rows = self._select_all(selected, self._columns[table], TABLES[table].columns, measured)
+        rows = self._select_all(selected, self._columns[table], TABLES[table].columns)
         if len(parts) == len(files):
             return rows
         first, last = self._ticks_of(parts)
         return f"{rows} WHERE tick BETWEEN {first} AND {last}"
 
     def _select_all(
-        self,
-        files: Sequence[Path],
-        present: Sequence[str],
-        columns: Sequence[Column],
-        measured: Sequence[str] = (),
+        self, files: Sequence[Path], present: Sequence[str], columns: Sequence[Column]
     ) -> str:
         """Returns a SELECT of all columns of a table from its files, which may lack some."""
         types, missing = {column.name: column.sql for column in columns}, {}
         if not types.keys() <= set(present):
             geometries = _scan(self._files_for_sql("models/geometries"))
             missing = default_values(self.unrecorded_run, geometries)
-        return all_columns(_scan(files), types, present, missing, measured)
+        return all_columns(_scan(files), types, present, missing)
 
     def _check(self, table: str, parts: range) -> None:
         """Checks the files of parts that were not checked yet.

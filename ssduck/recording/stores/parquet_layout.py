@@ -62,6 +62,7 @@ from ssduck.recording.stores.stored_columns import (
     check_parquet,
     rows_of_part,
     unreadable_because,
+    with_nulls,
 )
 from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_ticks
 from ssduck.recording.tags import Tags
@@ -411,7 +412,7 @@ class FolderRun:
         return RecordError(f"{self.place(table) / part_name(number)} {problem}{hint}")
 
     def read(self, table: str) -> pa.Table:
-        """Returns all rows of a table.
+        """Returns all rows of a table: NULL for NaN, and for columns that older parts lack.
 
         Raises:
             RecordError: a file is missing or damaged, or there is none.
@@ -419,8 +420,7 @@ class FolderRun:
         files = self.listed_files(table)
         if not files:
             raise RecordError(f"{self.place(table)} has no complete part: nothing was stored")
-        rows = self._rows(table, files)
-        return pa.concat_tables(rows, promote_options="default")  # older parts may lack columns
+        return with_nulls(pa.concat_tables(self._rows(table, files), promote_options="default"))
 
     def parts_of(self, table: str) -> Iterator[pa.Table]:
         """Yields the rows of each complete part of a table, checked.

@@ -25,7 +25,6 @@ from ssduck.errors import RecordError
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.file_lists import file_list
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
-from ssduck.recording.stores.row_checks import repeated_columns
 from ssduck.recording.stores.stored_columns import part_columns, unreadable
 
 # The columns of which ssduck's parts have statistics: queries choose parts by them.
@@ -69,19 +68,16 @@ class _Stated:
     is_exact: bool
     skips: bool
 
-    def is_true_of(self, values: Values, *, may_have_nan: bool) -> bool:
+    def is_true_of(self, values: Values) -> bool:
         """Checks whether the column has such values.
 
-        Args:
-            values: what values it has.
-            may_have_nan: whether it may have NaN, which statistics leave out; what is measured is
-                stored as NULL instead, and what a model says, as a joint's greatest effort, is not.
+        NaN, which statistics leave out, is NULL to SQL, but for the time, which is always known.
         """
         if self.nulls is not None and self.nulls != self.count - values.known:
             return False
         if not self.least and not self.greatest:
             return True
-        if values.has_nan and not may_have_nan:
+        if values.has_nan and self.column == "time":
             return False  # the greatest number to SQL
         return self._are(self.least, values.least, str.__le__) and self._are(
             self.greatest, values.greatest, str.__ge__
@@ -157,7 +153,6 @@ def check_statistics(
         RecordError: a footer says what is not so, or a part has a Bloom filter or a page index.
     """
     expected, places = part_columns(table), _by_path(files)
-    of_models = expected if "/" in table else repeated_columns(table)
     depth = _NAMES_OF_OBJECT if isinstance(files[0], ObjectPath) else 0
     rows = connection.fetchall(_select(files))
     groups = Counter(file for file, _ in {row[:2] for row in rows})
@@ -172,7 +167,7 @@ def check_statistics(
             )
         values = _values(own, file, found.get(file, {}))
         for one in own:
-            if not one.is_true_of(values[one.column], may_have_nan=one.column in of_models):
+            if not one.is_true_of(values[one.column]):
                 raise RecordError(
                     f"{file} is damaged: the column {one.column!r} has other values than the "
                     "statistics in its footer say"

@@ -88,8 +88,8 @@ def other_model(table: str, rows: pa.Table, model: pa.Table) -> str | None:
     distinct = rows.select(names).group_by(names, use_threads=False).aggregate([])
     expected = join_model(table, distinct.select(keys), model, names)
     for name in names:
-        pairs = zip(distinct[name].to_pylist(), expected[name].to_pylist(), strict=True)
-        if any(one != other and not (_is_nan(one) and _is_nan(other)) for one, other in pairs):
+        found = (None if _is_nan(one) else one for one in distinct[name].to_pylist())
+        if any(one != other for one, other in zip(found, expected[name].to_pylist(), strict=True)):
             return f"the column {name!r} has another value than its model"
     return None
 
@@ -230,9 +230,19 @@ class RowChecks:
         return problem
 
     def _are_links(self, ids: Integers, links: Integers) -> bool:
-        """Checks whether all links are known, quickly: of many rows, as those of contacts."""
+        """Checks whether all links are known, quickly: of many rows, as those of contacts.
+
+        Rows of one link follow one another, for most stores; the first of them is looked up.
+        """
+        if not len(ids):
+            return False
+        is_first = np.empty(len(ids), dtype=bool)
+        is_first[0] = True
+        np.not_equal(ids[1:], ids[:-1], out=is_first[1:])
+        is_first[1:] |= links[1:] != links[:-1]
+        ids, links = ids[is_first], links[is_first]
         # Unsigned, a negative number is larger than any limit.
-        if not len(ids) or int(ids.view(np.uint64).max()) >= len(self._link_limits):
+        if int(ids.view(np.uint64).max()) >= len(self._link_limits):
             return False
         return bool((links.view(np.uint64) < self._link_limits.take(ids)).all())
 
