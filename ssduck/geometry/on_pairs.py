@@ -20,7 +20,12 @@ from ssduck.geometry.contact_support import MIN_UP
 from ssduck.geometry.narrow_phase import NarrowPhase
 from ssduck.geometry.poses import rotate
 from ssduck.geometry.proofs.contact_directions import NOT_UPWARD, UPWARD, decide_upward
-from ssduck.geometry.proofs.footprints import OUTSIDE, OVER, over_verdicts
+from ssduck.geometry.proofs.footprints import (
+    OUTSIDE,
+    OVER,
+    finer_over_verdicts,
+    over_verdicts,
+)
 from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.nearest_points import decide_upward_round
 from ssduck.geometry.proofs.separating_axes import box_axes
@@ -83,12 +88,19 @@ def are_on(tick: TickShapes, narrow: NarrowPhase, a: Indices, b: Indices) -> Fla
     )
     is_carried = np.zeros(len(a), dtype=bool)
     is_carried[shapes.rows[(upward == UPWARD) & shapes.touch]] = True
+    may_be_carried = np.zeros(len(a), dtype=bool)
+    may_be_carried[shapes.rows[upward != NOT_UPWARD]] = True
+    left = np.flatnonzero((over == UNDECIDED) & may_be_carried)
+    if len(left):
+        over[left] = finer_over_verdicts(tick, starts, a[left], b[left])
     result[is_carried & (over == OVER)] = True
     open_shapes: dict[int, list[tuple[int, int]]] = {}
     for place in np.flatnonzero((upward != NOT_UPWARD) & ~result[shapes.rows]).tolist():
         pair = int(shapes.first[place]), int(shapes.second[place])
         open_shapes.setdefault(int(shapes.rows[place]), []).append(pair)
     for row, pairs in open_shapes.items():
+        if over[row] == OUTSIDE:
+            continue
         if over[row] == OVER or narrow.is_over(int(a[row]), int(b[row])):
             result[row] = is_carried[row] or any(_is_upward(narrow, s, t) for s, t in pairs)
     return result

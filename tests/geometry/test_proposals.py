@@ -10,7 +10,8 @@ import pytest
 
 from ssduck.geometry.proofs import kept_columns, proposals
 from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
-from ssduck.geometry.proofs.proposals import Proof, Proposer
+from ssduck.geometry.proofs.pair_proofs import PlacedInterior, pair_proof
+from ssduck.geometry.proofs.proposals import Proof, Proposer, proposals_of
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
@@ -49,7 +50,7 @@ class Scene:
 def decisions(two, bound, spoil=lambda proposals: proposals):
     """Returns the decisions on pairs of shapes, and their signed distances."""
     scene = Scene(two)
-    proposed = spoil(scene.proposer.propose(scene.poses, *scene.pairs))
+    proposed = spoil(proposals_of(scene.proposer.ask(scene.poses, *scene.pairs)))
     proof = Proof(scene.cores, scene.proposer.interiors, proposed, *scene.pairs)
     return proof.decisions(np.full(len(scene.first), bound)), scene.gaps()
 
@@ -100,11 +101,11 @@ def moved(shapes, random, far):
 @pytest.mark.parametrize("far", [1e-4, 2e-3, 0.05])
 def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far, monkeypatch):
     scene, random = Scene(random_pairs(7, 4)), np.random.default_rng(8)
-    asked, propose = [], scene.proposer.propose
+    asked, ask = [], scene.proposer.ask
     monkeypatch.setattr(
         scene.proposer,
-        "propose",
-        lambda poses, first, second: asked.append(len(first)) or propose(poses, first, second),
+        "ask",
+        lambda poses, first, second: asked.append(len(first)) or ask(poses, first, second),
     )
     kept, keep = [], KeptProposals.keep
     monkeypatch.setattr(
@@ -139,8 +140,8 @@ def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept(
                              np.array([1.0, 0.0, 0.0, 0.0])) for kind in ("box", "sphere"))  # fmt: skip
     reach = box.geometry.size[2] / 2 + ball.geometry.size[0]
     scene = Scene([(box, ball)])
-    asked, propose = [], scene.proposer.propose
-    scene.proposer.propose = lambda *pair: asked.append(1) or propose(*pair)
+    asked, ask = [], scene.proposer.ask
+    scene.proposer.ask = lambda *pair: asked.append(1) or ask(*pair)
     for height in (2e-3, -2e-3, -4e-3, 2e-3, 4e-3):
         scene.place([box, ball.at((1e-3, 0.0, reach + height))])
         found = scene.proposer.decide(scene.cores, scene.poses, *scene.pairs, np.zeros(1))
@@ -149,13 +150,58 @@ def test_shapes_that_begin_to_overlap_or_part_are_decided_by_what_is_kept(
     assert len(asked) == expected
 
 
+@pytest.mark.parametrize("spoilt", [0.0, 1e-3, 0.1])
+def test_pairs_are_proved_one_after_another_as_together(spoilt):
+    scene, random = Scene(random_pairs(9, 4)), np.random.default_rng(2)
+    asked = scene.proposer.ask(scene.poses, *scene.pairs)
+    asked[:, 2] += spoilt * random.normal(size=(len(asked), 3)) * asked[:, 2].any(axis=1)[:, None]
+    asked[:, :2] += spoilt * random.normal(size=(len(asked), 1, 3))
+    proof = Proof(scene.cores, scene.proposer.interiors, proposals_of(asked), *scene.pairs)
+    rooms = []
+    for place, (first, second) in enumerate(zip(*(s.tolist() for s in scene.pairs), strict=True)):
+        shapes = (
+            PlacedInterior(
+                scene.proposer.interiors.single(shape),
+                scene.cores.rotations[:, shape].tolist(),
+                scene.cores.centres[:, shape].tolist(),
+            )
+            for shape in (first, second)
+        )
+        on_first, on_second, towards = asked[place].tolist()
+        found = pair_proof(*shapes, (on_first, on_second), towards)
+        assert found.least == pytest.approx(proof.least[place], abs=1e-12)
+        assert found.greatest == pytest.approx(proof.greatest[place], abs=1e-12)
+        assert found.column == pytest.approx(proof.columns[:, place], abs=1e-12)
+        rooms.append(found.greatest)
+    assert np.isfinite(rooms).mean() > 0.05
+    assert {True, False} == set(proof.meet.tolist())
+
+
+@pytest.mark.parametrize("far", [1e-3, 0.02])
+def test_the_way_of_proving_changes_no_verdict(far, monkeypatch):
+    random, verdicts = np.random.default_rng(4), {}
+    ticks = [random_pairs(11, 2)]
+    for _ in range(6):
+        ticks.append([moved(pair, random, far) for pair in ticks[-1]])
+    for most in (0, 7, 1 << 20):
+        monkeypatch.setattr(proposals, "_MAX_SINGLE", most)
+        scene = Scene(ticks[0])
+        verdicts[most] = []
+        for tick in ticks:
+            scene.place([shape for pair in tick for shape in pair])
+            bounds = np.full(len(scene.first), 1e-3)
+            found = scene.proposer.decide(scene.cores, scene.poses, *scene.pairs, bounds)
+            verdicts[most].append(found.verdicts.tolist())
+    assert verdicts[0] == verdicts[7] == verdicts[1 << 20]
+
+
 def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):
     monkeypatch.setattr(kept_columns, "_MAX_PAIRS", 8)
     kept = KeptProposals()
     for start in (0, 6, 12):
         keys = np.arange(start, start + 6)
         directions = np.full((3, 6), float(start))
-        kept.keep(keys, directions, np.zeros((3, 12)), np.zeros(6, bool))
+        kept.keep(keys, np.concatenate((directions, np.zeros((7, 6)))))
         places, columns = kept.find(np.arange(20))
         assert places.tolist() == keys.tolist()
         assert (columns[0] == start).all()

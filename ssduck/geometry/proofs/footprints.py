@@ -42,7 +42,7 @@ def _around(count: int) -> Array:
 
 
 # The directions in which footprints are bounded, and those for the few that are left.
-_DIRECTIONS = _around(16), _around(128)
+_DIRECTIONS, _MANY_DIRECTIONS = _around(16), _around(128)
 
 
 def entity_boxes(boxes: Array, starts: Sequence[int] | Indices) -> Array:
@@ -69,6 +69,8 @@ def over_verdicts(
 ) -> Verdicts:
     """Returns whether the centre of b's box is over a: `OVER`, `OUTSIDE` or `UNDECIDED`.
 
+    See `finer_over_verdicts` for the few that it leaves undecided.
+
     Args:
         tick: the shapes.
         starts: the first shape of each entity, and the number of shapes.
@@ -86,7 +88,7 @@ def over_verdicts(
     low, high = boxes[:2].take(a, axis=1), boxes[3:5].take(a, axis=1)
     has_plane = np.zeros(len(a), dtype=bool)
     if table.has_planes:
-        has_plane = (np.bincount(table.entities[table.is_plane], minlength=len(boxes[0])) > 0)[a]
+        has_plane = _have_planes(tick, len(boxes[0]))[a]
         verdicts[has_centre & _have_steep_planes(tick, len(boxes[0]))[a]] = OVER
     with np.errstate(invalid="ignore"):
         room += _ROUND_ERROR * (high - low).max(axis=0)
@@ -102,12 +104,34 @@ def over_verdicts(
             found = rule(tick, firsts, a[left], centres[:, left])
             verdicts[left] = found
             left = left[found == UNDECIDED]
-    for directions in _DIRECTIONS:
-        if len(left):
-            found = _over_bounded(tick, firsts, a[left], centres[:, left], directions)
-            verdicts[left] = found
-            left = left[found == UNDECIDED]
+    if len(left):
+        verdicts[left] = _over_bounded(tick, firsts, a[left], centres[:, left], _DIRECTIONS)
     return verdicts
+
+
+def finer_over_verdicts(
+    tick: TickShapes, starts: Sequence[int] | Indices, a: Indices, b: Indices
+) -> Verdicts:
+    """Returns the same by more directions, for the pairs that need it of those left undecided."""
+    verdicts, table = np.full(len(a), UNDECIDED, np.int8), tick.table
+    firsts = np.asarray(starts)
+    with np.errstate(invalid="ignore"):  # the boxes of planes
+        boxes = entity_boxes(tick.boxes, firsts)
+        centres = (boxes[:2].take(b, axis=1) + boxes[3:5].take(b, axis=1)) / 2
+    is_bounded = np.abs(centres).max(axis=0, initial=0.0) <= _MAX_COORDINATE
+    if table.has_planes:
+        is_bounded &= ~_have_planes(tick, len(boxes[0]))[a]
+    left = np.flatnonzero(is_bounded)
+    if len(left):
+        verdicts[left] = _over_bounded(tick, firsts, a[left], centres[:, left], _MANY_DIRECTIONS)
+    return verdicts
+
+
+def _have_planes(tick: TickShapes, count: int) -> Flags:
+    """Checks whether a shape of each entity is a half-space."""
+    table = tick.table
+    have: Flags = np.bincount(table.entities[table.is_plane], minlength=count) > 0
+    return have
 
 
 def _have_steep_planes(tick: TickShapes, count: int) -> Flags:

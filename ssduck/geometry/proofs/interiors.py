@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.columns import column_lengths, padded_columns
 from ssduck.geometry.proofs.cores import corners_from_centre
+from ssduck.geometry.proofs.pair_proofs import Interior
 from ssduck.geometry.solids import Solid
 
 
@@ -45,6 +47,7 @@ class ConvexInteriors:
         )
         count = max((len(solids[n].normals) for n in hulls), default=0)
         self._planes = np.array([_planes(solids[n], count) for n in hulls])
+        self._single: dict[int, Interior] = {}
 
     def of(self, shapes: Indices) -> SomeInteriors:
         """Returns the interiors of shapes with a formula, (m,)."""
@@ -54,6 +57,21 @@ class ConvexInteriors:
             self._corners,
             self._planes,
         )
+
+    def single(self, shape: int) -> Interior:
+        """Returns the interior of one shape with a formula."""
+        if shape not in self._single:
+            corners, planes, row = [], [], int(self._hull_rows[shape])
+            if row >= 0:
+                corners, planes = self._corners[row].T.tolist(), self._planes[row].T.tolist()
+            numbers = self._numbers[:, shape].tolist()
+            self._single[shape] = Interior(numbers, _distinct(corners), _distinct(planes))
+        return self._single[shape]
+
+
+def _distinct(rows: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+    """Returns rows without those that repeat the one before."""
+    return [row for row, _ in groupby(map(tuple, rows))]
 
 
 class SomeInteriors:

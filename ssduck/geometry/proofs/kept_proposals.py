@@ -34,29 +34,22 @@ class Proposals:
 
 
 class KeptProposals:
-    """What FCL last proposed for pairs of shapes of a table, whatever the condition."""
+    """What FCL last proposed for pairs of shapes of a table, whatever the condition.
+
+    A column of a pair has the direction; the points on the first shape and the second one, in their
+    frames from the solids' centres; and whether they meet, as 0 or 1.
+    """
 
     def __init__(self) -> None:
-        # The direction, the points in the frames of the shapes, whether they meet.
         self._kept = KeptColumns(10)
 
     def find(self, keys: Keys) -> tuple[Indices, Array]:
         """Returns the places of pairs of which something is kept, and these columns."""
         return self._kept.find(keys)
 
-    def keep(self, keys: Keys, directions: Array, local: Array, meet: Flags) -> None:
-        """Replaces what is kept of pairs.
-
-        Args:
-            keys: (n,), the pairs.
-            directions: (3, n), see `Proposals`.
-            local: (3, 2 n), the points on the first shapes, then those on the second, in their
-                frames from the solids' centres.
-            meet: (n,), see `Proposals`.
-        """
-        count = len(keys)
-        columns = (directions, local[:, :count], local[:, count:], meet[None])
-        self._kept.keep(keys, np.concatenate(columns))
+    def keep(self, keys: Keys, columns: Array) -> None:
+        """Replaces the columns (10, n) of pairs."""
+        self._kept.keep(keys, columns)
 
 
 def placed_proposals(

@@ -29,13 +29,14 @@ from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.interiors import ConvexInteriors, SomeInteriors
 from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals, placed_proposals
 from ssduck.geometry.proofs.kept_verdicts import pair_keys
+from ssduck.geometry.proofs.pair_proofs import SHRINK, PlacedInterior, pair_proof
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 from ssduck.geometry.solids import Solid
 
 # What is kept of fewer pairs saves less time than a second proof takes, of what it leaves open.
 _MIN_KEPT = 8
-# Points are moved by this fraction towards the middle of the shape, so that they are surely in it.
-_SHRINK = 1e-8
+# The greatest number of pairs that are proved one after another, which takes less time then.
+_MAX_SINGLE = 7
 # The number of pairs that are remembered to be apart.
 _MAX_APART = 4096
 
@@ -76,8 +77,7 @@ class Proposer:
             bounds: (n,), metres.
         """
         if len(first) < _MIN_KEPT:
-            proposals = self.propose(poses, first, second)
-            return Proof(bodies, self.interiors, proposals, first, second).decisions(bounds)
+            return self._prove_singly(bodies, poses, first, second, bounds)[0]
         decisions, keys = Decisions.none(len(first)), pair_keys(first, second)
 
         def prove(places: Indices, proposals: Proposals, *, is_new: bool) -> Proof:
@@ -93,10 +93,45 @@ class Proposer:
             prove(places, placed_proposals(bodies, *pairs, columns), is_new=False)
         left = np.flatnonzero(decisions.verdicts == UNDECIDED)
         if len(left):
-            proposals = self.propose(poses, first.take(left), second.take(left))
-            proof = prove(left, proposals, is_new=True)
-            self._kept.keep(keys.take(left), proof.directions, proof.local, proof.meet)
+            if len(left) <= _MAX_SINGLE:
+                pairs = first.take(left), second.take(left)
+                found, columns = self._prove_singly(bodies, poses, *pairs, bounds.take(left))
+                decisions.decide(left, found.verdicts, found.room)
+            else:
+                proposals = proposals_of(self.ask(poses, first.take(left), second.take(left)))
+                columns = prove(left, proposals, is_new=True).columns
+            self._kept.keep(keys.take(left), columns)
         return decisions
+
+    def _prove_singly(
+        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
+    ) -> tuple[Decisions, Array]:
+        """Decides pairs by what FCL proposes, one after another; see `decide`.
+
+        Returns:
+            The decisions, and the columns to keep.
+        """
+        both = np.concatenate((first, second))
+        rotations = bodies.rotations.take(both, axis=1).T.tolist()
+        centres = bodies.centres.take(both, axis=1).T.tolist()
+        shapes = [
+            PlacedInterior(self.interiors.single(shape), rotation, centre)
+            for shape, rotation, centre in zip(both.tolist(), rotations, centres, strict=True)
+        ]
+        proofs = [
+            pair_proof(one, other, (on_one, on_other), towards)
+            for one, other, (on_one, on_other, towards) in zip(
+                shapes[: len(first)],
+                shapes[len(first) :],
+                self.ask(poses, first, second).tolist(),
+                strict=True,
+            )
+        ]
+        numbers = np.array([(*proof.column, proof.least, proof.greatest) for proof in proofs]).T
+        decisions = Decisions.of_interval(
+            numbers[10], numbers[11], bounds, tolerances(bodies, first, second)
+        )
+        return decisions, numbers[:10]
 
     @cached_property
     def _objects(self) -> list[Any]:
@@ -113,8 +148,12 @@ class Proposer:
             for index, is_known in zip(indices, known, strict=True)
         ]
 
-    def propose(self, poses: Poses, first: Indices, second: Indices) -> Proposals:
-        """Returns what FCL proposes for pairs of shapes with known interiors; see `decide`."""
+    def ask(self, poses: Poses, first: Indices, second: Indices) -> Array:
+        """Returns what FCL says of pairs of shapes with known interiors, (n, 3, 3).
+
+        It is a point on the first shape, a point on the second one, and the contact normal from the
+        second to the first; 0 for shapes that do not meet.
+        """
         import fcl
 
         objects, distance, collide = self._objects, fcl.distance, fcl.collide
@@ -150,10 +189,15 @@ class Proposer:
                 nearest = fcl.DistanceResult()
                 distance(one, other, wanted, nearest)
             rows += (*nearest.nearest_points, _NO_DIRECTION)
-        on_first, on_second, directions = np.concatenate(rows).reshape(-1, 3, 3).transpose(1, 2, 0)
-        meet = np.asarray(directions.any(axis=0))
-        directions = np.where(meet, directions, on_first - on_second)
-        return Proposals(np.array((on_first, on_second)), directions, meet)
+        return np.concatenate(rows).reshape(-1, 3, 3)
+
+
+def proposals_of(asked: Array) -> Proposals:
+    """Returns proposals of what FCL says of pairs; see `Proposer.ask`."""
+    on_first, on_second, directions = asked.transpose(1, 2, 0)
+    meet = np.asarray(directions.any(axis=0))
+    directions = np.where(meet, directions, on_first - on_second)
+    return Proposals(np.array((on_first, on_second)), directions, meet)
 
 
 _NO_DIRECTION = np.zeros(3)
@@ -225,7 +269,7 @@ class Proof:
         halves *= np.concatenate((self.meet, self.meet))
         local += halves
         self.local = self._balanced(inner, outward, local) if balances else local
-        self.local += _SHRINK * (inner.inscribed_offsets - self.local)
+        self.local += SHRINK * (inner.inscribed_offsets - self.local)
         self.greatest = self._greatest(inner, column_lengths(between_points) * ~self.meet)
 
     def _least(self, inner: SomeInteriors, outward: Array, centres: Array) -> Array:
@@ -254,10 +298,17 @@ class Proof:
             apart: (n,), the distances of the points.
         """
         depths, count = inner.depths(self.local), len(apart)
-        radii = depths - 2.0 * _SHRINK * inner.bounding_radii
+        radii = depths - 2.0 * SHRINK * inner.bounding_radii
         greatest: Array = apart - radii[:count] - radii[count:]
         greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
         return greatest
+
+    @property
+    def columns(self) -> Array:
+        """What is kept of the pairs, (10, n); see `KeptProposals`."""
+        count = len(self.meet)
+        points = self.local[:, :count], self.local[:, count:]
+        return np.concatenate((self.directions, *points, self.meet[None]))
 
     def decisions(self, bounds: Array) -> Decisions:
         """Returns the verdicts on the signed distances that the bounds (n,), metres, prove."""

@@ -44,8 +44,10 @@ from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# So many rows of a table without a key are checked at once.
-_ROWS_AT_ONCE = 1 << 18
+# Parts are read and checked in groups from this number on.
+_LEAST_GROUPED = 2
+# So many rows of a table without a key are checked at once: they fit the cache of a processor.
+_ROWS_AT_ONCE = 1 << 16
 
 
 class ParquetArchive(TickArchive):
@@ -127,14 +129,14 @@ class ParquetArchive(TickArchive):
         return " UNION ALL ".join(parts)
 
     def part_groups(self, table: str) -> list[PartGroup]:
-        """Returns the groups of the parts of a table, √n of n parts, if these are many.
+        """Returns the groups of the parts of a table: √n of n parts, or each if these are few.
 
-        The log is a group, too.
+        The log is a group, too. Of one part, there are none.
         """
         count = len(self._files.get(table, ()))
-        if count < MANY_PARTS:
+        if count < _LEAST_GROUPED:
             return []
-        size = math.isqrt(count)
+        size = math.isqrt(count) if count >= MANY_PARTS else 1
         groups = [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
         logged = [range(count, count)] if self._log else []
         return [PartGroup(parts, *self._ticks_of(parts)) for parts in (*groups, *logged)]

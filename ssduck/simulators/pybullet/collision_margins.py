@@ -100,25 +100,63 @@ def links_with_margins(
     return frozenset(link for link in links if link_margins[link].margin is not None)
 
 
-def margins_of(
-    client: int, body: Body, link_margins: Sequence[LinkMargin], links: Iterable[int]
-) -> list[float]:
-    """Returns the margins of a body's shapes as they are now, metres.
+class MarginReader:
+    """Reads the margins of the shapes of bodies, most of which never change.
 
     Args:
-        client: the client that has the body.
-        body: the body.
-        link_margins: the margins when the body was described.
-        links: the links whose margins may have changed; see `links_with_margins`.
+        bodies: the bodies.
+        link_margins: the margins of the links of each body when it was described.
+        links: the links of each body whose margins may have changed; see `links_with_margins`.
+
+    Attributes:
+        bodies: see above.
+        changeable: those of which some links may have changed.
     """
-    now = {
-        link: replace(
-            link_margins[link],
-            margin=float(pybullet.getDynamicsInfo(body.handle, link - 1, client)[11]),
-        )
-        for link in links
-    }
-    return [
-        margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin
-        for shape in body.shapes
-    ]
+
+    def __init__(
+        self,
+        bodies: Sequence[Body],
+        link_margins: Sequence[Sequence[LinkMargin]],
+        links: Sequence[Iterable[int]],
+    ) -> None:
+        self.bodies = tuple(bodies)
+        self._link_margins = link_margins
+        self._links = {place: tuple(some) for place, some in enumerate(links) if some}
+        self.changeable = [bodies[place] for place in self._links]
+        self._read: list[list[float] | None] = [None] * len(self._links)
+        self._margins = [body.margins for body in bodies]
+
+    def read(self, client: int, are_present: Sequence[bool]) -> list[list[float]]:
+        """Returns the margins as they are now, metres; the same object if none has changed.
+
+        Args:
+            client: the client that has the bodies.
+            are_present: whether it has each of `changeable`; the others have those of before.
+        """
+        now = [
+            self._read_now(client, place) if is_present else None
+            for place, is_present in zip(self._links, are_present, strict=True)
+        ]
+        if now != self._read:
+            self._read, self._margins = now, [body.margins for body in self.bodies]
+            for place, margins in zip(self._links, now, strict=True):
+                if margins is not None:
+                    self._margins[place] = self._margins_of(place, margins)
+        return self._margins
+
+    def _read_now(self, client: int, place: int) -> list[float]:
+        """Returns the margins of the links of a body that may have changed."""
+        handle, get = self.bodies[place].handle, pybullet.getDynamicsInfo
+        return [float(get(handle, link - 1, client)[11]) for link in self._links[place]]
+
+    def _margins_of(self, place: int, margins: Sequence[float]) -> list[float]:
+        """Returns the margins of a body's shapes, of those of some of its links."""
+        known = self._link_margins[place]
+        now = {
+            link: replace(known[link], margin=margin)
+            for link, margin in zip(self._links[place], margins, strict=True)
+        }
+        return [
+            margin_of(shape.geometry.type, now[shape.frame]) if shape.frame in now else shape.margin
+            for shape in self.bodies[place].shapes
+        ]

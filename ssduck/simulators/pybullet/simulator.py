@@ -42,7 +42,7 @@ from ssduck.simulators.pybullet.bodies import (
 )
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
 from ssduck.simulators.pybullet.clients import handles_of
-from ssduck.simulators.pybullet.collision_margins import margins_of
+from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
 from ssduck.simulators.pybullet.contacts import read_contacts
@@ -108,6 +108,7 @@ class PyBulletSimulator:
         # The colours of hidden bodies: link, index among its visual shapes, colour.
         self._colours: dict[Body, list[tuple[int, int, Sequence[float]]]] = {}
         self._descriptions: dict[int, BodyDescription] = {}
+        self._margin_reader: MarginReader | None = None  # of these descriptions
         # The tags of two worlds on one client must differ.
         self._tag = f"ssduck.{id(self)}"
         # Of the last description: the bodies' numbers and their tags.
@@ -155,6 +156,7 @@ class PyBulletSimulator:
         self._forget(gone)
         self.has_removed |= bool(gone)
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
+        self._margin_reader = None
         self._handles_and_tags = handles, self._call(lambda: self._tags_of(handles))
         # These are of the present bodies, not of later bodies with the same numbers.
         self._names, self._kinds, self._user_shapes, self._described = {}, {}, {}, True
@@ -176,6 +178,7 @@ class PyBulletSimulator:
         self._call(lambda: pybullet.performCollisionDetection(self.client))
         self._forget([body])
         del self._descriptions[body.handle]
+        self._margin_reader = None
         for values in (self.loaded.origins, self.loaded.motor_positions):
             values.pop(body.handle, None)
         self._removed.append(body)
@@ -287,36 +290,46 @@ class PyBulletSimulator:
 
     def read_masses(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the masses of bodies' links; the last known ones if a body is gone."""
-        present = self._present(bodies)
-        client = self.client
+        client, are_present = self.client, self._are_present(bodies)
         return self._call(
-            lambda: [masses_of(client, b) if b in present else b.masses for b in bodies]
+            lambda: [
+                masses_of(client, body) if is_present else body.masses
+                for body, is_present in zip(bodies, are_present, strict=True)
+            ]
         )
 
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
-        """Returns the margins of bodies' shapes; the last known ones if a body is gone."""
-        descriptions = {
-            body: description
-            for body in bodies
-            if (description := self._descriptions.get(body.handle)) is not None
-            and description.body is body
-            and description.links_with_margins
-        }
-        present = self._present(list(descriptions))
+        """Returns the margins of bodies' shapes; the last known ones if a body is gone.
 
-        def read(body: Body) -> list[float]:
-            if body not in present:
-                return body.margins
-            known = descriptions[body]
-            return margins_of(self.client, body, known.link_margins, known.links_with_margins)
+        It is the same object as long as nothing has changed.
+        """
+        reader = self._margin_reader
+        if reader is None or reader.bodies != tuple(bodies):
+            reader = self._margin_reader = self._new_margin_reader(bodies)
+        are_present = self._are_present(reader.changeable)
+        return self._call(lambda: reader.read(self.client, are_present))
 
-        return self._call(lambda: [read(body) for body in bodies])
+    def _new_margin_reader(self, bodies: Sequence[Body]) -> MarginReader:
+        """Returns a reader of the margins that PyBullet can change, of bodies that it has."""
+        known: list[tuple[LinkMargin, ...]] = []
+        changeable: list[frozenset[int]] = []
+        for body in bodies:
+            description = self._descriptions.get(body.handle)
+            if description is None or description.body is not body:
+                known.append(())
+                changeable.append(frozenset())
+            else:
+                known.append(description.link_margins)
+                changeable.append(description.links_with_margins)
+        return MarginReader(bodies, known, changeable)
 
-    def _present(self, bodies: Sequence[Body]) -> set[Body]:
-        """Returns the bodies that the client still has."""
+    def _are_present(self, bodies: Sequence[Body]) -> list[bool]:
+        """Returns whether the client still has each of some bodies."""
+        if not bodies:
+            return []
         tags = dict(zip(*self._handles_and_tags, strict=True))
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
-        return {b for b, tag in zip(bodies, now, strict=True) if tag == tags.get(b.handle)}
+        return [tag == tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
 
     def read_contacts(self) -> ContactPoints:
         """Returns the contact points of the last step, without those of separate shapes."""
