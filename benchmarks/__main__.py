@@ -2,7 +2,8 @@
 
 `python -m benchmarks [NAME ...]` runs the short ones, or those named: ticks, queries, triggers,
 language and adapters. All of them take some minutes, and so do the tables raw, strict,
-checksums, first and interchange. The table mujoco needs MuJoCo, gym gymnasium as well, and view websockets.
+checksums, first and interchange. The table mujoco needs MuJoCo, gym gymnasium as well, and view
+websockets.
 `python -m benchmarks lake [FOLDER]` needs gymnasium and MuJoCo, and Ray and Spark for their rows.
 `python -m benchmarks pairs [OPTION ...]` and `python -m benchmarks time [OPTION ...]` take many
 minutes; `--help` lists their options.

@@ -18,7 +18,7 @@ from sqlglot import exp
 
 from ssduck.database import interrupts as ctrl_c
 from ssduck.database.deadlines import DEADLINES
-from ssduck.database.fetched_rows import FetchedRows, Header, all_rows, fetched
+from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import (
     absolute_path,
     damage_text,

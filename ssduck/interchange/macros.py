@@ -302,9 +302,7 @@ def _scan(name: str, files: Sequence[Path]) -> str:
     paths = ", ".join(exp.Literal.string(_exact(file)).sql("duckdb") for file in files)
     types = {column.name: column.sql for column in _columns(name)}
     columns = [
-        known(column, type)
-        if column in present
-        else f"NULL::{type} AS {_quoted(column)}"
+        known(column, type) if column in present else f"NULL::{type} AS {_quoted(column)}"
         for column, type in types.items()
     ]
     return f"SELECT {', '.join(columns)} FROM read_parquet([{paths}], hive_partitioning = false)"  # noqa: S608

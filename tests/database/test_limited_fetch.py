@@ -7,7 +7,12 @@ import pytest
 
 import ssduck
 from ssduck.database import limited_fetch
-from ssduck.database.limited_fetch import limited_rows, types_of
+from ssduck.database.limited_fetch import (
+    RepeatedStatements,
+    limited_rows,
+    limited_table,
+    types_of,
+)
 from ssduck.errors import LimitError
 
 ROWS = 5_000
@@ -80,3 +85,110 @@ def test_texts_beyond_the_memory_are_an_error():
     limits = ssduck.Limits.strict(memory=20_000_000, progress=False)
     with ssduck.Interpreter(limits=limits) as ss, pytest.raises(LimitError, match="20,000,000"):
         ss.sql(f"SELECT n, 'a text of some length ' || n FROM range({ROWS * 150}) t(n)")
+
+
+# Statements of many rows, of all types whose columns become Python's values by way of NumPy, and others.
+MANY = {
+    "numbers": "SELECT n, n / 3, n % 2 = 0 FROM range(5000) t(n)",
+    "texts": "SELECT 'ä' || n, n FROM range(5000) t(n)",
+    "nulls": (
+        "SELECT CASE WHEN n % 3 > 0 THEN n END, CASE WHEN n % 5 > 0 THEN n / 7 END, "
+        "CASE WHEN n % 2 > 0 THEN n > 9 END, CASE WHEN n % 7 > 0 THEN n::VARCHAR END "
+        "FROM range(5000) t(n)"
+    ),
+    "NaN": "SELECT CASE WHEN n % 3 > 0 THEN 'inf'::DOUBLE END FROM range(500) t(n)",
+    "integers": "SELECT n::INTEGER, NULL::BOOLEAN FROM range(500) t(n)",
+    "dates": "SELECT DATE '2026-01-01' + n::INTEGER, n FROM range(500) t(n)",
+    "lists": "SELECT [n, n + 1], {'a': n} FROM range(500) t(n)",
+    "large": "SELECT n::HUGEINT * 100_000::HUGEINT FROM range(500) t(n)",
+}
+BY_COLUMN = ("numbers", "texts", "nulls", "NaN", "integers")
+
+
+@pytest.fixture
+def read(monkeypatch):
+    """The relations that are read by column."""
+    found, plain = [], limited_fetch._read
+    monkeypatch.setattr(limited_fetch, "_read", lambda *args: found.append(args[0]) or plain(*args))
+    return found
+
+
+@pytest.mark.parametrize("name", MANY)
+@pytest.mark.parametrize("charged", [True, False])
+def test_statements_that_run_again_have_the_same_rows(name, charged, read):
+    sizes, statements, sql = [], RepeatedStatements(), MANY[name]
+    with duckdb.connect() as plain:
+        wanted = plain.execute(sql).fetchall()
+        charge = sizes.append if charged else None
+        for run in range(3):
+            sizes.clear()
+            rows = statements.rows(plain, sql, None, 10**6 if charged else None, charge)
+            assert rows == wanted
+            assert [list(map(type, row)) for row in rows] == [list(map(type, r)) for r in wanted]
+            letters = sum(len(v) for row in wanted for v in row if isinstance(v, str))
+            if charged:
+                assert sum(sizes) >= len(wanted) * (ROW + VALUE * len(wanted[0])) + letters
+            if name in BY_COLUMN:
+                assert len(read) == run
+    if name not in BY_COLUMN:
+        assert len(read) == 1  # it is known then that they have other types
+
+
+def test_a_statement_whose_table_changes_has_its_own_types():
+    statements = RepeatedStatements()
+    with duckdb.connect() as plain:
+        for select in ("n", "n || ' words'", "n::DATE", "n", "NULL::DOUBLE"):
+            value = select.replace("n::DATE", "DATE '2026-01-01' + n::INTEGER")
+            plain.execute(f"CREATE OR REPLACE TABLE rows AS SELECT {value} v FROM range(300) t(n)")
+            for _ in range(3):
+                found = statements.rows(plain, "FROM rows", None, None, None)
+                assert found == plain.execute("FROM rows").fetchall()
+
+
+def test_limits_end_an_answer_by_column():
+    statements, sql = RepeatedStatements(), "SELECT n || ' words' FROM range(getvariable('n')) t(n)"
+
+    def charge(size):
+        if size > 300_000:
+            raise LimitError("too large")
+
+    with duckdb.connect() as plain:
+        plain.execute("SET VARIABLE n = 2000")
+        assert len(statements.rows(plain, sql, None, 10**6, charge)) == 2000
+        plain.execute("SET VARIABLE n = 10_000_000_000")
+        with pytest.raises(LimitError, match="too large"):
+            statements.rows(plain, sql, None, 10**6, charge)
+        assert 5_000 < len(statements.rows(plain, sql, None, 5_001, lambda _: None)) < 20_000
+        assert plain.execute("SELECT 1").fetchall() == [(1,)]
+
+
+def test_an_error_of_an_answer_by_column_is_duckdbs():
+    statements, sql = RepeatedStatements(), "SELECT error(v) FROM texts"
+    with duckdb.connect() as plain:
+        plain.execute("CREATE TABLE texts AS SELECT NULL::VARCHAR v FROM range(300)")
+        for _ in range(2):
+            assert len(statements.rows(plain, sql, None, None, None)) == 300
+        plain.execute("INSERT INTO texts VALUES ('this is wrong')")
+        with pytest.raises(duckdb.Error, match="this is wrong"):
+            statements.rows(plain, sql, None, None, None)
+
+
+def test_statements_that_ran_long_ago_are_forgotten():
+    statements = RepeatedStatements()
+    with duckdb.connect() as plain:
+        for number in range(limited_fetch._MOST_KNOWN + 50):
+            statements.rows(plain, f"SELECT {number}", None, None, None)
+    assert len(statements._known) == limited_fetch._MOST_KNOWN
+
+
+@pytest.mark.parametrize("select", ["n", "DATE '2026-01-01' + n::INTEGER"])
+def test_tables_of_one_width_come_in_large_batches(select):
+    sizes = []
+    with duckdb.connect() as plain:
+        relation = plain.sql(f"SELECT {select} FROM range({ROWS}) t(n)")
+        table = limited_table(relation, None, sizes.append)
+        assert table.num_rows == ROWS
+        assert len(sizes) == 1
+        wide = ", ".join(f"n + {i} AS c{i}" for i in range(2_000))
+        limited_table(plain.sql(f"SELECT {wide} FROM range({2 * ROWS}) t(n)"), None, sizes.append)
+    assert max(sizes) < 100_000_000

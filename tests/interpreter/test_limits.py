@@ -347,11 +347,8 @@ def test_a_handler_of_the_users_has_ctrl_c():
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_time_is_looked_at_without_a_call(monkeypatch):
-    """Steps are many: one that is not late costs a comparison, unless another thread may stop it."""
-    calls = []
-    check = UsageMeter.check_time
-    monkeypatch.setattr(UsageMeter, "check_time", lambda meter: calls.append(1) or check(meter))
+def test_each_step_looks_at_the_time_and_whether_the_program_was_stopped():
+    asked = []
 
     def use(meter):
         count = meter.combination_counter()
@@ -360,9 +357,8 @@ def test_the_time_is_looked_at_without_a_call(monkeypatch):
 
     for limits in (Limits(), Limits.strict(seconds=3600), Limits(rows=100)):
         use(UsageMeter(limits))
-    assert not calls
-    use(UsageMeter(Limits.strict(), lambda: False))
-    assert len(calls) == 30
+    use(UsageMeter(Limits.strict(), lambda: asked.append(1)))
+    assert len(asked) == 30
     for stopped in (None, lambda: True):
         late = UsageMeter(Limits.strict(seconds=3600 if stopped else 0.001), stopped)
         time.sleep(0.002)

@@ -236,10 +236,8 @@ class RowChecks:
         """
         if not len(ids):
             return False
-        is_first = np.empty(len(ids), dtype=bool)
-        is_first[0] = True
-        np.not_equal(ids[1:], ids[:-1], out=is_first[1:])
-        is_first[1:] |= links[1:] != links[:-1]
+        is_first = np.ones(len(ids), dtype=bool)
+        is_first[1:] = (ids[1:] != ids[:-1]) | (links[1:] != links[:-1])
         ids, links = ids[is_first], links[is_first]
         # Unsigned, a negative number is larger than any limit.
         if int(ids.view(np.uint64).max()) >= len(self._link_limits):
