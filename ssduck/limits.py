@@ -118,8 +118,7 @@ class Limits:
 # Gives a process the path of its parent before it imports more than the standard library. The
 # current folder, which may be a stranger's, is on it only if it is on the parent's.
 _START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); "
-    "from {module} import main; main()"
+    "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from {module} import main; main()"
 )
 
 

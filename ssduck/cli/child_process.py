@@ -112,7 +112,6 @@ def late_text(limits: Limits) -> str:
     return f"the program took more than {limits.seconds:g} s, and its process was ended"
 
 
-
 def signal_text(number: int) -> str:
     """Returns the name of the signal that ended a process, with its likely reason."""
     return f"{ending_text(-number)}; it may have needed more memory than available"

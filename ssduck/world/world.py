@@ -544,4 +544,3 @@ def _plain(value: Any) -> Any:
         return {key: _plain(part) for key, part in value.items()}
     is_list = isinstance(value, Sequence) and not isinstance(value, str)
     return [_plain(part) for part in value] if is_list else value
-

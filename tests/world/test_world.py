@@ -555,7 +555,9 @@ def test_the_name_of_a_part_is_told_as_a_program_writes_it(tmp_path):
     """Names may be words of the language: each advice is a program."""
     words = (*CLAUSES, *RESERVED_WORDS, "THIS", "TRUE", "NULL", "CASE", "IF", "arm", "it's", "a b")
     names = sorted({word.lower() for word in words})
-    (tmp_path / "m.urdf").write_text(robot(link("base"), link("tip"), joint("j", "fixed", "base", "tip")))
+    (tmp_path / "m.urdf").write_text(
+        robot(link("base"), link("tip"), joint("j", "fixed", "base", "tip"))
+    )
     bodies = "".join(f'[[body]]\nname="{name}"\nurdf="m.urdf"\n' for name in names)
     (tmp_path / "scene.toml").write_text(f'name="lab"\n{bodies}')
     with ssduck.load(tmp_path / "scene.toml") as ss, patch.object(world_module, "_MAX_OWNERS", 99):
