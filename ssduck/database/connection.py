@@ -10,21 +10,17 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import duckdb
 import pyarrow as pa
 from sqlglot import exp
 
-from ssduck.database import interrupts as ctrl_c
-from ssduck.database.deadlines import DEADLINES
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import (
     absolute_path,
     damage_text,
-    hint_of,
     is_damage,
-    needed_extension,
     open_error_text,
 )
 from ssduck.database.instances import (
@@ -38,24 +34,21 @@ from ssduck.database.instances import (
 from ssduck.database.limited_fetch import (
     EXECUTE,
     RepeatedStatements,
-    is_duckdb_error,
     limited_rows,
     limited_table,
     whole_table,
 )
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.referenced_tables import types_and_texts
+from ssduck.database.running.interrupts import translated
+from ssduck.database.running.statement_runner import StatementRunner
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
-    EvaluationError,
-    LimitError,
     RecordError,
     SelectScriptError,
     SqlError,
-    UnknownNameError,
-    UnsupportedError,
 )
-from ssduck.limits import Limits, UsageMeter
+from ssduck.limits import Limits
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.stores.history_sql import quoted
@@ -65,9 +58,6 @@ T = TypeVar("T")
 
 Parameters: TypeAlias = Sequence[Any] | Mapping[str, Any] | None
 
-_REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
-# Errors of functions that SQL calls, which stay as they are.
-_OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
 _SCHEMAS = (
     "SELECT schema_name FROM duckdb_schemas() "
     "WHERE NOT internal AND database_name = current_database() AND schema_name <> 'main'"
@@ -81,7 +71,7 @@ _ATTACHED_NAME = exp.to_identifier(_ATTACHED, quoted=True).sql("duckdb")
 _LEFT_TO_PARENT: list[Sequence[duckdb.DuckDBPyConnection]] = []
 
 
-class Connection:
+class Connection(StatementRunner):
     """A connection to DuckDB, which is closed when nothing refers to it.
 
     Args:
@@ -107,28 +97,19 @@ class Connection:
         self._path = path if path == MEMORY else absolute_path(path, is_written=True)
         try:
             self._instance = open_file(self._path) if self.is_file else POOL.take()
-            self._connection = self._cursor()
+            super().__init__(self._cursor(), tracer, limits)
         except duckdb.Error as error:
             raise SqlError(open_error_text(path, error)) from error
         # A connection that is open when Python ends prints errors.
         open_ones = self._connection, self._instance
         self._finalizer = weakref.finalize(self, _finish, open_ones, recorders, os.getpid())
         self._recorders = recorders
-        self._tracer = tracer
-        self.meter = UsageMeter(limits)
         self.on_demand: OnDemand[Connection] = OnDemand()
         self.has_records = self.is_file
         # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
-        # A record that is read.
-        self._opened: OpenedRecord | None = None
-        # The attached file with a record.
-        self._attached: Path | None = None
         self._functions: set[str] = set()
-        self._at_start: dict[str, Callable[[], None]] = {}
         self._repeated = RepeatedStatements()
-        # The exception of a function that SQL called: DuckDB keeps its text only.
-        self._raised: list[BaseException] = []
         # The schemas of worlds, which no other connection makes.
         self._schemas: set[str] = set()
         set_up(self._connection)
@@ -272,12 +253,12 @@ class Connection:
 
     def register(self, name: str, table: pa.Table) -> None:
         """Makes a table, or a dataset of Arrow, readable under a name."""
-        with ctrl_c.translated():
+        with translated():
             self._connection.register(name, table)
 
     def unregister(self, name: str) -> None:
         """Removes a registered table."""
-        with ctrl_c.translated():
+        with translated():
             self._connection.unregister(name)
 
     def offer_function(self, name: str, *function: Any, **options: Any) -> None:
@@ -475,88 +456,10 @@ class Connection:
         work = partial(self._connection.execute, sql, parameters)
         return self._execute(sql, lambda: work().fetchall(), timed=False)
 
-    def _execute(self, sql: str, work: Callable[[], T], *, timed: bool = True) -> T:
-        """Traces a statement, runs it, and interrupts it when the time is up.
-
-        DuckDB's errors become ssduck's. At Ctrl-C, Python raises at the first call after
-        DuckDB's error, or inside DuckDB, which makes another error of it, or none.
-        """
-        if self._opened is not None:
-            self._opened.check()
-        if self._tracer is not None:
-            self._tracer(sql)
-        self._raised.clear()
-        for begin in self._at_start.values():
-            begin()
-        listener = ctrl_c.InterruptListener(self._interrupt)
-        try:
-            result = self._run_in_time(work, listener, is_timed=timed)
-        except Exception as error:
-            if isinstance(error, MemoryError):
-                raise LimitError("the query needs more memory than available") from error
-            if not (listener.pressed or is_duckdb_error(error)):
-                raise
-            self._raise_error(error, interrupted=listener.pressed)
-        if listener.pressed:
-            raise KeyboardInterrupt
-        return result
-
-    def _run_in_time(
-        self, work: Callable[[], T], listener: ctrl_c.InterruptListener, *, is_timed: bool
-    ) -> T:
-        is_timed = is_timed and self.meter.deadline is not None
-        try:
-            listener.enter()
-            if is_timed:
-                DEADLINES.begin(listener, self.meter, self._interrupt)
-            result = work()
-        finally:
-            try:
-                _end(listener, is_timed=is_timed)
-            except KeyboardInterrupt:  # it may have come before `_end` was done
-                _end(listener, is_timed=is_timed)
-                raise
-        return result
-
-    def _interrupt(self) -> None:
-        with suppress(duckdb.Error):  # it was closed meanwhile
-            self._connection.interrupt()
-
-    def _raise_error(self, error: Exception, *, interrupted: bool) -> NoReturn:
-        cause = self._raised.pop() if self._raised else None
-        if isinstance(cause, KeyboardInterrupt):
-            raise cause from None
-        if interrupted:
-            raise KeyboardInterrupt from error
-        if isinstance(cause, _OWN_ERRORS):
-            raise cause from None
-        if not self.is_open:
-            raise SqlError("the interpreter is closed", is_final=True) from error
-        self.meter.check_time()
-        if isinstance(error, RuntimeError | duckdb.InterruptException):
-            raise KeyboardInterrupt from error
-        if self._attached is not None and is_damage(error):
-            raise RecordError(damage_text(self._attached, error)) from error
-        if isinstance(error, duckdb.OutOfMemoryException):
-            raise LimitError(f"the query needs more memory than available: {error}") from error
-        if not self.meter.limits.files and (extension := needed_extension(error)) is not None:
-            raise LimitError(
-                f"the statement needs DuckDB's extension {extension!r}, which is not loaded, and "
-                "files are switched off here (Limits: files)"
-            ) from error
-        refused = isinstance(error, _REFUSAL_ERRORS)
-        raise SqlError(str(error).strip() + hint_of(error), is_refused=refused) from error
-
 
 def execution_of(name: str) -> str:
     """Returns the statement that executes a prepared one."""
     return f"{EXECUTE}{quoted(name)}"
-
-
-def _end(listener: ctrl_c.InterruptListener, *, is_timed: bool) -> None:
-    listener.leave()
-    if is_timed:
-        DEADLINES.end(listener)  # so that it does not interrupt what comes next
 
 
 def _finish(

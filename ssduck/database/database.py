@@ -43,10 +43,10 @@ from ssduck.errors import EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.export import export
+from ssduck.recording.folder_recording import ParquetRecording
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, no_ticks_message
-from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.recording.tags import Tags
 from ssduck.sql.types import Signature, SqlType
 from ssduck.world import ctrl_c

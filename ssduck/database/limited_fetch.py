@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import duckdb
 import pyarrow as pa
 
-from ssduck.database.fetched_rows import ARROW_TYPES, MANY_ROWS, all_rows
+from ssduck.database.fetched_rows import ARROW_TYPES, MANY_ROWS, all_rows, are_plain
 from ssduck.errors import LimitError
 
 # Counts the size of values, bytes.
@@ -185,53 +185,47 @@ class _RepeatedRows:
         self._sql = sql
         self._types: tuple[str, ...] = ()
         self._expected = 0
-        self._is_plain = True
-        self._relation: duckdb.DuckDBPyRelation | None = None
 
     def rows(
         self, connection: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
     ) -> list[tuple[Any, ...]]:
         """Returns the rows as tuples; for the arguments see `RepeatedStatements.rows`."""
         rows = None
-        if self._expected >= MANY_ROWS and self._is_plain:
-            rows = self._by_column(connection, max_rows, charge)
+        if self._expected >= MANY_ROWS and are_plain(self._types):
+            # A new relation each time: that of a prepared statement keeps the rows of one run.
+            relation = connection.sql(self._sql)
+            if are_plain(map(str, relation.types)):
+                rows = _rows_by_column(relation, max_rows, charge)
         if rows is None:
-            rows = self._by_row(connection.execute(self._sql), max_rows, charge)
+            rows = self._rows_by_row(connection.execute(self._sql), max_rows, charge)
         self._expected = len(rows)
         return rows
 
-    def _by_row(
+    def _rows_by_row(
         self, result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
     ) -> list[tuple[Any, ...]]:
+        if not (self._types and self._sql.startswith(EXECUTE)):  # a prepared statement keeps them
+            self._types = types_of(result)
         if charge is None:
             return all_rows(result)
-        types = self._types or types_of(result)
-        if self._sql.startswith(EXECUTE):
-            self._types = types
-        return limited_rows(result, types, max_rows, charge, self._expected)
-
-    def _by_column(
-        self, connection: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
-    ) -> list[tuple[Any, ...]] | None:
-        """Returns the rows as tuples; None if their columns have other types than plain ones."""
-        if self._relation is None:  # it runs the statement each time that it is read
-            self._relation = connection.sql(self._sql)
-        rows: list[tuple[Any, ...]] = []
-        fixed = _ROW + _VALUE * len(self._relation.columns)
-
-        def take(batch: pa.RecordBatch) -> None:
-            columns = batch.columns
-            if charge is not None:
-                texts = sum(column.nbytes for column in columns if column.type == _TEXTS)
-                charge(batch.num_rows * fixed + texts)
-            rows.extend(zip(*map(_values, columns), strict=True))
-
-        self._is_plain = _read(self._relation, _BATCH, max_rows, take, _are_plain) is not None
-        return rows if self._is_plain else None
+        return limited_rows(result, self._types, max_rows, charge, self._expected)
 
 
-def _are_plain(schema: pa.Schema) -> bool:
-    return all(kind in ARROW_TYPES.values() for kind in schema.types)
+def _rows_by_column(
+    relation: duckdb.DuckDBPyRelation, max_rows: int | None, charge: Charge | None
+) -> list[tuple[Any, ...]]:
+    """Returns the rows of columns of plain types; for the arguments see `limited_rows`."""
+    rows: list[tuple[Any, ...]] = []
+
+    def take(batch: pa.RecordBatch) -> None:
+        columns = batch.columns
+        if charge is not None:
+            texts = sum(column.nbytes for column in columns if column.type == _TEXTS)
+            charge(batch.num_rows * (_ROW + _VALUE * len(columns)) + texts)
+        rows.extend(zip(*map(_values, columns), strict=True))
+
+    _read(relation, _BATCH, max_rows, take)
+    return rows
 
 
 def _values(column: pa.Array) -> list[Any]:
@@ -270,22 +264,18 @@ def _read(
     size: int,
     max_rows: int | None,
     take: Callable[[pa.RecordBatch], None],
-    is_taken: Callable[[pa.Schema], bool] = lambda _: True,
-) -> pa.Schema | None:
-    """Passes the rows of a relation on, until there are enough; returns their columns.
+) -> pa.Schema:
+    """Passes rows on, until there are enough; returns their columns.
 
     Args:
         relation: the relation.
         size: how many rows there are in a batch.
         max_rows: see `limited_rows`.
         take: a function that is called with each batch.
-        is_taken: tells whether the rows of some columns are passed on; None is returned if not.
     """
     count = 0
     try:
         with relation.to_arrow_reader(size) as reader:
-            if not is_taken(reader.schema):
-                return None
             for batch in reader:
                 take(batch)
                 count += batch.num_rows

@@ -16,9 +16,9 @@ from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.namespace import check_name
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import EpisodeSteps, action_numbers, plain, recordable
+from ssduck.recording.folder_recording import ParquetRecording
 from ssduck.recording.paths import expand_path
 from ssduck.recording.spec import Recording
-from ssduck.recording.stores.parquet import ParquetRecording
 from ssduck.simulators.recognition import client_of, parts_of
 from ssduck.world.world import World
 

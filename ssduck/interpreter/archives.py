@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from ssduck.database.database import Database
 from ssduck.errors import RecordError, nearest, record_errors
 from ssduck.recording.episode import Episode
+from ssduck.recording.folder_listing import runs_in
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_of
@@ -30,7 +31,7 @@ from ssduck.recording.stores.descriptions import (
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.model_tables import ABOUT, RUN_SCHEMA, VERSION
 from ssduck.recording.stores.parquet_archive import ParquetArchive
-from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.record_file import RecordFile
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE

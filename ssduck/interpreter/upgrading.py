@@ -9,10 +9,11 @@ from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.opening import open_record
 from ssduck.recording.episode import Episode
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
+from ssduck.recording.folder_episodes import whole_record
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.atomic_files import finish_folder, unfinished_folder
-from ssduck.recording.stores.parquet import whole_record
-from ssduck.recording.stores.parquet_layout import FolderRun, episode_number
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.part_names import episode_number
 
 
 @record_errors()

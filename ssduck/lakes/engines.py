@@ -22,7 +22,6 @@ from typing import Any, Literal, TypeAlias
 
 import pyarrow as pa
 
-import ssduck
 from ssduck.errors import ArgumentError, EvaluationError, UnsupportedError
 from ssduck.lakes.manifest import EpisodeEntry, from_bytes, to_bytes
 from ssduck.lakes.pool import end_at_once, pools, safe_path
@@ -197,7 +196,7 @@ def answer_on_ray(
 def _where_ssduck_is() -> dict[str, str]:
     """Returns the variable that lets workers find ssduck, wherever this process has found it."""
     name = "PYTHONPATH"
-    folder = str(Path(ssduck.__file__).parent.parent)
+    folder = str(Path(__file__).parents[2])
     return {name: os.pathsep.join(filter(None, (os.environ.get(name), folder)))}
 
 

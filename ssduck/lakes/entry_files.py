@@ -10,7 +10,7 @@ from ssduck.lakes.manifest import EpisodeEntry
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.batched_parts import BatchedFile
 from ssduck.recording.stores.object_store import ObjectPath
-from ssduck.recording.stores.parquet_layout import label_of, part_name
+from ssduck.recording.stores.part_names import label_of, part_name
 
 
 class EntryFiles:

@@ -17,21 +17,13 @@ from ssduck.errors import RecordError, SelectScriptError, warn
 from ssduck.interpreter.archives import episodes
 from ssduck.lakes.manifest import EpisodeEntry, FileEntry, are_sizes
 from ssduck.recording.episode_steps import FOLDER as STEPS
+from ssduck.recording.folder_listing import ABOUT, VERSION, check_about, lost_runs, runs_named
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.atomic_files import is_temporary
 from ssduck.recording.stores.checksums import checksum_of, content_of, content_problem
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
-from ssduck.recording.stores.parquet_layout import (
-    ABOUT,
-    LOG,
-    PAIRS,
-    VERSION,
-    FolderRun,
-    check_about,
-    lost_runs,
-    runs_named,
-)
+from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.summaries import (
     EpisodeSummary,
     Listing,

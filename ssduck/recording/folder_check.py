@@ -18,6 +18,7 @@ from ssduck.recording.episode_steps import (
     recorded_steps,
     steps_file,
 )
+from ssduck.recording.folder_listing import ABOUT, DESCRIPTION, check_about, lost_runs, runs_named
 from ssduck.recording.stores.atomic_files import create_file, write_atomically
 from ssduck.recording.stores.checksums import (
     footer_of,
@@ -28,18 +29,9 @@ from ssduck.recording.stores.checksums import (
 )
 from ssduck.recording.stores.descriptions import read_description
 from ssduck.recording.stores.links import check_inside
-from ssduck.recording.stores.parquet_layout import (
-    ABOUT,
-    DESCRIPTION,
-    LOG,
-    PAIRS,
-    FolderRun,
-    check_about,
-    lost_runs,
-    part_name,
-    runs_named,
-)
+from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.part_log import log_file_problem, log_files
+from ssduck.recording.stores.part_names import part_name
 from ssduck.recording.stores.stored_columns import MISSING
 from ssduck.recording.stores.tick_index import INDEX, index_file
 from ssduck.schema import MODELS, RECORDED

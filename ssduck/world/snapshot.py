@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from functools import partial
 from itertools import chain
@@ -22,10 +22,7 @@ import numpy as np
 
 from ssduck.errors import UnsupportedError, warn
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.box_relations import BoxQueries
 from ssduck.geometry.distance import CallCounter
-from ssduck.geometry.narrow_phase import NarrowPhase
-from ssduck.geometry.queries import ShapeQueries
 from ssduck.geometry.shapes import Geometry
 from ssduck.schema import FORGOTTEN_AFTER, OFTEN_UNKNOWN, ON_DEMAND, STORED_TABLES
 from ssduck.simulators.contact_pairs import ContactPairs
@@ -38,7 +35,7 @@ from ssduck.simulators.interface import (
     VisualShape,
 )
 from ssduck.world.contact_rows import contact_pairs, write_contacts
-from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
+from ssduck.world.layout import EntityInfo, TableLayout
 from ssduck.world.live_tables import LiveTable
 from ssduck.world.model_columns import joint_columns, link_columns, shape_columns
 from ssduck.world.run_numbers import new_run
@@ -50,7 +47,7 @@ from ssduck.world.sensor_readings import (
     sensor_poses,
     write_sensings,
 )
-from ssduck.world.shape_places import ComparableShapes, TickPlaces
+from ssduck.world.tick_geometry import TickGeometry
 
 
 class _TickState(NamedTuple):  # made faster than a dataclass is
@@ -73,7 +70,7 @@ class _TickState(NamedTuple):  # made faster than a dataclass is
     sensors: frozenset[int]
 
 
-class Snapshot:
+class Snapshot(TickGeometry):
     """The tables of the current tick of one world.
 
     Attributes:
@@ -92,6 +89,7 @@ class Snapshot:
     """
 
     def __init__(self, geometries: dict[str, int] | None = None, run: int | None = None) -> None:
+        super().__init__()
         self.run = new_run() if run is None else run
         self._tables = {name: LiveTable(table.columns) for name, table in STORED_TABLES.items()}
         # The contacts of this tick, and those that are not in the table yet; see `tables`.
@@ -102,11 +100,8 @@ class Snapshot:
         self.unavailable: Mapping[str, str] = {}
         # Whether every take is of the same tick: with given poses, or of a record.
         self._is_final = self._is_past = False
-        self._layout = TableLayout((), is_external=False)
         # The poses of bodies that cannot move are read once; None if they are to be read (again).
         self._static: LinkPoses | None = None
-        # The link poses in the tables: of the bodies that cannot move, and of the others.
-        self._link_poses: tuple[LinkPoses, ...] = ()
         # The poses of bodies that cannot move in the rows of links, and of shapes.
         self._written: dict[str, LinkPoses] = {}
         self.disabled = self.hidden = frozenset[Body]()
@@ -117,11 +112,6 @@ class Snapshot:
         self.geometries: dict[str, int] = {} if geometries is None else geometries
         self.drawn: Callable[[Body], Sequence[VisualShape]] | None = None
         self.sensing = SensorReader()
-        self.calls = CallCounter()
-        self._shapes: ShapeQueries | None = None
-        self._shapes_and_sites: ShapeQueries | None = None
-        self._boxes: BoxQueries | None = None
-        self._solids: tuple[TableLayout, ComparableShapes] | None = None
         # The tick of each sensor's last own request, and the sensors read at this tick.
         self._requested_sensors: dict[int, int] = {}
         self._read_sensors: frozenset[int] = frozenset()
@@ -174,13 +164,6 @@ class Snapshot:
     def is_complete(self) -> bool:
         """Whether every number is known in the tables that rarely have unknown ones."""
         return all(t.is_complete for n, t in self.tables.items() if n not in OFTEN_UNKNOWN)
-
-    @property
-    def body_groups(self) -> Iterator[tuple[BodyGroup, LinkPoses]]:
-        """The groups of bodies that are read together, each with its link poses at this tick."""
-        return zip(
-            (self._layout.static_bodies, self._layout.moving_bodies), self._link_poses, strict=True
-        )
 
     def joints(self) -> dict[Body, Array]:
         """Returns position, velocity and effort of each body's joints at this tick, (joints, 3).
@@ -290,50 +273,6 @@ class Snapshot:
         """Returns the id of a geometry in the table of geometries, the same for equal ones."""
         return self.geometries.setdefault(geometry.key, len(self.geometries) + 1)
 
-    def shapes(self) -> ShapeQueries:
-        """Returns the shape queries of this tick; the table of shapes must have been requested."""
-        if self._shapes is None:
-            shapes, places = self._comparable, TickPlaces(self._layout, self.body_groups)
-            self._shapes = ShapeQueries(
-                NarrowPhase(shapes.solids, places, shapes.starts, self.calls),
-                shapes.numbers,
-                shapes.table,
-                places.entity_boxes,
-                shapes.ids,
-                self._tables["shapes"]["link"],
-                places=shapes.places,
-            )
-        return self._shapes
-
-    def shapes_and_sites(self) -> ShapeQueries:
-        """Returns the shape queries of this tick, in which sites have their regions as shapes."""
-        layout = self._layout
-        if not layout.sites:
-            return self.shapes()
-        if self._shapes_and_sites is None:
-            placed = [group.place_regions(poses) for group, poses in self.body_groups]
-            poses = [np.concatenate(parts) for parts in zip(*placed, strict=True)]
-            regions = [region for _, _, region in layout.sites]
-            entities, links, _ = (np.array(column) for column in zip(*layout.sites, strict=True))
-            self._shapes_and_sites = self.shapes().with_regions(regions, poses, entities, links)
-        return self._shapes_and_sites
-
-    def boxes(self) -> BoxQueries:
-        """Returns the boxes and the positions of the entities of this tick."""
-        if self._boxes is None:
-            entities = self._tables["entities"]
-            boxes, positions = entities.doubles("xmin", "zmax"), entities.doubles("x", "z")
-            self._boxes = BoxQueries(boxes.copy(), positions.copy(), entities["id"].copy())
-        return self._boxes
-
-    @property
-    def _comparable(self) -> ComparableShapes:
-        """What comparisons of the shapes need to know, the same while nothing changes."""
-        if self._solids is None or self._solids[0] is not self._layout:
-            margins = self._tables["shapes"]["margin"].copy()
-            self._solids = self._layout, ComparableShapes.of(self._layout, margins)
-        return self._solids[1]
-
     def value(self, row: int, column: str, table: str = "entities") -> Any:
         """Returns a value of a table; None if it is unknown."""
         return (self._tables if table == "entities" else self.tables)[table].value(column, row)
@@ -426,11 +365,6 @@ class Snapshot:
             shapes["margin"][:] = current
             shapes.publish()
             self._shapes = self._shapes_and_sites = self._solids = None
-
-    @property
-    def margins(self) -> float:
-        """The largest distance of two shapes whose margins touch, m."""
-        return 2.0 * float(self._tables["shapes"]["margin"].max(initial=0.0))
 
     # A diverging simulation has infinite numbers; `_finish` warns of them.
     @np.errstate(invalid="ignore")

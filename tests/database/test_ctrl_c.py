@@ -13,9 +13,9 @@ import duckdb
 import pytest
 
 import ssduck
-from ssduck.database import interrupts as ctrl_c
 from ssduck.database.connection import Connection
 from ssduck.database.database import Database
+from ssduck.database.running import interrupts as ctrl_c
 from ssduck.errors import SqlError
 from ssduck.limits import Limits
 from tests.support.timing import HANGS
@@ -353,7 +353,7 @@ def test_a_line_that_could_not_be_opened_is_opened_the_next_time(monkeypatch, da
 
 FORKED = """
 import os, signal, ssduck
-from ssduck.database import interrupts as ctrl_c
+from ssduck.database.running import interrupts as ctrl_c
 
 def in_child():
     assert signal.set_wakeup_fd(-1) == -1

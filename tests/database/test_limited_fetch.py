@@ -192,3 +192,25 @@ def test_tables_of_one_width_come_in_large_batches(select):
         wide = ", ".join(f"n + {i} AS c{i}" for i in range(2_000))
         limited_table(plain.sql(f"SELECT {wide} FROM range({2 * ROWS}) t(n)"), None, sizes.append)
     assert max(sizes) < 100_000_000
+
+
+@pytest.mark.parametrize("limits", [None, ssduck.Limits.strict(progress=False)])
+@pytest.mark.parametrize(
+    "program",
+    [
+        PAIRS,
+        "SELECT name(a), z(b) FROM a=kitchen, b=kitchen WHERE z(a) >= 0 AS list;",
+        "SELECT id(a), max(z(b)) FROM a=kitchen, b=kitchen GROUP BY id(a), id(b) AS list;",
+    ],
+)
+def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program, limits):
+    with ssduck.load("kitchen", limits=limits) as ss, ssduck.Interpreter(row_by_row=True) as loop:
+        world = ss["kitchen"]
+        loop.add_variable("kitchen", world)
+        answers = []
+        for _ in range(8):
+            world.step()
+            answers.append(ss.eval(program))
+            assert answers[-1] == loop.eval(program)
+        assert len(answers[0]) > 1_000
+        assert answers[-1] != answers[-2]

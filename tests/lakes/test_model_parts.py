@@ -11,7 +11,8 @@ from ssduck.lakes.model_parts import ModelPart
 from ssduck.recording.stores.batched_parts import BatchedFile
 from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.parquet import _options as options
-from ssduck.recording.stores.parquet_layout import FolderRun, label_of
+from ssduck.recording.stores.parquet_layout import FolderRun
+from ssduck.recording.stores.part_names import label_of
 
 TABLE = "models/entities"
 RUN = 1 << 52

@@ -13,7 +13,7 @@ import ssduck
 from ssduck.database import database
 from ssduck.errors import RecordError
 from ssduck.interpreter import recording, upgrading
-from ssduck.recording import folder_check
+from ssduck.recording import folder_check, folder_episodes
 from ssduck.recording.episode_steps import EpisodeSteps
 from ssduck.recording.stores import parquet
 from ssduck.recording.stores.parquet import ParquetStore
@@ -154,7 +154,7 @@ def test_a_full_disk_leaves_no_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, new: str
 ) -> None:
     record = recorded(tmp_path / "record")
-    monkeypatch.setattr(parquet, name, no_room)
+    monkeypatch.setattr(folder_episodes if name == "create_file" else parquet, name, no_room)
     with ssduck.open(record) as ss, pytest.raises(RecordError, match="No space left"):
         ss.export(tmp_path / new)
     with pytest.raises(RecordError, match="No space left"):
@@ -166,7 +166,7 @@ def test_a_full_disk_leaves_folders_of_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "out").mkdir()
-    monkeypatch.setattr(parquet, "create_file", no_room)
+    monkeypatch.setattr(folder_episodes, "create_file", no_room)
     with pytest.raises(RecordError, match="No space left"):
         recorded(tmp_path / "out")
     assert (tmp_path / "out").is_dir()

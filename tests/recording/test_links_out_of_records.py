@@ -16,9 +16,10 @@ from ssduck.interchange.conversion import write_runs
 from ssduck.interchange.pairs import COLUMNS, write_pairs
 from ssduck.recording import episode_steps, folder_check
 from ssduck.recording.episode_steps import EpisodeSteps
+from ssduck.recording.folder_listing import runs_in
 from ssduck.recording.stores import descriptions
 from ssduck.recording.stores.atomic_files import write_atomically
-from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.forged import EPISODE, describe, make_records, part
 
 EPISODES = "episodes/lab-0.json"

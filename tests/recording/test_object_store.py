@@ -12,11 +12,12 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from ssduck.recording.folder_listing import runs_in
 from ssduck.recording.paths import expand_path, is_record
 from ssduck.recording.stores import object_store
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
-from ssduck.recording.stores.parquet_layout import FolderRun, runs_in
+from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.support.command_line import answer, ssduck_, write_scene
 from tests.support.recorded import ALL, PAST, end_part, live_lab, lively, rows
 from tests.support.s3_server import s3_server

@@ -11,10 +11,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 COLLADA = "http://www.collada.org/2005/11/COLLADASchema"
-OBJ = (
-    "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvn 0 0 1\n"
-    "f 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
-)
+OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvn 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
 DAE = f"""<COLLADA xmlns="{COLLADA}" version="1.4.1">
 <asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
 <library_geometries><geometry id="g" name="g"><mesh>

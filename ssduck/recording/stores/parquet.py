@@ -1,69 +1,56 @@
-"""Writes records as folders of Parquet files, in complete parts (see `parquet_layout`)."""
+"""Writes episodes as folders of Parquet files, in complete parts (see `parquet_layout`)."""
 
 from __future__ import annotations
 
-import os
 import secrets
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import RecordError
-from ssduck.formatting import short_repr
 from ssduck.geometry.shapes import Geometry
 from ssduck.recording.background_writer import NO_LOCK, CommitLock
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS
-from ssduck.recording.episode import Episode, new_id
-from ssduck.recording.episode_steps import FOLDER as STEPS
+from ssduck.recording.episode import new_id
+from ssduck.recording.folder_episodes import (
+    begin_episode,
+    folders_of,
+    missing_folders,
+    remove_empty,
+    remove_episode,
+)
 from ssduck.recording.paths import expand_path
 from ssduck.recording.recorded_visuals import camera_text
-from ssduck.recording.recorder import Recorder
 from ssduck.recording.spec import Recording
 from ssduck.recording.static_tables import IdProvider, model_rows
 from ssduck.recording.stores.atomic_files import (
-    create_file,
-    is_temporary,
     sync_folder,
 )
 from ssduck.recording.stores.base import TickStore
-from ssduck.recording.stores.checksums import json_text, write_parquet
+from ssduck.recording.stores.checksums import write_parquet
 from ssduck.recording.stores.complete_rows import complete_rows
 from ssduck.recording.stores.descriptions import EPISODE, change_description, check_description
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, remove_tree
-from ssduck.recording.stores.parquet_layout import (
-    ABOUT,
-    DESCRIPTION,
-    FORMAT,
-    LOG,
-    PAIRS,
-    FolderRun,
-    check_about,
-    part_name,
-)
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun
 from ssduck.recording.stores.part_log import PartLog
+from ssduck.recording.stores.part_names import FORMAT, part_name
 from ssduck.recording.stores.part_statistics import OWN_STATISTICS
 from ssduck.recording.stores.summaries import write_summary
 from ssduck.recording.stores.tick_index import INDEX, TickIndex
 from ssduck.recording.tags import Tags, checked_tags
-from ssduck.schema import MODELS, recorded_tables
+from ssduck.schema import recorded_tables
 from ssduck.simulators.scenes import Camera
 from ssduck.world.layout import EntityInfo
 
-if TYPE_CHECKING:
-    from ssduck.world.world import World
-
 # A part has so many ticks, unless a flush completes it before.
 PART_TICKS = 2400
-# The maximum length of a file name in bytes, where the system does not report it.
-_NAME_MAX = 255
 
 
 class ParquetStore(TickStore):
@@ -102,12 +89,12 @@ class ParquetStore(TickStore):
         described = _description(world, self.tables, recording, tags or {}, is_export=is_export)
         if camera is not None:
             described["camera"] = camera_text(camera)
-        self._made = _missing_folders(self.path)
+        self._made = missing_folders(self.path)
         try:
-            self.run = _begin_episode(self.path, world, described | dict(about or {}))
+            self.run = begin_episode(self.path, world, described | dict(about or {}))
         except BaseException:
             if self._made:
-                _remove_empty(self.path, self._made)
+                remove_empty(self.path, self._made)
             raise
         self._models: dict[str, pa.Table] = {}
         self._geometries: set[int] = set()
@@ -212,12 +199,12 @@ class ParquetStore(TickStore):
             remove_tree(self._staged.path)
         remove_episode(self.run)
         if self._made is not None:
-            _remove_empty(self.path, self._made)
+            remove_empty(self.path, self._made)
 
     @property
     def _places(self) -> tuple[str, ...]:
         """The names of the folders of the episode."""
-        return _folders_of(self.tables)
+        return folders_of(self.tables)
 
     def _move_staged(self) -> None:
         """Moves the files of an export to their places."""
@@ -292,125 +279,6 @@ class _NoIds:
         raise AssertionError(geometry)
 
 
-class ParquetRecording:
-    """A recording of a world to a folder, until it is closed.
-
-    If the user resets the simulation, the recording goes on in a new episode.
-
-    Args:
-        world: the recorded world.
-        recording: what is recorded.
-        path: the folder.
-        name: the name of the world there.
-        part_ticks: the largest number of ticks of a part.
-        recorders: the running recorders of the database, to which it adds its own.
-        tags: what the user says of the run, of each of its episodes.
-
-    Attributes:
-        world: the recorded world.
-    """
-
-    def __init__(
-        self,
-        world: World,
-        recording: Recording,
-        path: Path,
-        name: str,
-        part_ticks: int,
-        recorders: list[Recorder],
-        tags: Tags | None = None,
-    ) -> None:
-        self.world = world
-        self._tags = tags
-        self._recording, self._path, self._name = recording, path, name
-        self._part_ticks = part_ticks
-        self._recorders = recorders
-        self._start()
-
-    def _start(self) -> None:
-        """Starts a new episode."""
-        recording, world = self._recording, self.world
-        self._folder = ParquetStore(
-            self._path, self._name, recording, tags=self._tags, camera=world.camera
-        )
-        self._recorder = Recorder(recording, self._folder, self._part_ticks, recording.flush_every)
-        self._recorders.append(self._recorder)
-        try:
-            world.add_recorder(self._recorder)
-        except BaseException:
-            self._recorder.stop_flushing()
-            self._recorder.wait()
-            world.remove_recorder(self._recorder)
-            self._recorders.remove(self._recorder)
-            self._folder.discard()
-            raise
-
-    @property
-    def is_running(self) -> bool:
-        """Whether it is not closed."""
-        return self._recorder in self._recorders
-
-    def begin_episode(self) -> None:
-        """Completes the episode, and goes on in a new one."""
-        self.close()
-        self._start()
-
-    @property
-    def number(self) -> int:
-        """The number of the present episode."""
-        return self._folder.run.number
-
-    @property
-    def episode(self) -> Episode:
-        """The episode as it is on the disk so far."""
-        return self._folder.run.episode
-
-    def tag(self, tags: Tags) -> None:
-        """Adds tags to the present episode, at any time, and replaces those of the same names.
-
-        Args:
-            tags: texts, True, False or finite numbers, by name.
-
-        Raises:
-            ArgumentError: a tag is another value.
-            RecordError: the file that describes the episode cannot be written.
-        """
-        write_tags(self._folder.run, tags)
-
-    def flush(self) -> int | None:
-        """Writes the buffered ticks to the disk; returns the last tick there, or None.
-
-        Other programs than ssduck see them when the part that they belong to is complete.
-
-        Raises:
-            RecordError: they cannot be written, as the disk is full, say; they stay buffered.
-        """
-        with self.world.pinned():
-            self._recorder.flush()
-            return self._folder.last_tick
-
-    def close(self) -> None:
-        """Writes the buffered ticks, and ends the recording.
-
-        Raises:
-            RecordError: they cannot be written; the recording goes on, and can be closed again.
-        """
-        if not self.is_running:
-            return
-        self._recorder.mass_changes.warn(self.world)
-        with self.world.pinned():
-            self._recorder.finish()
-        self._recorder.stop_flushing()
-        self.world.remove_recorder(self._recorder)
-        self._recorders.remove(self._recorder)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
 def _description(
     world: str, tables: Collection[str], recording: Recording, tags: Tags, *, is_export: bool
 ) -> dict[str, Any]:
@@ -426,161 +294,6 @@ def _description(
         "tags": dict(tags),
     }
     return about | {"exporting": True} if is_export else about
-
-
-def _folders_of(tables: Sequence[str]) -> tuple[str, ...]:
-    """Returns the names of the folders of an episode with some tables."""
-    return (*tables, LOG, INDEX, *(f"models/{table}" for table in MODELS))
-
-
-def remove_episode(run: FolderRun) -> None:
-    """Removes the files of an episode that is not wanted."""
-    for name in (*_folders_of(run.tables), PAIRS):
-        remove_tree(run.place(name))
-    (run.path / STEPS / f"{run.world}-{run.number}.json").unlink(missing_ok=True)
-    run.about_file.unlink(missing_ok=True)
-
-
-@contextmanager
-def whole_record(path: Path) -> Iterator[list[FolderRun]]:
-    """Lets episodes be added to a folder, all or none.
-
-    Args:
-        path: the folder; one that is made in the context goes, too, if the context fails.
-
-    Yields:
-        The episodes, which are appended when they are complete.
-    """
-    made, runs = _missing_folders(path), list[FolderRun]()
-    try:
-        yield runs
-    except BaseException:
-        for run in runs:
-            remove_episode(run)
-        if made is not None and path.exists():
-            _remove_empty(path, made)
-        raise
-
-
-def _missing_folders(path: Path) -> list[Path] | None:
-    """Returns the folders that are made for a new record; None if there is one already."""
-    if isinstance(path, ObjectPath) or (path / ABOUT).exists():
-        return None
-    return [folder for folder in (path, *path.parents) if not folder.exists()]
-
-
-def _remove_empty(path: Path, made: Sequence[Path]) -> None:
-    """Removes a new record without episodes, and the folders that were made for it.
-
-    Another recorder may have begun an episode in it; then it stays.
-    """
-    with suppress(OSError, ValueError):
-        with suppress(FileNotFoundError):  # the disk was full before
-            (path / "episodes").rmdir()
-        (path / ABOUT).unlink(missing_ok=True)
-        for name, _, _ in os.walk(path, topdown=False):
-            if Path(name) != path:
-                Path(name).rmdir()
-    for folder in made:
-        with suppress(OSError, ValueError):  # it has files, or was not made
-            folder.rmdir()
-    with suppress(OSError, ValueError):
-        if (path / "episodes").exists() and not (path / ABOUT).exists():
-            create_file(path / ABOUT, json_text(DESCRIPTION))
-
-
-def _begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
-    """Begins a new episode in a folder; creates the folder if necessary."""
-    if not world.isidentifier():
-        raise RecordError(
-            f"a world called {short_repr(world)} cannot be recorded: bind it to a name"
-        )
-    try:
-        str(path.absolute()).encode()  # the Parquet library takes UTF-8 names only
-        if path.exists() and not path.is_dir():
-            raise RecordError(
-                f"{path} is a file, and a record of Parquet files is a folder: give the path of a "
-                "new folder, or of a record"
-            )
-        path.mkdir(parents=True, exist_ok=True)
-        _check_name_length(path, world)
-        about_file = path / ABOUT
-        for place in (about_file, path / "episodes"):
-            check_inside(path, place)
-        if not about_file.exists():
-            others = [file for file in path.iterdir() if not is_temporary(file)]
-            # Another recorder may have begun in the meantime.
-            if others and not about_file.exists():
-                raise RecordError(
-                    f"{path} has something else in it, and is no record of ssduck: give a new "
-                    "folder, or an empty one"
-                )
-            create_file(about_file, json_text(DESCRIPTION))
-        check_about(path)
-        (path / "episodes").mkdir(exist_ok=True)
-        return _claim_episode(path, world, about)
-    except RecordError:
-        raise
-    except (OSError, ValueError) as error:  # a null character is a ValueError
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise RecordError(f"{path} cannot be written: {reason}") from error
-
-
-def _check_name_length(path: Path, world: str) -> None:
-    """Checks that the name of a world is short enough for the names of files.
-
-    Raises:
-        RecordError: it is too long for the system.
-    """
-    maximum = _NAME_MAX
-    if hasattr(os, "pathconf"):
-        with suppress(OSError, ValueError):
-            maximum = os.pathconf(path, "PC_NAME_MAX")
-    # The longest file name of an episode, with as many digits as its number may have: that of a
-    # damaged description, which a repair has set aside.
-    longest = f"{FolderRun(path, '', 10**6).about_file.name}.damaged-10"
-    room = maximum - len(longest)
-    length = len(os.fsencode(world))
-    if length > room:
-        raise RecordError(
-            f"a world called {short_repr(world)} cannot be recorded in {path}: files are named "
-            f"after it, and its name has {length} bytes; at most {room} fit: bind it to a shorter "
-            "one"
-        )
-
-
-def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
-    """Creates the file of an episode under a number that is free, after those that are not.
-
-    Raises:
-        RecordError: a link leads a folder of the episode out of the record.
-    """
-    numbers = count(_free_number(path, world))
-    while True:
-        run = FolderRun(path, world, next(numbers))
-        for place in (run.about_file, *map(run.place, _folders_of(about["tables"]))):
-            check_inside(path, place)
-        if create_file(run.about_file, json_text({**about, "episode": run.number})):
-            return run
-
-
-def _free_number(path: Path, world: str) -> int:
-    """Returns the number of an episode that is not there, after one that is.
-
-    It looks at few of them, so that beginning an episode does not take longer with each.
-    """
-    step = 1
-    while FolderRun(path, world, step - 1).about_file.exists():
-        step *= 2
-    # The number step // 2 - 1 is taken, if it is no less than 0, and step - 1 is free.
-    taken, free = step // 2 - 1, step - 1
-    while free - taken > 1:
-        middle = (taken + free) // 2
-        if FolderRun(path, world, middle).about_file.exists():
-            taken = middle
-        else:
-            free = middle
-    return free
 
 
 def _options(rows: pa.Table) -> dict[str, Any]:

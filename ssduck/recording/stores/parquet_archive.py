@@ -36,7 +36,8 @@ from ssduck.recording.stores.history_sql import (
     quoted,
 )
 from ssduck.recording.stores.object_store import ObjectPath, parquet_source
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun
+from ssduck.recording.stores.part_names import part_number
 from ssduck.recording.stores.part_statistics import Values, add_values, check_statistics
 from ssduck.recording.stores.row_checks import key_types, model_columns, repeated_texts
 from ssduck.recording.stores.stored_columns import unreadable

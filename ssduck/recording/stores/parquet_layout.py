@@ -25,11 +25,9 @@ footers when a record is opened, those of the data when a file is first read.
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -57,6 +55,7 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.links import check_inside, files_in
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
+from ssduck.recording.stores.part_names import label_of, part_name, part_number, part_numbers
 from ssduck.recording.stores.stored_columns import (
     MISSING,
     check_parquet,
@@ -68,29 +67,11 @@ from ssduck.recording.stores.tick_index import INDEX, checked_ticks, indexed_tic
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE
 
-FORMAT = "ssduck record"
-VERSION = 1
-UNITS = {
-    "position": "m",
-    "angle": "rad",
-    "time": "s",
-    "mass": "kg",
-    "force": "N",
-    "frame": "world, z up as the scene has it",
-    "quaternion": "w, x, y, z",
-}
-ABOUT = "ssduck.json"
-# The contents of that file.
-DESCRIPTION = {"format": FORMAT, "version": VERSION, "units": UNITS}
 LOG = "log"
 # The table of near pairs, which only other tools read.
 PAIRS = "pairs"
 # The largest number of missing parts that a check lists.
 _MOST_MISSING = 1000
-# The largest number of digits of a part and of an episode keeps them below 10**9.
-_PART = re.compile(r"part-([0-9]{6}|[1-9][0-9]{6,8})\.parquet")
-_FOLDER = re.compile(r"episode=(0|[1-9][0-9]{0,8})")
-_EPISODE = re.compile(r"(.+)-(0|[1-9][0-9]{0,8})\.json")
 OTHER_PART = "is another part, or of another record: it was renamed, or copied there"
 RESCUE = (
     "`ssduck check --repair` drops what is damaged, and ssduck.open(…, partial=True) leaves it out"
@@ -481,120 +462,4 @@ class FolderRun:
             complete=run.is_complete,
             id=run.id,
             tags=run.tags,
-        )
-
-
-def part_numbers(place: Path) -> list[int]:
-    """Returns the numbers of the files of parts in a folder, ascending."""
-    matches = map(_PART.fullmatch, _names(place))
-    return sorted(int(match.group(1)) for match in matches if match)
-
-
-def part_name(number: int) -> str:
-    """Returns the file name of a part."""
-    return f"part-{number:06d}.parquet"
-
-
-def part_number(file: Path) -> int:
-    """Returns the number of a part from its file."""
-    match = _PART.fullmatch(file.name)
-    assert match is not None
-    return int(match.group(1))
-
-
-def episode_number(place: Path) -> int:
-    """Returns the number of an episode from a folder of its files, such as `ticks/…/episode=0`."""
-    match = _FOLDER.fullmatch(place.name)
-    assert match is not None
-    return int(match.group(1))
-
-
-def label_of(key: str, table: str, number: int | str) -> bytes:
-    """Returns the label of a part of a table, of the episode with a key."""
-    return b'{"episode": %s, %s' % (json.dumps(key).encode(), _end_of_label(table, number))
-
-
-@lru_cache(maxsize=1024)
-def _end_of_label(table: str, number: int | str) -> bytes:
-    return json.dumps({"table": table, "part": number}).encode()[1:]
-
-
-def runs_in(path: Path) -> list[FolderRun]:
-    """Returns the runs in a folder, sorted by world and number; looks at none of their files.
-
-    Of a record with any number of episodes, those without rows are found by two listings a world.
-
-    Raises:
-        RecordError: the folder is no record, a damaged one, or one of a newer version; or it has
-            ticks of an episode, and not the file that describes it.
-    """
-    check_about(path)
-    runs = runs_named(path)
-    for lost in lost_runs(path, [(run.world, run.number) for run in runs]):
-        raise RecordError(
-            f"{lost.about_file} is missing, and ticks of its episode are there: put it back, or "
-            f"move {lost.place('ticks')} elsewhere"
-        )
-    with_rows = {world: _numbers_with_rows(path, world) for world in {run.world for run in runs}}
-    return [replace(run, is_empty=run.number not in with_rows[run.world]) for run in runs]
-
-
-def runs_named(path: Path) -> list[FolderRun]:
-    """Returns the episodes of a folder that have a file, sorted by world and number."""
-    place = path / "episodes"
-    check_inside(path, place)
-    matches = map(_EPISODE.fullmatch, _names(place))
-    keys = sorted((match.group(1), int(match.group(2))) for match in matches if match)
-    return [FolderRun(path, world, number) for world, number in keys]
-
-
-def _names(place: Path) -> list[str]:
-    """Returns the names in a folder, or nothing if there is none."""
-    return [entry.name for entry in place.iterdir()] if place.is_dir() else []
-
-
-def lost_runs(path: Path, keys: Iterable[tuple[str, int]]) -> Iterator[FolderRun]:
-    """Yields episodes that have ticks, and no file that describes them.
-
-    Args:
-        path: the folder.
-        keys: the worlds and numbers of the files that are there.
-    """
-    numbers: dict[str, set[int]] = {}
-    for world, number in keys:
-        numbers.setdefault(world, set()).add(number)
-    folders = {folder for table in ("ticks", LOG) for folder in _names(path / table)}
-    for folder in sorted(folders):
-        world = folder.removeprefix("world=")
-        for number in sorted(_numbers_with_rows(path, world) - numbers.get(world, set())):
-            yield FolderRun(path, world, number)
-
-
-def _numbers_with_rows(path: Path, world: str) -> set[int]:
-    """Returns the numbers of the episodes of a world that have folders of ticks or of a log."""
-    places = (path / table / f"world={world}" for table in ("ticks", LOG))
-    matches = (_FOLDER.fullmatch(name) for place in places for name in _names(place))
-    return {int(match.group(1)) for match in matches if match}
-
-
-def check_about(folder: Path) -> None:
-    """Checks that a folder is a record of a known version.
-
-    Raises:
-        RecordError: it is not.
-    """
-    about_file = folder / ABOUT
-    if not about_file.is_file():
-        raise RecordError(f"{folder} is no record of ssduck: it has no {ABOUT}")
-    check_inside(folder, about_file)
-    about = read_description(about_file)
-    if about.get("format") != FORMAT:
-        raise RecordError(f"{folder} is no record of ssduck: {about_file} is of another format")
-    version = about.get("version")
-    if type(version) is not int or version < 1:
-        raise RecordError(f"{about_file} is damaged: it has no version")
-    if version > VERSION:
-        raise RecordError(
-            f"{folder} is a record of version {version}; this ssduck reads those up to {VERSION}: "
-            "install a newer one"
         )

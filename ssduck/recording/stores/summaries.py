@@ -33,7 +33,8 @@ from ssduck.recording.stores.descriptions import (
 )
 from ssduck.recording.stores.links import check_inside
 from ssduck.recording.stores.object_store import ObjectPath, file_system, reading
-from ssduck.recording.stores.parquet_layout import LOG, FolderRun, part_number
+from ssduck.recording.stores.parquet_layout import LOG, FolderRun
+from ssduck.recording.stores.part_names import part_number
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS, RECORDED, TABLES
 

@@ -1,0 +1,183 @@
+"""Begins episodes in folders of Parquet files, all or none, and removes them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from ssduck.errors import RecordError
+from ssduck.formatting import short_repr
+from ssduck.recording.episode_steps import FOLDER as STEPS
+from ssduck.recording.folder_listing import ABOUT, DESCRIPTION, check_about
+from ssduck.recording.stores.atomic_files import (
+    create_file,
+    is_temporary,
+)
+from ssduck.recording.stores.checksums import json_text
+from ssduck.recording.stores.links import check_inside
+from ssduck.recording.stores.object_store import ObjectPath, remove_tree
+from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
+from ssduck.recording.stores.tick_index import INDEX
+from ssduck.schema import MODELS
+
+# The maximum length of a file name in bytes, where the system does not report it.
+_NAME_MAX = 255
+
+
+def folders_of(tables: Sequence[str]) -> tuple[str, ...]:
+    """Returns the names of the folders of an episode with some tables."""
+    return (*tables, LOG, INDEX, *(f"models/{table}" for table in MODELS))
+
+
+def remove_episode(run: FolderRun) -> None:
+    """Removes the files of an episode that is not wanted."""
+    for name in (*folders_of(run.tables), PAIRS):
+        remove_tree(run.place(name))
+    (run.path / STEPS / f"{run.world}-{run.number}.json").unlink(missing_ok=True)
+    run.about_file.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_record(path: Path) -> Iterator[list[FolderRun]]:
+    """Lets episodes be added to a folder, all or none.
+
+    Args:
+        path: the folder; one that is made in the context goes, too, if the context fails.
+
+    Yields:
+        The episodes, which are appended when they are complete.
+    """
+    made, runs = missing_folders(path), list[FolderRun]()
+    try:
+        yield runs
+    except BaseException:
+        for run in runs:
+            remove_episode(run)
+        if made is not None and path.exists():
+            remove_empty(path, made)
+        raise
+
+
+def missing_folders(path: Path) -> list[Path] | None:
+    """Returns the folders that are made for a new record; None if there is one already."""
+    if isinstance(path, ObjectPath) or (path / ABOUT).exists():
+        return None
+    return [folder for folder in (path, *path.parents) if not folder.exists()]
+
+
+def remove_empty(path: Path, made: Sequence[Path]) -> None:
+    """Removes a new record without episodes, and the folders that were made for it.
+
+    Another recorder may have begun an episode in it; then it stays.
+    """
+    with suppress(OSError, ValueError):
+        with suppress(FileNotFoundError):  # the disk was full before
+            (path / "episodes").rmdir()
+        (path / ABOUT).unlink(missing_ok=True)
+        for name, _, _ in os.walk(path, topdown=False):
+            if Path(name) != path:
+                Path(name).rmdir()
+    for folder in made:
+        with suppress(OSError, ValueError):  # it has files, or was not made
+            folder.rmdir()
+    with suppress(OSError, ValueError):
+        if (path / "episodes").exists() and not (path / ABOUT).exists():
+            create_file(path / ABOUT, json_text(DESCRIPTION))
+
+
+def begin_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
+    """Begins a new episode in a folder; creates the folder if necessary."""
+    if not world.isidentifier():
+        raise RecordError(
+            f"a world called {short_repr(world)} cannot be recorded: bind it to a name"
+        )
+    try:
+        str(path.absolute()).encode()  # the Parquet library takes UTF-8 names only
+        if path.exists() and not path.is_dir():
+            raise RecordError(
+                f"{path} is a file, and a record of Parquet files is a folder: give the path of a "
+                "new folder, or of a record"
+            )
+        path.mkdir(parents=True, exist_ok=True)
+        _check_name_length(path, world)
+        about_file = path / ABOUT
+        for place in (about_file, path / "episodes"):
+            check_inside(path, place)
+        if not about_file.exists():
+            others = [file for file in path.iterdir() if not is_temporary(file)]
+            # Another recorder may have begun in the meantime.
+            if others and not about_file.exists():
+                raise RecordError(
+                    f"{path} has something else in it, and is no record of ssduck: give a new "
+                    "folder, or an empty one"
+                )
+            create_file(about_file, json_text(DESCRIPTION))
+        check_about(path)
+        (path / "episodes").mkdir(exist_ok=True)
+        return _claim_episode(path, world, about)
+    except RecordError:
+        raise
+    except (OSError, ValueError) as error:  # a null character is a ValueError
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RecordError(f"{path} cannot be written: {reason}") from error
+
+
+def _check_name_length(path: Path, world: str) -> None:
+    """Checks that the name of a world is short enough for the names of files.
+
+    Raises:
+        RecordError: it is too long for the system.
+    """
+    maximum = _NAME_MAX
+    if hasattr(os, "pathconf"):
+        with suppress(OSError, ValueError):
+            maximum = os.pathconf(path, "PC_NAME_MAX")
+    # The longest file name of an episode, with as many digits as its number may have: that of a
+    # damaged description, which a repair has set aside.
+    longest = f"{FolderRun(path, '', 10**6).about_file.name}.damaged-10"
+    room = maximum - len(longest)
+    length = len(os.fsencode(world))
+    if length > room:
+        raise RecordError(
+            f"a world called {short_repr(world)} cannot be recorded in {path}: files are named "
+            f"after it, and its name has {length} bytes; at most {room} fit: bind it to a shorter "
+            "one"
+        )
+
+
+def _claim_episode(path: Path, world: str, about: Mapping[str, Any]) -> FolderRun:
+    """Creates the file of an episode under a number that is free, after those that are not.
+
+    Raises:
+        RecordError: a link leads a folder of the episode out of the record.
+    """
+    numbers = count(_free_number(path, world))
+    while True:
+        run = FolderRun(path, world, next(numbers))
+        for place in (run.about_file, *map(run.place, folders_of(about["tables"]))):
+            check_inside(path, place)
+        if create_file(run.about_file, json_text({**about, "episode": run.number})):
+            return run
+
+
+def _free_number(path: Path, world: str) -> int:
+    """Returns the number of an episode that is not there, after one that is.
+
+    It looks at few of them, so that beginning an episode does not take longer with each.
+    """
+    step = 1
+    while FolderRun(path, world, step - 1).about_file.exists():
+        step *= 2
+    # The number step // 2 - 1 is taken, if it is no less than 0, and step - 1 is free.
+    taken, free = step // 2 - 1, step - 1
+    while free - taken > 1:
+        middle = (taken + free) // 2
+        if FolderRun(path, world, middle).about_file.exists():
+            taken = middle
+        else:
+            free = middle
+    return free
