@@ -123,7 +123,12 @@ class BackgroundWriter:
             self._count -= 1
 
     def wait(self) -> None:
-        """Waits until the background thread has ended."""
+        """Waits until the background thread has ended.
+
+        Ctrl-C that is deferred is delivered if there is something to wait for, and only then.
+        """
+        if not self.is_busy:
+            return
         with ctrl_c.allowed(), self.lock:
             self.lock.wait_for(lambda: self._thread is None)
 

@@ -46,6 +46,8 @@ _START_SECONDS = 60.0
 _ENDING_SECONDS = 5.0
 # A scene may take so long to be loaded, however short the time of programs is, s.
 LEAST_LOADING = 30.0
+# So many bytes of the files of a scene are hashed.
+_MAX_HASHED = 1 << 29
 # The longest line that is read of what the process tells, bytes.
 _MAX_LINE = 65_536
 # The errors that the process may tell, by name; others are a SceneError.
@@ -68,7 +70,7 @@ class Trial:
         is_foreign = scene.path not in shipped_scenes().values()
         self._limits = limits if limits is not None and limits.trial and is_foreign else None
         self._scene, self._simulator = scene, simulator
-        self._passed: Mapping[Path, bytes] | None = None
+        self._passed: Mapping[Path, tuple[Any, ...]] | None = None
 
     @contextmanager
     def passed(self) -> Iterator[None]:
@@ -93,12 +95,25 @@ class Trial:
         yield
         self._check_files(files, self._limits)
 
-    def _files(self, limits: Limits) -> Mapping[Path, bytes]:
-        """Returns a hash of each file that loading may read."""
-        files = files_beside(self._scene) if limits.files else check_files_inside(self._scene)
-        return {file: _hash(file) for file in files}
+    def _files(self, limits: Limits) -> Mapping[Path, tuple[Any, ...]]:
+        """Returns what changes with the content of each file that loading may read.
 
-    def _check_files(self, before: Mapping[Path, bytes], limits: Limits) -> None:
+        It is a hash, and the size and times of the file, which count alone where all files have
+        more than `_MAX_HASHED` bytes: a file of a few bytes on the disk may be one of terabytes.
+        """
+        files = files_beside(self._scene) if limits.files else check_files_inside(self._scene)
+        found: dict[Path, tuple[Any, ...]] = {}
+        left = _MAX_HASHED
+        for file in files:
+            if not file.is_file():  # a pipe would be waited for
+                continue
+            status = file.stat()
+            times = status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+            left -= status.st_size
+            found[file] = (*times, _hash(file) if left >= 0 else None)
+        return found
+
+    def _check_files(self, before: Mapping[Path, tuple[Any, ...]], limits: Limits) -> None:
         now = self._files(limits)
         changed = sorted({file for file, _ in before.items() ^ now.items()})
         if changed:
@@ -106,8 +121,6 @@ class Trial:
 
 
 def _hash(file: Path) -> bytes:
-    if not file.is_file():  # a pipe would be waited for
-        return b""
     try:
         with file.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").digest()

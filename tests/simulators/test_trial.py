@@ -16,6 +16,8 @@ from ssduck.errors import LimitError, NumberError, SceneError, UnsupportedError
 from ssduck.gym import make_task
 from ssduck.mcp.answers import WorkerError
 from ssduck.simulators import trial
+from ssduck.simulators.scene_files import check_files_inside
+from ssduck.simulators.scenes import find_scene
 from tests.support.command_line import ssduck_
 from tests.support.urdf import collision, joint, link, robot
 from tools.fuzz_scenes import Fuzz
@@ -48,6 +50,20 @@ def test_a_crash_is_an_error_that_names_the_file(folder: Path) -> None:
             ssduck.load(folder / name, limits=Limits.strict())
     with ssduck.load(folder / "good.toml", limits=Limits.strict()) as ss:
         assert ss.eval("SELECT id FROM lab AS list;") == ["b"]
+
+
+def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) -> None:
+    (folder / "b.urdf").write_text(BOX.replace("</robot>", "<!-- big.png --></robot>"))
+    with (folder / "big.png").open("wb") as file:
+        file.truncate(1 << 40)  # no bytes on the disk
+    with ssduck.load(folder / "good.toml", limits=Limits.strict()) as ss:
+        assert ss.eval("SELECT id FROM lab AS list;") == ["b"]
+        (found,) = [
+            each
+            for each in check_files_inside(find_scene(folder / "good.toml"))
+            if each.name == "big.png"
+        ]
+        assert found == folder.resolve() / "big.png"
 
 
 def test_a_crash_in_a_task_an_agent_and_a_command(folder: Path) -> None:
