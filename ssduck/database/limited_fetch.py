@@ -185,7 +185,8 @@ class _RepeatedRows:
         self._sql = sql
         self._types: tuple[str, ...] = ()
         self._expected = 0
-        self._is_plain = True
+        # DuckDB runs EXECUTE once for a relation, and keeps the rows.
+        self._is_plain = not sql.startswith(EXECUTE)
         self._relation: duckdb.DuckDBPyRelation | None = None
 
     def rows(
