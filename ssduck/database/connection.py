@@ -108,6 +108,8 @@ class Connection(StatementRunner):
         self.has_records = self.is_file
         # Whether something may be in the database that `_give_back` does not remove.
         self._is_altered = False
+        # Where queries spilled to the disk before their memory was limited; None if it is not.
+        self._spill: str | None = None
         self._functions: set[str] = set()
         self._repeated = RepeatedStatements()
         # The schemas of worlds, which no other connection makes.
@@ -119,8 +121,8 @@ class Connection(StatementRunner):
     def apply_limits(self) -> None:
         """Applies the limit of memory to all later statements."""
         limits = self.meter.limits
-        self._is_altered |= limits.memory is not None
         if limits.memory is not None:
+            ((self._spill,),) = self.internal_rows("SELECT current_setting('temp_directory')")
             memory = exp.Literal.string(f"{limits.memory}B").sql("duckdb")
             self.run(f"SET memory_limit = {memory}")
             # A query that exceeds the limit fails instead of writing to the working directory.
@@ -178,6 +180,9 @@ class Connection(StatementRunner):
 
     def _give_back(self) -> None:
         """Empties the database, and gives it to the next interpreter."""
+        if self._spill is not None:
+            spill = exp.Literal.string(self._spill).sql("duckdb")
+            self._connection.execute(f"RESET memory_limit; SET temp_directory = {spill}")
         for name in list(self._functions):
             self.remove_function(name)
         if self._attached is not None:

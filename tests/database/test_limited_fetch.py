@@ -214,3 +214,33 @@ def test_a_long_answer_that_is_asked_for_again_is_of_the_present_tick(program, l
             assert answers[-1] == loop.eval(program)
         assert len(answers[0]) > 1_000
         assert answers[-1] != answers[-2]
+
+
+@pytest.mark.parametrize("sql", ["FROM rows", 'EXECUTE "rows now"'])
+def test_statements_that_run_again_read_what_is_there_now(sql):
+    statements = RepeatedStatements()
+    with duckdb.connect() as plain:
+        plain.execute("CREATE TABLE rows AS SELECT n FROM range(300) t(n)")
+        plain.execute('PREPARE "rows now" AS FROM rows')
+        for _ in range(5):
+            plain.execute("UPDATE rows SET n = n + 1")
+            wanted = plain.execute("FROM rows").fetchall()
+            assert statements.rows(plain, sql, None, None, None) == wanted
+            plain.execute("INSERT INTO rows VALUES (7)")
+            wanted = plain.execute("FROM rows").fetchall()
+            assert statements.rows(plain, sql, None, 10**6, lambda _: None) == wanted
+
+
+@pytest.mark.parametrize("limits", [None, ssduck.Limits.strict(progress=False)])
+def test_pairs_of_a_world_that_moves_are_those_of_now(limits):
+    with ssduck.load("kitchen", limits=limits) as ss:
+        columns = "to(a.id, 'a'), to(b.id, 'b'), to(a.z - b.z, 'apart')"
+        program, seen = ss.compile(f"SELECT {columns} FROM a=kitchen, b=kitchen;"), []
+        for _ in range(8):
+            ss.call_variable("kitchen").step(3)
+            z = {row["id"]: row["z"] for row in ss.eval("SELECT id, z(this) FROM kitchen;")}
+            found = [tuple(row.values()) for row in ss.eval(program)]
+            assert len(found) == len(z) ** 2
+            assert all(apart == pytest.approx(z[a] - z[b], abs=1e-12) for a, b, apart in found)
+            seen.append(z)
+    assert seen[0] != seen[-1]

@@ -17,6 +17,7 @@ from ssduck.database.instances import MAX_WAITING, InstancePool
 from ssduck.database.on_demand import OnDemand
 from ssduck.database.schemas import Schemas
 from ssduck.errors import SqlError
+from ssduck.limits import UsageMeter
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.schema import HISTORIES, MODELS, TABLES
 from tests.support.cases import sampled
@@ -289,6 +290,21 @@ def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -
     assert not pool._waiting
 
 
+def test_a_database_whose_memory_was_limited_has_no_limit(run: Path, pool: InstancePool) -> None:
+    """Opening a record and SelectScript do not seal it, as users' SQL does."""
+    select = "SELECT name, value FROM duckdb_settings()"
+    with ssduck.open(run) as ss:
+        ss.eval("SELECT this FROM [1, 2] AS list;")
+    (database,) = pool._waiting
+    before = database.execute(select).fetchall()
+    with ssduck.open(run, limits=ssduck.Limits.strict()) as ss:
+        ss.eval("SELECT this FROM [1, 2] AS list;")
+        assert not pool._waiting
+    assert pool._waiting == [database]
+    assert database.execute(select).fetchall() == before
+    pool.close()
+
+
 def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> None:
     strict = ssduck.Interpreter(limits=ssduck.Limits.strict())
     strict.eval("SELECT this FROM [1, 2] AS list;")
@@ -385,7 +401,8 @@ def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(
         describe(schemas, *arguments)
         described.append(arguments)
         if is_late:
-            monkeypatch.setattr(ss._database.connection.meter, "_deadline", 0.0)
+            late = UsageMeter(ssduck.Limits(seconds=1e-9))
+            monkeypatch.setattr(ss._database.connection, "meter", late)
 
     monkeypatch.setattr(Schemas, "describe", slowly)
     with ssduck.open(run, limits=ssduck.Limits(seconds=600)) as ss:

@@ -19,7 +19,7 @@ import ssduck
 from ssduck.errors import LimitError
 from ssduck.geometry.shape_comparisons import ShapeComparisons
 from ssduck.interpreter.query_runner import PlannedQuery
-from ssduck.limits import Limits
+from ssduck.limits import Limits, UsageMeter, _clock
 from ssduck.recording.replay import batch_queries, progress
 from ssduck.recording.replay.batch_queries import EntityShapes
 
@@ -189,14 +189,19 @@ def test_ctrl_c_leaves_all_as_it_was(
     assert interrupted[0][0] > 0.0
 
 
+def _expire(meter: UsageMeter) -> None:
+    """Has the time of a program be up from now on."""
+    meter._deadline = meter._first_look = 0.0
+    meter.step = _clock(0.0, meter.limits.seconds, None)
+
+
 def test_the_time_limit_ends_it_between_two_batches(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
     with _asking(world, Limits(seconds=1000)) as ss:
 
         def expire() -> None:
-            meter = ss._database.connection.meter
-            meter._deadline = meter._first_look = 0.0
+            _expire(ss._database.connection.meter)
 
         begun = _at_batch(monkeypatch, 3, expire)
         with pytest.raises(LimitError, match="1000 s"):
@@ -221,8 +226,7 @@ def test_the_time_limit_ends_it_within_a_batch(
         def count(self: ShapeComparisons, *shapes: int) -> Any:
             compared.append(shapes)
             if len(compared) == 2:
-                meter = ss._database.connection.meter
-            meter._deadline = meter._first_look = 0.0
+                _expire(ss._database.connection.meter)
             return compare(self, *shapes)
 
         monkeypatch.setattr(ShapeComparisons, method, count)
@@ -238,8 +242,7 @@ def test_the_time_limit_ends_it_while_rows_become_entities(
     with _asking(world, Limits(seconds=1000)) as ss:
 
         def late(self: PlannedQuery, *arguments: Any) -> Any:
-            meter = ss._database.connection.meter
-            meter._deadline = meter._first_look = 0.0
+            _expire(ss._database.connection.meter)
             with pytest.raises(LimitError, match="1000 s"):
                 convert(self, *arguments)
             raise LimitError("in time")
