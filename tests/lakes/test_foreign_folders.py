@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -78,7 +79,10 @@ def test_clusters_start_no_file_of_the_folder(foreign: Path, engine: str) -> Non
         (foreign / f"{name}.py").write_text(mark)
     (foreign.parent / "asks.py").write_text(STARTS)
     command = [sys.executable, foreign.parent / "asks.py", engine.removeprefix("py")]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    env = os.environ | {"TMPDIR": "/tmp"}  # the paths of Ray's sockets have at most 107 bytes
+    done = subprocess.run(
+        command, env=env, capture_output=True, text=True, timeout=600, check=False
+    )
     assert done.returncode == 0, done.stderr
     assert "[None, None, None]" in done.stdout
     assert not (foreign.parent / "run").exists()

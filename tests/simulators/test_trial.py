@@ -176,6 +176,7 @@ TOLD = [
     ((BEGINS,), SIGNAL, SceneError, r"b\.urdf: PyBullet crashes on this file.*SIGABRT"),
     ((BEGINS, LOADED), SIGNAL, SceneError, r"crashes when this scene runs.*SIGABRT"),
     ((BEGINS, '{"reads": "m.urdf"}'), SIGNAL, SceneError, r"^m\.urdf: PyBullet crashes"),
+    ((BEGINS, BEGINS), "time.sleep(60)", SceneError, "crashes on this file"),
     ((BEGINS, "nonsense"), "time.sleep(60)", SceneError, "crashes on this file"),
     ((BEGINS, '{"passed": 1, "x": '), "", SceneError, "crashes on this file"),
     ((BEGINS, "[" * 70_000), "time.sleep(60)", SceneError, "crashes on this file"),
