@@ -79,7 +79,8 @@ def test_clusters_start_no_file_of_the_folder(foreign: Path, engine: str) -> Non
         (foreign / f"{name}.py").write_text(mark)
     (foreign.parent / "asks.py").write_text(STARTS)
     command = [sys.executable, foreign.parent / "asks.py", engine.removeprefix("py")]
-    env = os.environ | {"TMPDIR": "/tmp"}  # the paths of Ray's sockets have at most 107 bytes
+    # The paths of Ray's sockets have at most 107 bytes.
+    env = os.environ | {"TMPDIR": "/tmp"}  # noqa: S108
     done = subprocess.run(
         command, env=env, capture_output=True, text=True, timeout=600, check=False
     )
