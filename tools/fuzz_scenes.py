@@ -2,8 +2,8 @@
 
 `python -m tools.fuzz_scenes [COUNT] [--seed N] [--format NAME ...] [--keep FOLDER]` loads COUNT
 mutated files of each format under `Limits.strict()`: URDF, SDF and MJCF by PyBullet, MJCF by MuJoCo
-("mujoco"), and URDF files with a mutated OBJ, STL or COLLADA mesh. 500 of each take about an hour
-on a busy core. The exit status is 1 if there are faults, whose files are kept in FOLDER.
+("mujoco"), and URDF files with a mutated OBJ, STL or COLLADA mesh. 500 of each take some
+hours on busy cores. The exit status is 1 if there are faults, whose files are kept in FOLDER.
 
 Each file must be loaded, or be a `SceneError` or a `LimitError`. What is loaded is asked for its
 boxes, drawn, and stepped; no box may be NaN. Other processes do so: one that ends, or does not

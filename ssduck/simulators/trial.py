@@ -180,15 +180,16 @@ def _try(request: _Request) -> None:
     process = _started(request.scene)
     assert process.stdin is not None
     assert process.stdout is not None
-    deadline = _Deadline(process, _START_SECONDS)
-    file, is_loaded = str(request.scene.path), False
+    deadline, seconds = _Deadline(process, _START_SECONDS), _START_SECONDS
+    begins, file, is_loaded = False, str(request.scene.path), False
     try:
         with suppress(BrokenPipeError), process.stdin as stream:
             stream.write(pickle.dumps(request))
         for line in iter(partial(process.stdout.readline, _MAX_LINE), b""):
             match _told(line):
-                case {"begins": True}:
-                    deadline.restart(_loading_seconds(request.limits))
+                case {"begins": True} if not begins:  # once: it is given no more time
+                    begins, seconds = True, _loading_seconds(request.limits)
+                    deadline.restart(seconds)
                 case {"reads": str(file)}:
                     pass
                 case {"loaded": True}:
@@ -207,7 +208,6 @@ def _try(request: _Request) -> None:
         with process:
             process.kill()
     if deadline.is_over:
-        seconds = _loading_seconds(request.limits)
         raise LimitError(f"{file}: loading takes more than {seconds:g} s (Limits: seconds)")
     title = _TITLES.get(request.simulator, request.simulator)
     what = "crashes when this scene runs" if is_loaded else "crashes on this file"

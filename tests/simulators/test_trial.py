@@ -27,6 +27,7 @@ from tools.fuzzing.models import DAE, FORMATS, VISUAL_MESH
 CRASHING = DAE.replace('<instance_geometry url="#g"/>', "<instance_geometry/>", 1)
 BOX = robot(link("base", shapes=collision('<box size="1 1 1"/>')))
 CRASH = r"c\.urdf: PyBullet crashes on this file.*\(SIG[A-Z]+\)"
+TEXTURE = '<material name="m"><texture filename="big.png"/></material>'
 TASK = 'scene = "{}"\nsuccess = "z(sim.b) > 0"\n[observation]\nz = "z(sim.b)"\n'
 
 
@@ -53,7 +54,7 @@ def test_a_crash_is_an_error_that_names_the_file(folder: Path) -> None:
 
 
 def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) -> None:
-    (folder / "b.urdf").write_text(BOX.replace("</robot>", "<!-- big.png --></robot>"))
+    (folder / "b.urdf").write_text(BOX.replace("</robot>", TEXTURE + "</robot>"))
     with (folder / "big.png").open("wb") as file:
         file.truncate(1 << 40)  # no bytes on the disk
     with ssduck.load(folder / "good.toml", limits=Limits.strict()) as ss:
@@ -192,6 +193,7 @@ TOLD = [
     ((BEGINS,), SIGNAL, SceneError, r"b\.urdf: PyBullet crashes on this file.*SIGABRT"),
     ((BEGINS, LOADED), SIGNAL, SceneError, r"crashes when this scene runs.*SIGABRT"),
     ((BEGINS, '{"reads": "m.urdf"}'), SIGNAL, SceneError, r"^m\.urdf: PyBullet crashes"),
+    ((BEGINS, BEGINS), "time.sleep(60)", SceneError, "crashes on this file"),
     ((BEGINS, "nonsense"), "time.sleep(60)", SceneError, "crashes on this file"),
     ((BEGINS, '{"passed": 1, "x": '), "", SceneError, "crashes on this file"),
     ((BEGINS, "[" * 70_000), "time.sleep(60)", SceneError, "crashes on this file"),

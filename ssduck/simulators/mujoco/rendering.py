@@ -27,6 +27,8 @@ _NEAR, _FAR = 0.01, 200.0
 # The least brightness of the headlight where it is the only light: of all sides, and of those that
 # it shines on. MuJoCo's own 0.1 and 0.4 are meant for a headlight beside others.
 _AMBIENT, _DIFFUSE = 0.35, 0.65
+# The message that there is no OpenGL: MuJoCo ends the process if it is asked a second time.
+_FAILED: list[str] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,15 +101,20 @@ def _renderer(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]
     limits = model.vis.global_
     before = limits.offwidth, limits.offheight
     limits.offwidth, limits.offheight = max(before[0], width), max(before[1], height)
+    if _FAILED:
+        raise UnsupportedError(_FAILED[0])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the library of windows warns where there is no screen
             renderer = mujoco.Renderer(model, height, width)
     except Exception as error:  # each library of OpenGL has its own
-        raise UnsupportedError(
+        message = (
             f"MuJoCo cannot draw: {error}; without a screen, set the environment variable "
             "MUJOCO_GL to egl or osmesa before MuJoCo is imported"
-        ) from error
+        )
+        if isinstance(error, mujoco.FatalError) and "OpenGL platform library" in str(error):
+            _FAILED.append(message)
+        raise UnsupportedError(message) from error
     finally:
         limits.offwidth, limits.offheight = before
     try:

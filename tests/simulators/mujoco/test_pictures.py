@@ -81,3 +81,28 @@ def test_a_machine_without_opengl_is_told(monkeypatch):
     with pytest.raises(UnsupportedError, match=r"MuJoCo cannot draw: no OpenGL; .* MUJOCO_GL"):
         world.render(20, 20)
     assert model.vis.global_.offwidth == 10
+
+
+DRAWS_TWICE = """
+import ssduck
+for _ in range(2):
+    with ssduck.load(r"{}", simulator="mujoco") as ss:
+        try:
+            ss.eval("SELECT this FROM ball AS image(8, 8);")
+        except ssduck.SelectScriptError as error:
+            print(error.message[:28])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the library of windows needs no screen there")
+def test_pictures_without_a_screen_are_errors_each_time(tmp_path):
+    """MuJoCo ends the process if it is asked for OpenGL again."""
+    (tmp_path / "ball.xml").write_text("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>")
+    others = ("DISPLAY", "WAYLAND_DISPLAY")
+    env = {name: value for name, value in os.environ.items() if name not in others}
+    code = DRAWS_TWICE.format(tmp_path / "ball.xml")
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(
+        command, env={**env, "MUJOCO_GL": "glfw"}, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "AS image: MuJoCo cannot draw\n" * 2)
