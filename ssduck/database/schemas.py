@@ -23,6 +23,7 @@ from ssduck.database.macros import (
 from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.errors import SqlError
 from ssduck.recording.spec import not_recorded_message
+from ssduck.recording.stores.base import BufferViews
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import HISTORIES, LINK_FACTOR, MAX_LINKS, MODELS, TABLES, Table
@@ -121,16 +122,17 @@ class Schemas:
         if history is None or stored is None or table.view_columns:
             return False
         if table.source in history.store.tables:
-            if not stored.archive.part_groups(table.source):
+            if not stored.archive.part_groups(table.source, first, last):
                 return False
             stored.check_groups(table.source, first, last)
         if (schema, view) not in self._partly_made:
             try:
-                _define_history_view(schema, bound, table, self._connection)
+                select = stored.archive.select_by_groups
+                _define_history_view(schema, bound, table, self._connection, select)
             except SqlError:  # DuckDB cannot read a part, of whatever ticks
                 return False
-            check = partial(_check_history, bound, table)
-            self._connection.on_demand.offer((schema, view), check)
+            maker = partial(_make_history_view, schema, bound, table)
+            self._connection.on_demand.offer((schema, view), maker)
             self._partly_made.add((schema, view))
         return True
 
@@ -290,13 +292,13 @@ def _make_history_view(
     schema: str, bound: BoundWorld, table: Table, connection: Connection
 ) -> None:
     """Creates the view of a table at all recorded ticks, whose rows it checks."""
-    _check_history(bound, table, connection)  # the rows of entities that it compares, too
+    _check_history(bound, table)  # the rows of entities that it compares, too
     if table.view_columns:
         connection.on_demand.make((schema, TABLES["entities"].history_view), connection)
     _define_history_view(schema, bound, table, connection)
 
 
-def _check_history(bound: BoundWorld, table: Table, connection: Connection) -> None:  # noqa: ARG001
+def _check_history(bound: BoundWorld, table: Table) -> None:
     """Checks all rows of a view of a history."""
     history = bound.history
     stored = None if history is None else history.record.stored
@@ -305,16 +307,20 @@ def _check_history(bound: BoundWorld, table: Table, connection: Connection) -> N
 
 
 def _define_history_view(
-    schema: str, bound: BoundWorld, table: Table, connection: Connection
+    schema: str,
+    bound: BoundWorld,
+    table: Table,
+    connection: Connection,
+    select: Callable[[str, BufferViews | None], str | None] | None = None,
 ) -> None:
-    """Creates the view of a table at all recorded ticks."""
+    """Creates the view of a table at all recorded ticks, by the store's `select` or another one."""
     history, rows = bound.history, None
     if history is not None:
         waiting = bound.buffer_views if history.visible_rows else None
         tables = {table.source, "entities"} & set(history.store.tables)
         names = [name for table_name in tables for name in bound.buffer_views(table_name)]
         _register(connection, bound, bound.history_buffers(), names)
-        rows = history.store.select(table.source, waiting)
+        rows = (select or history.store.select)(table.source, waiting)
     if rows is None:
         _register(connection, bound, bound.live_buffers(), [bound.live_view(table.source)])
         rows = _live_rows(bound, table, _not_recorded(table, schema, history))

@@ -12,11 +12,18 @@ from hypothesis import strategies as st
 
 import ssduck
 from ssduck.geometry.poses import multiply
-from ssduck.geometry.proofs.footprints import OVER, over_verdicts
+from ssduck.geometry.proofs.footprints import (
+    OUTSIDE,
+    OVER,
+    finer_over_verdicts,
+    over_verdicts,
+)
 from ssduck.geometry.proofs.verdicts import UNDECIDED
+from ssduck.geometry.solids import solid_of
 from ssduck.schema import ID_FACTOR
 from tests.geometry.test_colliding import fill
 from tests.support.cases import sampled
+from tests.support.pairs import geometry
 from tests.support.solids import box as solid_box
 from tests.support.solids import narrow, sorts_of
 
@@ -99,6 +106,34 @@ def test_centres_over_boxes_are_what_the_planes_of_the_faces_say(tilt):
     assert ((verdicts == OVER) == expected).all()
     assert UNDECIDED not in verdicts
     assert len(set(expected)) == 2
+
+
+@pytest.mark.parametrize("kind", ["cylinder", "capsule", "hull"])
+def test_more_directions_leave_fewer_centres_open(kind):
+    random = np.random.default_rng(5)
+    turns = random.normal(size=(300, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    shape = geometry(kind, random, True)
+    lower = (shape, np.zeros(3), turns[0])
+    reach = solid_of(shape).bounding_radius
+    uppers = [
+        (solid_box(0.02, 0.02, 0.02), (*random.uniform(-reach, reach, 2), 1.0), turn)
+        for turn in turns[1:]
+    ]
+    scene = narrow([lower], *([upper] for upper in uppers))
+    a, b = np.zeros(len(uppers), np.intp), np.arange(1, len(uppers) + 1)
+    tick = scene.tick_shapes(sorts_of(scene))
+    expected = np.array([scene.is_over(0, int(other)) for other in b])
+    left = []
+    for verdicts in (
+        over_verdicts(tick, scene.starts, a, b),
+        finer_over_verdicts(tick, scene.starts, a, b),
+    ):
+        assert expected[verdicts == OVER].all()
+        assert not expected[verdicts == OUTSIDE].any()
+        left.append(np.count_nonzero(verdicts == UNDECIDED))
+    assert left[1] < max(left[0], 1)
+    assert 0 < expected.sum() < len(b)
 
 
 def test_stacked_boxes_need_no_fcl(client):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -195,6 +196,31 @@ def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None
         assert checks == ["entities 3", "entities 4"]
         ss.eval("SELECT id FROM lab{} AS list;")
         assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
+
+
+def test_a_question_about_ticks_of_one_of_few_parts_checks_it_alone(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checked: list[int] = []
+    check = parquet_layout.FolderRun.check_data
+
+    def counted(self: parquet_layout.FolderRun, table: str, numbers: Iterable[int]) -> None:
+        parts = list(numbers)
+        checked.extend(parts)
+        check(self, table, parts)
+
+    monkeypatch.setattr(parquet_layout.FolderRun, "check_data", counted)
+    with ssduck.open(run) as ss:
+        assert PARTS < parquet_archive.MANY_PARTS
+        times = ss.past("lab").times
+        assert _at(ss, times[6]) == [7]
+        assert checked == [3]
+        assert ss.eval("SELECT tick FROM lab{-0.0042} AS list;") == [19, 20]
+        assert checked == [3, 9]
+        assert ss.eval("SELECT tick FROM lab{-0.0084} AS list;") == [18, 19, 20]  # of two parts
+        assert sorted(checked) == list(range(PARTS))
+        assert ss.eval("SELECT tick FROM lab{} AS list;") == ALL
+        assert sorted(checked) == list(range(PARTS))
 
 
 def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any]:

@@ -8,6 +8,7 @@ import pybullet
 import pytest
 
 import ssduck
+from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from tests.support.cases import sampled
 
 CUBE = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
@@ -140,3 +141,17 @@ def test_a_row_of_no_entity_is_an_error(sim):
                 ssduck.SelectScriptError, match="belongs to no entity: 'sim' has none"
             ):
                 ss.sql(f'SELECT "{relation}"(a, b) FROM entities a, {other} b').fetchall()
+
+
+def test_margins_that_have_not_changed_are_the_same_object(client):
+    handles = [hull(client, 0, 0.1), hull(client, 1, 0.4)]
+    simulator = PyBulletSimulator(client, owned=False)
+    bodies, _ = simulator.describe()
+    before = simulator.read_margins(bodies)
+    assert simulator.read_margins(list(bodies)) is before
+    pybullet.changeDynamics(handles[1], -1, collisionMargin=WIDE, physicsClientId=client)
+    changed = simulator.read_margins(bodies)
+    assert changed == [before[0], [WIDE]]
+    assert simulator.read_margins(bodies) is changed
+    pybullet.removeBody(handles[1], client)
+    assert simulator.read_margins(bodies) == before

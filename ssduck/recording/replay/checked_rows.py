@@ -78,7 +78,7 @@ class CheckedRows:
         Raises:
             RecordError: as for all rows.
         """
-        groups = self.archive.part_groups(table)
+        groups = self.archive.part_groups(table, first, last)
         found = [
             group
             for group in groups

@@ -234,8 +234,12 @@ class TickArchive(ABC):
         """
         return iter(())
 
-    def part_groups(self, table: str) -> Sequence[PartGroup]:  # noqa: ARG002
-        """Returns the groups of parts of which the view of a table reads those of its ticks only.
+    def select_by_groups(self, table: str, buffer_views: BufferViews | None) -> str | None:
+        """Returns the same SELECT, which reads of `part_groups` those of its ticks only."""
+        return self.select(table, buffer_views)
+
+    def part_groups(self, table: str, first: int, last: int) -> Sequence[PartGroup]:  # noqa: ARG002
+        """Returns the groups of parts of a table, for a question about ticks from first to last.
 
         The rows that it always reads are a group without parts. There are no groups if the rows of
         a table are all checked together.

@@ -45,8 +45,6 @@ from ssduck.schema import FRAMES, MODELS, RECORDED, TABLES, Column
 
 # From so many parts on, a record has groups of them, and a part is checked when it is read.
 MANY_PARTS = 16
-# Parts are read and checked in groups from this number on.
-_LEAST_GROUPED = 2
 # So many rows of a table without a key are checked at once: they fit the cache of a processor.
 _ROWS_AT_ONCE = 1 << 16
 
@@ -117,30 +115,52 @@ class ParquetArchive(TickArchive):
 
         DuckDB reads the footer of each part to find some ticks. It reads none of a group of parts
         whose ticks are others. The rows that are read must have been checked; see `key_rows`.
+
+        Few parts are read together: then a sum is the same to the last bit, whatever their number.
         """
         if table not in self._files:
             return None
-        columns = TABLES[table].columns
         count = len(self._files[table])
-        groups = [group.parts for group in self.part_groups(table)] or [range(count)]
+        groups = [range(count)] if count < MANY_PARTS else self._groups(table)
+        return self._select_groups(table, groups, buffer_views)
+
+    def select_by_groups(self, table: str, buffer_views: BufferViews | None) -> str | None:
+        """Returns the same SELECT, which reads of `part_groups` those of its ticks only."""
+        if table not in self._files:
+            return None
+        return self._select_groups(table, self._groups(table), buffer_views)
+
+    def _select_groups(
+        self, table: str, groups: Sequence[range], buffer_views: BufferViews | None
+    ) -> str:
+        columns = TABLES[table].columns
         parts = [self._select_parts(table, group) for group in groups if group]
         names = column_list(column.name for column in columns)
         views = () if buffer_views is None else buffer_views(table)
         parts += [f"SELECT {names} FROM {quoted(view)}" for view in views]  # noqa: S608
         return " UNION ALL ".join(parts)
 
-    def part_groups(self, table: str) -> list[PartGroup]:
-        """Returns the groups of the parts of a table: √n of n parts, or each if these are few.
+    def part_groups(self, table: str, first: int, last: int) -> list[PartGroup]:
+        """Returns the groups of the parts of a table, for ticks from first to last.
 
-        The log is a group, too. Of one part, there are none.
+        Many parts have groups. Few have them if the ticks are those of one of them. The log is a
+        group, too.
         """
         count = len(self._files.get(table, ()))
-        if count < _LEAST_GROUPED:
+        if count < 2:
             return []
-        size = math.isqrt(count) if count >= MANY_PARTS else 1
-        groups = [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
+        if count < MANY_PARTS and len(self._parts_with(table, first, last)) != 1:
+            return []
         logged = [range(count, count)] if self._log else []
-        return [PartGroup(parts, *self._ticks_of(parts)) for parts in (*groups, *logged)]
+        return [
+            PartGroup(parts, *self._ticks_of(parts)) for parts in (*self._groups(table), *logged)
+        ]
+
+    def _groups(self, table: str) -> list[range]:
+        """Returns the parts of a table in groups: √n of n parts, or each one if they are few."""
+        count = len(self._files[table])
+        size = math.isqrt(count) if count >= MANY_PARTS else 1
+        return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
 
     def _ticks_of(self, parts: range) -> tuple[int, int]:
         """Returns the first and the last tick of some parts; of the log if they are none."""
