@@ -186,7 +186,7 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
     ("a shape elsewhere", sql(f"UPDATE {SHAPES} SET link = 7"), "a shape is on an unknown link"),
     ("a shape of nothing", sql(f"UPDATE {SHAPES} SET geometry = 999"), "has an unknown geometry"),
     ("no rotation", sql(f"UPDATE {SHAPES} SET qw = 0, qx = 0, qy = 0, qz = 0"), "has the length 0"),
-    ("NaN", sql(f"UPDATE {SHAPES} SET x = 'nan'"), "'x' has a number that is not finite"),
+    ("NaN", sql(f"UPDATE {SHAPES} SET x = 'nan'"), "'x' lacks a value"),
     ("a margin < 0", sql(f"UPDATE {SHAPES} SET margin = -1"), "the margin of a shape is negative"),
     ("a size < 0", sql(f"UPDATE {GEOMETRIES} SET size_x = -1 WHERE type = 'sphere'"), "negative size"),
     ("an unknown geometry", sql(f"UPDATE {GEOMETRIES} SET type = 'cone'"), "'type' has the value 'cone'"),
