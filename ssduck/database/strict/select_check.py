@@ -321,8 +321,9 @@ class _Walk:
             text = literal.get("text") if isinstance(literal, dict) else None
             if not isinstance(text, str) or len(text) > MAX_EXPRESSION:
                 self._refuse(node, f"{what} is a text of at most {MAX_EXPRESSION} letters here")
-            if part := next((part for part in without if part in text), None):
-                self._refuse(node, f"{what} has no {part} here")
+            for part in without:
+                if isinstance(text, str) and part in text:
+                    self._refuse(node, f"{what} has no {part} here")
 
     def _refuse(
         self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()
