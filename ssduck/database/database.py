@@ -341,7 +341,7 @@ class Database:
 
     def begin_episode(self, world: World) -> None:
         """Records a world that was reset as before, in new records; ends the records before."""
-        with self._lock:
+        with ctrl_c.deferred(), self._lock:
             if not self.connection.is_open:
                 return
             for bound in self._worlds.bound:

@@ -122,14 +122,17 @@ class BackgroundWriter:
                 batch.version = new_version()
             self._count -= 1
 
-    def wait(self) -> None:
+    def wait(self, *, is_final: bool = False) -> None:
         """Waits until the background thread has ended.
 
         Ctrl-C that is deferred is delivered if there is something to wait for, and only then.
+
+        Args:
+            is_final: whether it stays deferred: nobody could store what is left.
         """
         if not self.is_busy:
             return
-        with ctrl_c.allowed(), self.lock:
+        with nullcontext() if is_final else ctrl_c.allowed(), self.lock:
             self.lock.wait_for(lambda: self._thread is None)
 
     def pop_failure(self) -> BaseException | None:

@@ -264,6 +264,7 @@ class Recorder:
             SqlError: the same of a database.
         """
         with ctrl_c.deferred(), self._lock:
+            self._writer.wait(is_final=True)
             self.flush()
             self._store.complete()
             self._store.finish()

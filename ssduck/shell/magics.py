@@ -15,6 +15,7 @@ def register_magics(shell: Any) -> None:
     Args:
         shell: the shell, an `IPython.core.interactiveshell.InteractiveShell`.
     """
+    from IPython.core.magic import no_var_expand
 
     def selectscript(line: str, cell: str | None = None) -> Any:
         """Runs a SelectScript program, and returns its result.
@@ -31,7 +32,8 @@ def register_magics(shell: Any) -> None:
         return ss.sql(statement)
 
     for magic in (selectscript, sql):
-        shell.register_magic_function(magic, "line_cell", magic.__name__)
+        # IPython would run what is in braces as Python, and replace it.
+        shell.register_magic_function(no_var_expand(magic), "line_cell", magic.__name__)
 
 
 def _interpreter_and_program(

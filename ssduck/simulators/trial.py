@@ -48,6 +48,8 @@ _ENDING_SECONDS = 5.0
 LEAST_LOADING = 30.0
 # So many bytes of the files of a scene are hashed.
 _MAX_HASHED = 1 << 29
+# The option of Linux's `prctl` for the signal that a process gets when its parent ends.
+_PR_SET_PDEATHSIG = 1
 # The longest line that is read of what the process tells, bytes.
 _MAX_LINE = 65_536
 # The errors that the process may tell, by name; others are a SceneError.
@@ -172,11 +174,20 @@ class _Deadline:
 
     def _end(self) -> None:
         self.is_over = True
-        self._process.kill()
+        _kill(self._process)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Ends a process that leads a session, and what it has started."""
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    process.kill()
 
 
 def _try(request: _Request) -> None:
     """Loads a scene in a process of its own; see `Trial.passed`."""
+    backend(request.simulator)  # is there one of that name?
     process = _started(request.scene)
     assert process.stdin is not None
     assert process.stdout is not None
@@ -206,7 +217,11 @@ def _try(request: _Request) -> None:
     finally:
         deadline.cancel()
         with process:
-            process.kill()
+            _kill(process)
+    if not begins and not deadline.is_over:
+        raise SimulatorError(
+            f"the process that loads {file} first did not start: {ending_text(process.returncode)}"
+        )
     if deadline.is_over:
         raise LimitError(f"{file}: loading takes more than {seconds:g} s (Limits: seconds)")
     title = _TITLES.get(request.simulator, request.simulator)
@@ -222,6 +237,7 @@ def _started(scene: Scene) -> subprocess.Popen[bytes]:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
+            start_new_session=True,
         )
     except OSError as error:
         reason = error.strerror
@@ -247,6 +263,7 @@ def _loading_seconds(limits: Limits) -> float:
 def main() -> None:
     """Loads the scene that the parent sends, and uses it a little."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _end_with_parent()
     warnings.simplefilter("ignore")  # the parent warns
     tells = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
     os.dup2(2, 1)  # simulators print
@@ -289,6 +306,18 @@ def _described(simulator: Simulator, scene: Scene) -> list[Body]:
     return bodies
 
 
+def _end_with_parent() -> None:
+    """Has the system end this process when its parent ends, however that does (Linux)."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    parent = os.getppid()
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it has ended meanwhile
+        os._exit(1)
+
+
 def _limit_process(limits: Limits) -> None:
     """Limits memory, leaves no core file, and ends the process if nobody else does."""
     try:
@@ -298,9 +327,9 @@ def _limit_process(limits: Limits) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     limit_process_memory(limits)
     seconds = _loading_seconds(limits)
-    if math.isfinite(seconds):  # the parent, which ends it, may have been killed
-        cpu = math.ceil((_START_SECONDS + seconds) * (os.cpu_count() or 1))
-        resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu))
+    if math.isfinite(seconds):  # in place of the parent, if that is killed
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.setitimer(signal.ITIMER_REAL, _START_SECONDS + seconds)
 
 
 def _use(simulator: Simulator, bodies: Sequence[Body]) -> None:

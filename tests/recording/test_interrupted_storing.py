@@ -5,12 +5,17 @@ from __future__ import annotations
 import math
 import signal
 import sys
+import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 import ssduck
+from ssduck.recording.stores.duckdb import DuckDBStore
+from ssduck.recording.stores.parquet import ParquetStore
+from tests.support.timing import HANGS
 
 TICKS = 12
 # How often Ctrl-C is pressed, at lines that are spread over a method.
@@ -59,6 +64,22 @@ class InDatabase:
         self.ss.close()
 
 
+class InRunningFolder:
+    """The ticks of a world in a folder, whose recording ends with the interpreter."""
+
+    def __init__(self, folder: Path) -> None:
+        self.ss = ssduck.load("kitchen", recording=None)
+        self._recording = self.ss.record_to(
+            folder, recording=ssduck.Recording(tables=("entities",))
+        )
+
+    def flush(self) -> None:
+        self._recording.flush()
+
+    def close(self) -> None:
+        self.ss.close()
+
+
 class InFolder:
     """The ticks of a world in a folder."""
 
@@ -100,13 +121,46 @@ def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], meth
 
 
 @pytest.mark.parametrize("method", ["flush", "close"])
-@pytest.mark.parametrize("form", [InDatabase, InFolder])
+@pytest.mark.parametrize("form", [InDatabase, InFolder, InRunningFolder])
 def test_all_is_stored_once(form, method, tmp_path):
     count = stored_once(tmp_path / "whole.duckdb", math.inf, form, method)
     assert count > PRESSES
     for press in range(PRESSES):
         line = 1 + press * (count - 1) // (PRESSES - 1)
         stored_once(tmp_path / f"{line}.duckdb", line, form, method)
+
+
+@pytest.mark.parametrize("form", [InDatabase, InRunningFolder])
+def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
+    """Ctrl-C comes while a slow disk is written, and once more while it is waited for."""
+    append = {InDatabase: DuckDBStore, InRunningFolder: ParquetStore}[form].append
+    began = threading.Event()
+
+    def slow(*arguments):
+        began.set()
+        time.sleep(0.3)
+        return append(*arguments)
+
+    monkeypatch.setattr(
+        {InDatabase: DuckDBStore, InRunningFolder: ParquetStore}[form], "append", slow
+    )
+    recorded = form(tmp_path / "run.duckdb")
+    recorded.ss["kitchen"].step(TICKS, every=1)
+    began.clear()
+
+    def press():
+        for _ in range(2):
+            began.wait(HANGS)
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            time.sleep(0.1)
+
+    presses = threading.Thread(target=press)
+    presses.start()
+    with pytest.raises(KeyboardInterrupt):
+        recorded.close()
+    presses.join()
+    assert ssduck.episodes(tmp_path / "run.duckdb")[0].ticks == TICKS + 1
+    assert ssduck.episodes(tmp_path / "run.duckdb")[0].complete
 
 
 def test_another_recording_begins_or_the_one_goes_on(tmp_path):

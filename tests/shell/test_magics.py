@@ -75,6 +75,9 @@ def test_in_ipython(ss, capsys, tmp_path, monkeypatch):
     try:
         shell.run_line_magic("load_ext", "ssduck")
         assert shell.run_cell(f"%%selectscript\n{PROGRAM}").result == ["goal"]
+        braces = "SELECT count(*) > 0 FROM hall{0.0} AS value;"
+        assert shell.run_cell(f"%selectscript {braces}").result is True
+        assert shell.run_cell("%selectscript '{6 * 7}';").result == "{6 * 7}"
         shell.run_cell("rows = %sql SELECT 6 * 7 AS n")
         assert shell.user_ns["rows"].fetchall() == [(42,)]
         capsys.readouterr()

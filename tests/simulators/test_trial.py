@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
+import subprocess
 import sys
+import time
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,13 +16,14 @@ import pytest
 import ssduck
 from ssduck import Limits
 from ssduck.cli.worker import Source, WorkerAnswers
-from ssduck.errors import LimitError, NumberError, SceneError, UnsupportedError
+from ssduck.errors import LimitError, NumberError, SceneError, SimulatorError, UnsupportedError
 from ssduck.gym import make_task
 from ssduck.mcp.answers import WorkerError
 from ssduck.simulators import trial
 from ssduck.simulators.scene_files import check_files_inside
 from ssduck.simulators.scenes import find_scene
 from tests.support.command_line import ssduck_
+from tests.support.timing import HANGS
 from tests.support.urdf import collision, joint, link, robot
 from tools.fuzz_scenes import Fuzz
 from tools.fuzzing.models import DAE, FORMATS, VISUAL_MESH
@@ -188,8 +193,14 @@ def told(monkeypatch: pytest.MonkeyPatch, *lines: str, then: str = "") -> None:
 
 BEGINS, LOADED = '{"begins": true}', '{"loaded": true}'
 SIGNAL = "os.kill(os.getpid(), 6)"
+# It keeps the pipe of the process, which ends.
+GRANDCHILD = (
+    "import subprocess\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(100)'])"
+)
 TOLD = [
-    ((), "", SceneError, r"b\.urdf: PyBullet crashes on this file.*exit status 0"),
+    ((), "", SimulatorError, r"loads .*b\.urdf first did not start: exit status 0"),
+    ((), SIGNAL, SimulatorError, r"did not start: SIGABRT"),
+    ((BEGINS,), GRANDCHILD, LimitError, "loading takes more than 0.2 s"),
     ((BEGINS,), SIGNAL, SceneError, r"b\.urdf: PyBullet crashes on this file.*SIGABRT"),
     ((BEGINS, LOADED), SIGNAL, SceneError, r"crashes when this scene runs.*SIGABRT"),
     ((BEGINS, '{"reads": "m.urdf"}'), SIGNAL, SceneError, r"^m\.urdf: PyBullet crashes"),
@@ -213,6 +224,41 @@ def test_nothing_that_a_taken_process_tells_is_believed(
     monkeypatch.setattr(trial, "LEAST_LOADING", 0.0)
     with pytest.raises(error, match=message):
         ssduck.load(folder / "b.urdf", limits=Limits.strict(seconds=0.2))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends it with its parent")
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_process_ends_with_its_parent(folder: Path, end: signal.Signals) -> None:
+    pytest.importorskip("mujoco")
+    bodies = '<replicate count="500" offset=".1 0 0"><geom size=".01"/></replicate>'
+    world = f'<replicate count="900" offset="0 0 .1"><body><freejoint/>{bodies}</body></replicate>'
+    (folder / "slow.xml").write_text(f"<mujoco><worldbody>{world}</worldbody></mujoco>")
+    code = (
+        f"import ssduck; ssduck.load({str(folder / 'slow.xml')!r}, limits=ssduck.Limits.strict())"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL) as parent:
+        children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+        found = waited_for(lambda: children.read_text().split())
+        parent.send_signal(end)
+    (child,) = found
+    assert waited_for(lambda: not Path(f"/proc/{child}/exe").exists())
+
+
+def waited_for(condition):
+    """Returns what a condition gives as soon as it is true."""
+    end = time.monotonic() + HANGS
+    while time.monotonic() < end:
+        with suppress(OSError):
+            if result := condition():
+                return result
+        time.sleep(0.02)
+    raise AssertionError("it did not happen")
+
+
+@pytest.mark.parametrize("limits", [None, Limits.strict()])
+def test_an_unknown_simulator(folder: Path, limits: Limits | None) -> None:
+    with pytest.raises(ssduck.SelectScriptError, match=r"no simulator 'pybulet'.*mean 'pybullet'"):
+        ssduck.load(folder / "b.urdf", simulator="pybulet", limits=limits)
 
 
 def test_a_process_that_does_not_start(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -136,6 +136,7 @@ UNBOUNDED_TYPES = {
     "varint": "DOUBLE or HUGEINT",
     "variant": "JSON",
     "timestamptz": "TIMESTAMP",
+    "timestamptz_ns": "TIMESTAMP_NS",
     "timestamp with time zone": "TIMESTAMP",
     "timetz": "TIME",
     "time with time zone": "TIME",

@@ -66,6 +66,9 @@ _OWN_TABLES = (
     "AND database_name = current_database()"
 )
 _OF_LISTS = FUNCTIONS - JOINING - HASHING
+_WITH_CHECKED_ARGUMENTS = (
+    REGULAR | LIKES.keys() | READING_TIMES | AGGREGATING | PATHS | HASHING_SHORTER | {"map"}
+)
 # The kinds of parts of a SELECT that changes nothing, as DuckDB's trees name them. A query of WITH
 # may be an INSERT or a COPY, and the next DuckDB may have others.
 _KINDS = frozenset(("SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE")).union(
@@ -279,6 +282,8 @@ class _Walk:
         name = folded(node["function_name"])
         if name not in OPERATORS and name not in _SCALARS:
             self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
+        if name in _WITH_CHECKED_ARGUMENTS:
+            self._check_order_of_arguments(node, name)
         if name in REGULAR:
             self._check_expression(node, f"the regular expression of {name}")
         if name in LIKES:
@@ -298,6 +303,11 @@ class _Walk:
             self._refuse(node, "map takes lists that are written out here: MAP {'a': 1}")
         if name in HASHING_SHORTER and not any(map(_is_written_out, node["arguments"])):
             self._refuse(node, f"one of the lists of {name} is written out here: ['a', 'b']")
+
+    def _check_order_of_arguments(self, node: Node, name: str) -> None:
+        """Checks that the arguments stand where they are looked for: `v.f(x)` may be `f(v, x)`."""
+        if node["schema"] or any(argument["name"] for argument in node["arguments"]):
+            self._refuse(node, f"{name} is written as {name}(…) here, without names of arguments")
 
     def _check_path(self, node: Node, name: str, path: Node) -> None:
         """Checks that a path in JSON is known, or one without wildcards: that of a column."""

@@ -97,12 +97,12 @@ def segment(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]) 
 @contextmanager
 def _renderer(model: Any, data: Any, viewpoint: Viewpoint, size: tuple[int, int]) -> Iterator[Any]:
     """Yields a renderer of the scene; closes it at the end."""
+    if _FAILED:
+        raise UnsupportedError(_FAILED[0])
     width, height = size
     limits = model.vis.global_
     before = limits.offwidth, limits.offheight
     limits.offwidth, limits.offheight = max(before[0], width), max(before[1], height)
-    if _FAILED:
-        raise UnsupportedError(_FAILED[0])
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the library of windows warns where there is no screen
