@@ -241,6 +241,10 @@ class RecordError(SelectScriptError, OSError):
     """A record cannot be opened, read or written."""
 
 
+class RecordPermissionError(RecordError, PermissionError):
+    """A file of a record may not be read or written, which is no damage."""
+
+
 @contextmanager
 def record_errors() -> Iterator[None]:
     """Turns errors of the operating system about files into RecordErrors that name them.
@@ -254,7 +258,8 @@ def record_errors() -> Iterator[None]:
     except OSError as error:
         if error.filename is None:
             raise
-        raise RecordError(f"{error.filename}: {error.strerror}") from error
+        kind = RecordPermissionError if isinstance(error, PermissionError) else RecordError
+        raise kind(f"{error.filename}: {error.strerror}") from error
 
 
 class SqlError(SelectScriptError, RuntimeError):

@@ -79,17 +79,22 @@ class Limits:
             else:
                 value = validation.integer_above_0(value, f"{rule}, and a whole number")
             object.__setattr__(self, name, value)
-        if self.trial is None:
-            object.__setattr__(self, "trial", not self.files)
-        for name in ("eval", "files", "select_only", "progress", "trial"):
+        for name in ("eval", "files", "select_only", "progress"):
             object.__setattr__(
                 self, name, validation.boolean(getattr(self, name), f"limits: {name}")
             )
+        if self.trial is not None:
+            object.__setattr__(self, "trial", validation.boolean(self.trial, "limits: trial"))
 
     @property
     def words(self) -> int | None:
         """The largest number of words of a program, whose parsing cannot be interrupted."""
         return None if self.seconds is None else MAX_WORDS
+
+    @property
+    def has_trial(self) -> bool:
+        """Whether a process of its own loads a scene first."""
+        return not self.files if self.trial is None else self.trial
 
     @classmethod
     def strict(cls, **changes: Any) -> Limits:

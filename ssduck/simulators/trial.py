@@ -70,7 +70,7 @@ class Trial:
 
     def __init__(self, scene: Scene, limits: Limits | None, simulator: str | None = None) -> None:
         is_foreign = scene.path not in shipped_scenes().values()
-        self._limits = limits if limits is not None and limits.trial and is_foreign else None
+        self._limits = limits if limits is not None and limits.has_trial and is_foreign else None
         self._scene, self._simulator = scene, simulator
         self._passed: Mapping[Path, tuple[Any, ...]] | None = None
 

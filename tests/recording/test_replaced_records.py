@@ -138,6 +138,29 @@ def test_a_part_without_permission(table, run):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+def test_a_file_without_permission_is_not_damaged(run):
+    """A repair would drop it."""
+    ssduck.open(run).close()
+    part = next((run / "entities").rglob("*.parquet"))
+    for path in (run, *run.rglob("*")):
+        path.chmod(0o777)
+    part.chmod(0o000)
+    try:
+        with nobody():
+            for door in (
+                lambda: ssduck.open(run).eval(QUESTION),
+                lambda: ssduck.open(run, partial=True).eval(QUESTION),
+                lambda: ssduck.check(run),
+                lambda: ssduck.check(run, repair=True),
+            ):
+                with pytest.raises(RecordError, match=f"{part} cannot be read: Permission denied$"):
+                    door()
+    finally:
+        part.chmod(0o644)
+    assert ssduck.check(run) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 def test_a_lake_names_the_folders_that_it_leaves_out(run):
     other = shutil.copytree(run, run.parent / "other" / "run").parent
     run.parent.chmod(0o755)

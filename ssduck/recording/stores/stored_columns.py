@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, RecordPermissionError
 from ssduck.schema import LATER_COLUMNS, MODELS, RECORDED, TABLES, Column, ColumnType
 from ssduck.world.live_tables import ARROW_TYPES
 
@@ -116,7 +116,15 @@ def unreadable(source: object, error: Exception) -> RecordError:
 
 
 def unreadable_because(file: Path, error: OSError) -> str:
-    """Returns what is wrong with a file of a record that cannot be read, for an error."""
+    """Returns what is wrong with a file of a record that cannot be read, for an error.
+
+    Raises:
+        RecordPermissionError: the file may not be read; a repair must not drop it.
+    """
+    if isinstance(error, RecordPermissionError):
+        raise error
+    if isinstance(error, PermissionError):
+        raise RecordPermissionError(f"{file} cannot be read: {error.strerror}") from error
     if isinstance(error, FileNotFoundError):
         return MISSING
     if isinstance(error, RecordError):
