@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -86,8 +86,11 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     trial = Trial(scene, Limits(trial=True))
 
     def load() -> World:
-        with trial.passed():
-            world = World.load(scene)
+        with ExitStack() as stack:
+            with trial.passed():
+                world = World.load(scene)
+                stack.callback(world.close)
+            stack.pop_all()
         world.name = scene.name
         return world
 

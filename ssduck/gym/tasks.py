@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -190,8 +191,12 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     def _load(self) -> None:
         """Loads the scene in place of the one before."""
         before = self._world if WORLD in self._interpreter else None
-        with self._trial.passed():
-            self._interpreter.add_variable(WORLD, World.load(self.task.scene))
+        with ExitStack() as stack:
+            with self._trial.passed():
+                world = World.load(self.task.scene)
+                stack.callback(world.close)
+            stack.pop_all()
+        self._interpreter.add_variable(WORLD, world)
         if before is not None:
             before.close()
 
