@@ -23,7 +23,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from queue import SimpleQueue
+from typing import IO, Any
 
 from ssduck.errors import (
     LimitError,
@@ -150,11 +151,14 @@ class _Deadline:
 
     Args:
         process: the process.
+        lines: gets an empty line when its time is up.
         seconds: its time until `restart`, s.
     """
 
-    def __init__(self, process: subprocess.Popen[bytes], seconds: float) -> None:
-        self._process = process
+    def __init__(
+        self, process: subprocess.Popen[bytes], lines: SimpleQueue[bytes], seconds: float
+    ) -> None:
+        self._process, self._lines = process, lines
         self._timer: threading.Timer | None = None
         self.is_over = False
         self.restart(seconds)
@@ -175,6 +179,18 @@ class _Deadline:
     def _end(self) -> None:
         self.is_over = True
         _kill(self._process)
+        self._lines.put(b"")
+
+
+def _read(stream: IO[bytes], lines: SimpleQueue[bytes]) -> None:
+    """Passes lines on, and an empty one at the end.
+
+    It is done in a thread: what the process has started may keep its pipe longer than it has time.
+    """
+    with stream:
+        for line in iter(partial(stream.readline, _MAX_LINE), b""):
+            lines.put(line)
+    lines.put(b"")
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
@@ -191,12 +207,14 @@ def _try(request: _Request) -> None:
     process = _started(request.scene)
     assert process.stdin is not None
     assert process.stdout is not None
-    deadline, seconds = _Deadline(process, _START_SECONDS), _START_SECONDS
+    lines, seconds = SimpleQueue[bytes](), _START_SECONDS
+    deadline = _Deadline(process, lines, seconds)
+    threading.Thread(target=_read, args=(process.stdout, lines), daemon=True).start()
     begins, file, is_loaded = False, str(request.scene.path), False
     try:
         with suppress(BrokenPipeError), process.stdin as stream:
             stream.write(pickle.dumps(request))
-        for line in iter(partial(process.stdout.readline, _MAX_LINE), b""):
+        for line in iter(lines.get, b""):
             match _told(line):
                 case {"begins": True} if not begins:  # once: it is given no more time
                     begins, seconds = True, _loading_seconds(request.limits)
@@ -216,8 +234,8 @@ def _try(request: _Request) -> None:
                 process.wait(_ENDING_SECONDS)
     finally:
         deadline.cancel()
-        with process:
-            _kill(process)
+        _kill(process)
+        process.wait()
     if not begins and not deadline.is_over:
         raise SimulatorError(
             f"the process that loads {file} first did not start: {ending_text(process.returncode)}"

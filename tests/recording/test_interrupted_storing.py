@@ -10,6 +10,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import pybullet
 import pytest
 
 import ssduck
@@ -174,6 +175,34 @@ def test_another_recording_begins_or_the_one_goes_on(tmp_path):
         *_, last = ssduck.episodes(path)
         assert last.complete
         assert last.ticks == (3 if last.tags else 5)
+        return presser.count
+
+    count = begin(tmp_path / "whole.duckdb", math.inf)
+    for press in range(PRESSES):
+        line = 1 + press * (count - 1) // (PRESSES - 1)
+        begin(tmp_path / f"{line}.duckdb", line)
+
+
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_another_episode_begins_or_the_one_goes_on(is_folder, tmp_path):
+    def begin(path: Path, line: float) -> int:
+        client = pybullet.connect(pybullet.DIRECT)
+        pybullet.createMultiBody(1.0, physicsClientId=client)
+        world = ssduck.World.attach(client, name="lab")
+        with ssduck.Interpreter(":memory:" if is_folder else path, recording=None) as ss:
+            ss.add_variable("lab", world)
+            if is_folder:
+                ss.record_to(path)
+            else:
+                ss.record("lab", ssduck.Recording(tables=("entities",)))
+            world.step(2, every=1)
+            with suppress(KeyboardInterrupt), Presser(line) as presser:
+                world.begin_episode()
+            world.step(2, every=1)
+        pybullet.disconnect(client)
+        episodes = ssduck.episodes(path)
+        assert all(episode.complete for episode in episodes)
+        assert [episode.ticks for episode in episodes] in ([5], [6], [3, 2], [3, 3])
         return presser.count
 
     count = begin(tmp_path / "whole.duckdb", math.inf)

@@ -195,7 +195,8 @@ BEGINS, LOADED = '{"begins": true}', '{"loaded": true}'
 SIGNAL = "os.kill(os.getpid(), 6)"
 # It keeps the pipe of the process, which ends.
 GRANDCHILD = (
-    "import subprocess\nsubprocess.Popen([sys.executable, '-c', 'import time; time.sleep(100)'])"
+    "import subprocess\ncode = 'import time; time.sleep(20)'\n"
+    "subprocess.Popen([sys.executable, '-c', code], start_new_session=True)"
 )
 TOLD = [
     ((), "", SimulatorError, r"loads .*b\.urdf first did not start: exit status 0"),
