@@ -208,6 +208,7 @@ CALLS = {
     "Limits(files)": ("flag", False, lambda _, v: ssduck.Limits(files=v)),
     "Limits(select_only)": ("flag", False, lambda _, v: ssduck.Limits(select_only=v)),
     "Limits(progress)": ("flag", False, lambda _, v: ssduck.Limits(progress=v)),
+    "Limits(trial)": ("flag", True, lambda _, v: ssduck.Limits(trial=v)),
     "Recording(every)": ("above 0", False, lambda _, v: ssduck.Recording(every=v)),
     "Recording(changed)": ("flag", False, lambda _, v: ssduck.Recording(changed=v)),
     "Recording(seconds)": ("seconds above 0", True, lambda _, v: ssduck.Recording(seconds=v)),

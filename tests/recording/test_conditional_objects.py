@@ -9,7 +9,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
-from ssduck.recording.stores import conditional_objects, descriptions, parquet
+from ssduck.recording import folder_episodes
+from ssduck.recording.stores import conditional_objects, descriptions
 from ssduck.recording.stores.conditional_objects import change_object, create_object
 from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.parquet import write_tags
@@ -81,7 +82,7 @@ def test_an_object_that_others_change_each_time_is_an_error(
 
 def test_two_recordings_begin_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
     # Both find that number 0 is free.
-    monkeypatch.setattr(parquet, "_free_number", lambda *_: 0)
+    monkeypatch.setattr(folder_episodes, "_free_number", lambda *_: 0)
     for number in range(3):
         written = ssduck.write_record("s3://lake/both", ["cup"], POSES, [0, 1, 2], world="lab")
         assert written.number == number
