@@ -61,6 +61,7 @@ _KINDS: tuple[Kind, ...] = (
 _WORD = re.compile(r"\w*\Z")
 _PATH = re.compile(r"((?:\w+\s*\.\s*)+)\Z")
 _PREVIOUS_WORD = re.compile(r"(\w+)\s*\Z")
+_PREVIOUS_LETTERS = re.compile(r"(?<!\w)[eE]\Z")
 _ASSIGNED = re.compile(r"\b([^\W\d]\w*)\s*=(?![=])")
 _SQL_SOURCE = re.compile(
     r"\b(?:FROM|JOIN|,)\s+(?:(\w+)\s*\.\s*)?(\w+)(?=(?:\s+(?:AS\s+)?(\w+))?)", re.IGNORECASE
@@ -242,7 +243,8 @@ def _names_in_text(place: _Place) -> Iterator[Completion]:
     opening = place.start - 1
     quote = place.text[opening]
     # Backslashes have a meaning in texts of SQL with an E before them.
-    has_escapes = place.language == "sql" and place.text[:opening].upper().endswith("E")
+    before = _PREVIOUS_LETTERS.search(place.text, max(opening - 2, 0), opening)
+    has_escapes = place.language == "sql" and before is not None
     for each in _entities(place, place.ss.worlds):
         if not each.text.isprintable() or (has_escapes and "\\" in each.text):
             continue

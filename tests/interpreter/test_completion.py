@@ -186,6 +186,14 @@ def test_a_choice_inside_a_text_of_sql_is_the_name(hostile, prefix):
     assert sorted(found) == sorted([(name,)] for name in wanted)
 
 
+@pytest.mark.parametrize("before", ["LIKE", "= 'E' || ", "= e || "])
+def test_a_word_that_ends_in_e_gives_a_text_no_escapes(hostile, before):
+    typed = f"SELECT name FROM lab.entities WHERE name {before}'c"
+    found = [each.text for each in complete(hostile, typed, language="sql")]
+    assert found == [each.text for each in complete(hostile, "SELECT 'c", language="sql")]
+    assert any("\\" in text for text in found)
+
+
 @pytest.mark.parametrize("text", ["lab.", "x = lab.c", "'c", '"c', "SELECT this FROM lab WHERE '"])
 @pytest.mark.parametrize("language", ["selectscript", "sql"])
 def test_no_choice_has_control_characters(hostile, text, language):
