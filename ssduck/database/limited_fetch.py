@@ -175,14 +175,15 @@ class _RepeatedRows:
     """Fetches the rows of a statement without parameters, each time that it runs.
 
     If there were many last time, they are fetched by column, in half of the time: measured before
-    they are Python's values.
+    they are Python's values. Those of a prepared statement are not: DuckDB runs it, and keeps all
+    rows, when the relation is made, which takes longer.
 
     Args:
         sql: the statement.
     """
 
     def __init__(self, sql: str) -> None:
-        self._sql = sql
+        self._sql, self._is_prepared = sql, sql.startswith(EXECUTE)
         self._types: tuple[str, ...] = ()
         self._expected = 0
 
@@ -191,8 +192,7 @@ class _RepeatedRows:
     ) -> list[tuple[Any, ...]]:
         """Returns the rows as tuples; for the arguments see `RepeatedStatements.rows`."""
         rows = None
-        if self._expected >= MANY_ROWS and are_plain(self._types):
-            # A new relation each time: that of a prepared statement keeps the rows of one run.
+        if self._expected >= MANY_ROWS and not self._is_prepared and are_plain(self._types):
             relation = connection.sql(self._sql)
             if are_plain(map(str, relation.types)):
                 rows = _rows_by_column(relation, max_rows, charge)
@@ -204,7 +204,9 @@ class _RepeatedRows:
     def _rows_by_row(
         self, result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
     ) -> list[tuple[Any, ...]]:
-        if not (self._types and self._sql.startswith(EXECUTE)):  # a prepared statement keeps them
+        if charge is None and self._is_prepared:
+            return all_rows(result)
+        if not (self._types and self._is_prepared):  # a prepared statement keeps them
             self._types = types_of(result)
         if charge is None:
             return all_rows(result)
