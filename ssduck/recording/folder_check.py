@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ssduck.errors import RecordError, warn
+from ssduck.errors import RecordError, RecordPermissionError, warn
 from ssduck.recording.episode_steps import (
     FOLDER,
     EpisodeSteps,
@@ -167,6 +167,8 @@ def damages_of(run: FolderRun) -> Iterator[_RunDamage]:
         return
     try:
         tables = run.tables
+    except RecordPermissionError:  # it may be intact
+        raise
     except RecordError as error:
         problem = _problem_of(error, run.about_file)
         yield _RunDamage(run.about_file, problem, f"all of {episode}", run=run)

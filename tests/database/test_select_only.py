@@ -51,6 +51,7 @@ PERMITTED = [
     "SELECT MAP {'a': 1}['a'], json_extract('{\"a\": [1, 2]}', '$.a[*]'), '[3]'::JSON -> 0",
     "WITH a AS MATERIALIZED (SELECT 1 AS i), b AS (FROM a WHERE i > 0) FROM a UNION ALL FROM b",
     f"SELECT {'9' * 40}, {'1' * 900}.5",
+    "SELECT COLUMNS('na.*'), COLUMNS(['z', 'x']), COLUMNS(lambda c: c = 'y') FROM entities",
     "SELECT strptime('2026-11-27', '%Y-%m-%d') - TIMESTAMP '2026-01-01', epoch_ms(0)",
 ]
 
@@ -117,6 +118,9 @@ REFUSED = [
         "no type TIMESTAMPTZ here: use TIMESTAMP",
     ),
     ("SELECT TRY_CAST(name AS TIMETZ[]) FROM entities", "here: use TIME"),
+    (f"SELECT COLUMNS('{'(.*a)?' * 40}') FROM entities", "COLUMNS takes a text of at most 200"),
+    (f"UNPIVOT entities ON COLUMNS('{'(.*a)?' * 40}')", "COLUMNS takes a text of at most 200"),
+    ("SELECT parse_path(name) FROM entities", "parse_path is no function"),
     ("SELECT name::TIMESTAMPTZ_NS FROM entities", "here: use TIMESTAMP_NS"),
     ("SELECT name.strptime('%Z') FROM entities", "strptime is written as strptime"),
     ("SELECT entities.name.strptime('%Z') FROM entities", "is written as strptime"),

@@ -138,10 +138,14 @@ def test_a_part_without_permission(table, run):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
-def test_a_file_without_permission_is_not_damaged(run):
+@pytest.mark.parametrize(
+    ("place", "pattern"),
+    [("entities", "*.parquet"), ("ticks", "*.parquet"), ("models", "*.parquet"), ("episodes", "*")],
+)
+def test_a_file_without_permission_is_not_damaged(run, place, pattern):
     """A repair would drop it."""
     ssduck.open(run).close()
-    part = next((run / "entities").rglob("*.parquet"))
+    part = next((run / place).rglob(pattern))
     for path in (run, *run.rglob("*")):
         path.chmod(0o777)
     part.chmod(0o000)

@@ -62,7 +62,7 @@ map_contains_entry map_contains_value map_entries map_extract map_extract_value
 map_keys map_values max max_by md5 md5_number mean median microsecond millennium millisecond min
 min_by minute mismatches mod mode month monthname multiply nanosecond nextafter normalized_interval
 not_ilike_escape not_like_escape nth_value ntile nullif octet_length ord parse_dirname
-parse_dirpath parse_filename parse_formatted_bytes parse_path path_join percent_rank pi position pow
+parse_formatted_bytes path_join percent_rank pi position pow
 power prefix product quantile quantile_cont quantile_disc quarter radians random rank rank_dense
 regexp_escape regexp_extract regexp_full_match regexp_matches
 regr_avgx regr_avgy regr_count regr_intercept regr_r2 regr_slope regr_sxx

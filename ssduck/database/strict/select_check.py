@@ -225,11 +225,27 @@ class _Walk:
         elif node.get("class") == "STAR" and (node["expr"] or {}).get("class") == "LAMBDA":
             yield node["expr"]["expr"], queries  # the arrow of COLUMNS(c -> …) begins no path
             node = {**node, "expr": None}
+        if node.get("class") == "STAR":
+            self._check_star(node)
         for key, part in node.items():
             if key == "right" and kind == "RECURSIVE_CTE_NODE":
                 yield part, queries | {folded(node["cte_name"])}
             elif key != "cte_map":
                 yield part, queries
+
+    def _check_star(self, node: Node) -> None:
+        """Checks that the regular expression of COLUMNS is short."""
+        expression = node["expr"] or {}
+        text = (expression.get("literal") or {}).get("text")
+        # A list of names, or what a function finds of all names.
+        is_list = expression.get("function_name") in ("list_value", "list_filter")
+        if (
+            expression
+            and not is_list
+            and not (isinstance(text, str) and len(text) <= MAX_EXPRESSION)
+        ):
+            what = f"a text of at most {MAX_EXPRESSION} letters"
+            self._refuse(node, f"COLUMNS takes {what}, a list or a function here")
 
     def _check_kind(self, node: Node) -> None:
         """Checks that a part is of a kind that changes nothing."""
