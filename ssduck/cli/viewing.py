@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -70,6 +70,7 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     Raises:
         BadParameter: an episode of a scene is requested.
     """
+    from ssduck.interpreter.opening import load_tried
     from ssduck.limits import Limits
     from ssduck.simulators.scenes import find_scene
     from ssduck.simulators.trial import Trial
@@ -86,11 +87,7 @@ def _opened_view(location: str, episode: int | None, host: str, port: int) -> It
     trial = Trial(scene, Limits(trial=True))
 
     def load() -> World:
-        with ExitStack() as stack:
-            with trial.passed():
-                world = World.load(scene)
-                stack.callback(world.close)
-            stack.pop_all()
+        world = load_tried(scene, trial)
         world.name = scene.name
         return world
 

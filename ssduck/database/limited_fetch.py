@@ -204,8 +204,6 @@ class _RepeatedRows:
     def _rows_by_row(
         self, result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
     ) -> list[tuple[Any, ...]]:
-        if charge is None and self._is_prepared:
-            return all_rows(result)
         if not (self._types and self._is_prepared):  # a prepared statement keeps them
             self._types = types_of(result)
         if charge is None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +17,7 @@ from ssduck.errors import ArgumentError, SceneError, SelectScriptError
 from ssduck.gym.terms import Judge, Terms
 from ssduck.gym.wrapper import INFO, check_open, described
 from ssduck.interpreter.interpreter import Interpreter
+from ssduck.interpreter.opening import load_tried
 from ssduck.limits import Limits
 from ssduck.recording.episode_steps import plain
 from ssduck.recording.paths import expand_path
@@ -191,12 +191,7 @@ class TaskEnv(gymnasium.Env[npt.NDArray[np.float64], npt.NDArray[np.float32]]):
     def _load(self) -> None:
         """Loads the scene in place of the one before."""
         before = self._world if WORLD in self._interpreter else None
-        with ExitStack() as stack:
-            with self._trial.passed():
-                world = World.load(self.task.scene)
-                stack.callback(world.close)
-            stack.pop_all()
-        self._interpreter.add_variable(WORLD, world)
+        self._interpreter.add_variable(WORLD, load_tried(self.task.scene, self._trial))
         if before is not None:
             before.close()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -17,7 +18,7 @@ from ssduck.recording.replay.replayed_world import ReplayedWorld
 from ssduck.recording.spec import Recording
 from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.simulators.scene_files import check_files_inside, check_scene_inside
-from ssduck.simulators.scenes import find_scene, shipped_scenes
+from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
 from ssduck.simulators.trial import Trial
 from ssduck.world.world import World
 
@@ -62,14 +63,28 @@ def load(
         check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
-        with Trial(description, limits, simulator).passed():
-            world = World.load(description, simulator=simulator)
-            interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
+        world = load_tried(description, Trial(description, limits, simulator), simulator)
+        interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:
         interpreter.close()
         raise
     return interpreter
+
+
+def load_tried(scene: Scene, trial: Trial, simulator: str | None = None) -> World:
+    """Loads a scene once its trial has passed, for the arguments see `load`.
+
+    Raises:
+        SceneError: the scene cannot be loaded, or its files change meanwhile; no world is left.
+        LimitError: the process that loads it first takes too long, or too much memory.
+    """
+    with ExitStack() as stack:
+        with trial.passed():
+            world = World.load(scene, simulator=simulator)
+            stack.callback(world.close)
+        stack.pop_all()
+    return world
 
 
 @record_errors()

@@ -81,21 +81,12 @@ class InRunningFolder:
         self.ss.close()
 
 
-class InFolder:
-    """The ticks of a world in a folder."""
-
-    def __init__(self, folder: Path) -> None:
-        self.ss = ssduck.load("kitchen", recording=None)
-        self._recording = self.ss.record_to(
-            folder, recording=ssduck.Recording(tables=("entities",))
-        )
-
-    def flush(self) -> None:
-        self._recording.flush()
+class InFolder(InRunningFolder):
+    """The same; the recording is closed first."""
 
     def close(self) -> None:
         self._recording.close()
-        self.ss.close()
+        super().close()
 
 
 def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], method: str) -> int:

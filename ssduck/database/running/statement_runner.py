@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -38,7 +39,7 @@ _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.Catalo
 _OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
 
 
-class StatementRunner:
+class StatementRunner(ABC):
     """Runs statements on a connection to DuckDB, traced, and interrupts them in time.
 
     Args:
@@ -69,9 +70,9 @@ class StatementRunner:
         self._raised: list[BaseException] = []
 
     @property
+    @abstractmethod
     def is_open(self) -> bool:
         """Whether the connection is open."""
-        raise NotImplementedError
 
     def _execute(self, sql: str, work: Callable[[], T], *, timed: bool = True) -> T:
         """Traces a statement, runs it, and interrupts it when the time is up.
