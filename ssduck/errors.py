@@ -245,6 +245,12 @@ class RecordPermissionError(RecordError, PermissionError):
     """A file of a record may not be read or written, which is no damage."""
 
 
+def record_error(message: str, error: OSError) -> RecordError:
+    """Returns the error of a record for one of the operating system."""
+    kind = RecordPermissionError if isinstance(error, PermissionError) else RecordError
+    return kind(message)
+
+
 @contextmanager
 def record_errors() -> Iterator[None]:
     """Turns errors of the operating system about files into RecordErrors that name them.
@@ -258,8 +264,7 @@ def record_errors() -> Iterator[None]:
     except OSError as error:
         if error.filename is None:
             raise
-        kind = RecordPermissionError if isinstance(error, PermissionError) else RecordError
-        raise kind(f"{error.filename}: {error.strerror}") from error
+        raise record_error(f"{error.filename}: {error.strerror}", error) from error
 
 
 class SqlError(SelectScriptError, RuntimeError):

@@ -186,15 +186,17 @@ class _RepeatedRows:
         self._sql, self._is_prepared = sql, sql.startswith(EXECUTE)
         self._types: tuple[str, ...] = ()
         self._expected = 0
+        self._is_plain = not self._is_prepared
 
     def rows(
         self, connection: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
     ) -> list[tuple[Any, ...]]:
         """Returns the rows as tuples; for the arguments see `RepeatedStatements.rows`."""
         rows = None
-        if self._expected >= MANY_ROWS and not self._is_prepared and are_plain(self._types):
+        if self._expected >= MANY_ROWS and self._is_plain:
             relation = connection.sql(self._sql)
-            if are_plain(map(str, relation.types)):
+            self._is_plain = are_plain(map(str, relation.types))
+            if self._is_plain:
                 rows = _rows_by_column(relation, max_rows, charge)
         if rows is None:
             rows = self._rows_by_row(connection.execute(self._sql), max_rows, charge)
@@ -204,10 +206,10 @@ class _RepeatedRows:
     def _rows_by_row(
         self, result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
     ) -> list[tuple[Any, ...]]:
-        if not (self._types and self._is_prepared):  # a prepared statement keeps them
-            self._types = types_of(result)
         if charge is None:
             return all_rows(result)
+        if not (self._types and self._is_prepared):  # a prepared statement keeps them
+            self._types = types_of(result)
         return limited_rows(result, self._types, max_rows, charge, self._expected)
 
 

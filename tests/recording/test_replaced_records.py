@@ -31,6 +31,7 @@ def recorded(tmp_path_factory):
 def run(recorded, tmp_path):
     """A record in a folder that every user may look into."""
     run = shutil.copytree(recorded / "two", tmp_path / "lake" / "run")
+    len(ssduck.lake(recorded))  # imports what another user may not read
     closed = [p for p in run.parents if p.stat().st_uid == os.getuid() and not p.stat().st_mode & 1]
     for parent in closed:
         parent.chmod(0o711)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ssduck.errors import RecordError, RecordPermissionError
+from ssduck.errors import RecordError, record_error
 from ssduck.formatting import short_repr
 from ssduck.limits import check_opening
 from ssduck.recording.recorded_visuals import is_camera
@@ -132,8 +132,7 @@ def read_description(file: Path) -> dict[str, Any]:
         is_too_long = file.stat().st_size > MAX_DESCRIPTION
         content = b"" if is_too_long else file.read_bytes()
     except OSError as error:
-        kind = RecordPermissionError if isinstance(error, PermissionError) else RecordError
-        raise kind(f"{file} cannot be read: {error.strerror}") from error
+        raise record_error(f"{file} cannot be read: {error.strerror}", error) from error
     if is_too_long:  # not within `try`: a RecordError is an OSError
         raise RecordError(f"{file} is damaged: it has more than {MAX_DESCRIPTION:,} bytes")
     return checked_description(content, str(file))
