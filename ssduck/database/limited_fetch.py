@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
@@ -17,6 +17,8 @@ from ssduck.errors import LimitError
 
 # Counts the size of values, bytes.
 Charge: TypeAlias = Callable[[int], None]
+# Returns the greatest size of an answer; see `ssduck.database.answer_bounds.AnswerBound.size`.
+Bound: TypeAlias = Callable[[Sequence[str], int], int | None]
 
 # The largest number of rows that are fetched at a time, and their expected size, bytes.
 _MOST_ROWS, _MOST_BYTES = 10_000, 10_000_000
@@ -144,6 +146,7 @@ class RepeatedStatements:
         parameters: Any,
         max_rows: int | None,
         charge: Charge | None,
+        bound: Bound | None = None,
     ) -> list[tuple[Any, ...]]:
         """Returns the rows of a statement as tuples.
 
@@ -153,6 +156,7 @@ class RepeatedStatements:
             parameters: the values of its parameters.
             max_rows: see `limited_rows`.
             charge: see there; None for no limits.
+            bound: returns the greatest size of the answer; None if that is not known.
         """
         if not parameters:
             known = self._known.get(sql)
@@ -160,7 +164,7 @@ class RepeatedStatements:
                 if len(self._known) >= _MOST_KNOWN:
                     del self._known[next(iter(self._known))]
                 known = self._known[sql] = _RepeatedRows(sql)
-            return known.rows(connection, max_rows, charge)
+            return known.rows(connection, max_rows, charge, bound)
         result = connection.execute(sql, parameters)
         if charge is None:
             return all_rows(result)
@@ -189,7 +193,11 @@ class _RepeatedRows:
         self._is_plain = not self._is_prepared
 
     def rows(
-        self, connection: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
+        self,
+        connection: duckdb.DuckDBPyConnection,
+        max_rows: int | None,
+        charge: Charge | None,
+        bound: Bound | None,
     ) -> list[tuple[Any, ...]]:
         """Returns the rows as tuples; for the arguments see `RepeatedStatements.rows`."""
         rows = None
@@ -199,18 +207,40 @@ class _RepeatedRows:
             if self._is_plain:
                 rows = _rows_by_column(relation, max_rows, charge)
         if rows is None:
-            rows = self._rows_by_row(connection.execute(self._sql), max_rows, charge)
+            rows = self._rows_by_row(connection.execute(self._sql), max_rows, charge, bound)
         self._expected = len(rows)
         return rows
 
     def _rows_by_row(
-        self, result: duckdb.DuckDBPyConnection, max_rows: int | None, charge: Charge | None
+        self,
+        result: duckdb.DuckDBPyConnection,
+        max_rows: int | None,
+        charge: Charge | None,
+        bound: Bound | None,
     ) -> list[tuple[Any, ...]]:
         if charge is None:
             return all_rows(result)
         if not (self._types and self._is_prepared):  # a prepared statement keeps them
             self._types = types_of(result)
+        if self._expected >= MANY_ROWS and bound is not None and are_plain(self._types):
+            size = bound(self._types, _sizes_of(self._types).fixed)
+            if size is not None and size <= _MOST_BYTES:  # as many as are fetched at a time
+                return _measured_rows(result, self._types, charge)
         return limited_rows(result, self._types, max_rows, charge, self._expected)
+
+
+def _measured_rows(
+    result: duckdb.DuckDBPyConnection, types: tuple[str, ...], charge: Charge
+) -> list[tuple[Any, ...]]:
+    """Returns all rows of a result that is not large; for the arguments see `limited_rows`."""
+    columns = [column.tolist() for column in result.fetchnumpy().values()]
+    rows = list(zip(*columns, strict=True))
+    size = len(rows) * _sizes_of(types).fixed
+    for type_, column in zip(types, columns, strict=True):
+        if type_ == "VARCHAR":
+            size += len("".join(filter(None, column)))
+    charge(size)
+    return rows
 
 
 def _rows_by_column(
