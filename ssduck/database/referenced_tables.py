@@ -64,6 +64,9 @@ COMMENT = re.compile(r"/\*.*?\*/|--[^\n]*", re.DOTALL)
 MAX_TOKENS = 20_000
 MAX_BRACKETS = 100
 MAX_LETTERS = 2_000_000
+# DuckDB's parser writes all grouping sets out, which are as many as the product of several ROLLUPs.
+_GROUPING_SETS = re.compile(r"\b(?:ROLLUP|CUBE|SETS)\b", re.IGNORECASE)
+MAX_GROUPINGS, MAX_GROUPED_TOKENS = 3, 300
 # The largest length of a number: DuckDB takes minutes for one of a million digits.
 MAX_DIGITS = 1_000
 
@@ -238,6 +241,7 @@ def check_length(sql: str) -> None:
     words = duckdb.tokenize(sql)
     if len(words) > MAX_TOKENS:
         raise LimitError(f"the SQL has {len(words)} words; under a limit it may have {MAX_TOKENS}")
+    _check_grouping_sets(sql, len(words))
     _check_numbers(letters, words)
     depth = 0
     for offset, _ in words:
@@ -246,6 +250,15 @@ def check_length(sql: str) -> None:
             start = len(letters[:offset].decode())
             message = f"the SQL is nested deeper than {MAX_BRACKETS} brackets"
             raise LimitError(message, text=sql, span=SourceSpan(start, start + 1))
+
+
+def _check_grouping_sets(sql: str, word_count: int) -> None:
+    groupings = len(_GROUPING_SETS.findall(sql))
+    if groupings > MAX_GROUPINGS or (groupings and word_count > MAX_GROUPED_TOKENS):
+        raise LimitError(
+            f"SQL with ROLLUP, CUBE or GROUPING SETS has at most {MAX_GROUPINGS} of them, and "
+            f"{MAX_GROUPED_TOKENS} words, under a limit; this has {groupings} and {word_count}"
+        )
 
 
 def token_spans(

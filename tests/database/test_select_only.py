@@ -206,6 +206,17 @@ REFUSED = [
     ("SELECT list_reduce(['a', 'b'], lambda a, b: a || a)", "list_reduce"),
     ("SELECT levenshtein(name, kind) FROM entities", "levenshtein"),
     ("SELECT regexp_matches(name, kind) FROM entities", "a text of at most 200 letters"),
+    (
+        f"SELECT quantile_cont(z, [{', '.join(['0.5'] * 101)}]) FROM entities",
+        "quantile_cont takes a number, or a list of at most 100 that is written out",
+    ),
+    ("SELECT quantile(z, '[0.5]'::DOUBLE[]) FROM entities", "quantile takes a number, or a list"),
+    ("SELECT quantile_disc(z, list_transform([1], x -> 0.5)) FROM entities", "quantile_disc takes"),
+    (
+        "SELECT list_aggregate([z], 'approx_quantile', '[0.5]') FROM entities",
+        "approx_quantile takes",
+    ),
+    ("SELECT z.quantile_cont(0.5) FROM entities", "quantile_cont is written as"),
     (f"SELECT name LIKE '{'%a' * 100}%' FROM entities", "the pattern of LIKE is a text of at most"),
     ("SELECT name FROM entities WHERE name NOT LIKE kind || '%'", "the pattern of NOT LIKE is"),
     ("SELECT name ILIKE kind ESCAPE '!' FROM entities", "the pattern of ILIKE is"),

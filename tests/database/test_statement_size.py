@@ -38,7 +38,27 @@ def aliases(first, times):
     return f"SELECT {first} AS a0, " + ", ".join(f"a{n}||a{n} AS a{n + 1}" for n in range(times))
 
 
+def pivot(*counts, aggregates="count(*)"):
+    """Returns a PIVOT of a column for each number, by as many values."""
+    parts = ", ".join(f"n AS c{column}" for column, _ in enumerate(counts))
+    values = (f"c{column} IN ({', '.join(map(str, range(n)))})" for column, n in enumerate(counts))
+    return f"(SELECT {parts} FROM range(3) t(n)) PIVOT ({aggregates} FOR {' '.join(values)})"
+
+
+def grouped(*counts, word="ROLLUP"):
+    """Returns a SELECT that is grouped by a ROLLUP or CUBE for each number, of as many columns."""
+    sets = (f"{word}({', '.join(f'n + {i}' for i in range(count))})" for count in counts)
+    return f"SELECT count(*) FROM range(3) t(n) GROUP BY {', '.join(sets)}"
+
+
 TOO_LARGE = [
+    f"SELECT count(*) FROM {pivot(46, 46, 46)}",
+    f"SELECT count(*) FROM {pivot(120, 120, aggregates='count(*), max(c0), min(c0)')}",
+    f"SELECT 1 WHERE EXISTS (FROM {pivot(200, 200)})",
+    " UNION ALL ".join([f"SELECT count(*) FROM {pivot(90, 90)}"] * 4),
+    grouped(9, word="CUBE"),
+    grouped(17, 17),
+    f"SELECT 1 FROM ({grouped(16, 16)}), ({grouped(16)})",
     f"SELECT length({nested('hex(§)', 40, 'name')}) FROM entities",
     f"SELECT length({nested('bin(§)', 14, 'name')}) FROM entities",
     f"SELECT length({nested('to_base64(§::BLOB)', 30, 'name')}) FROM entities",
@@ -88,6 +108,14 @@ def test_what_would_grow_beyond_bounds_is_refused_before_it_is_planned(strict, t
     assert time.process_time() - started < 5
 
 
+@pytest.mark.parametrize("text", [grouped(250, 250), grouped(400), grouped(1, 1, 1, 1)])
+def test_grouping_sets_that_take_long_to_parse_are_refused_before(strict, text):
+    started = time.process_time()
+    with pytest.raises(LimitError, match="ROLLUP, CUBE or GROUPING SETS has at most 3 of them"):
+        strict.sql(text)
+    assert time.process_time() - started < 1
+
+
 def test_names_that_are_equal_to_python_only_are_told_apart(strict):
     """A small query does not take the place of a large one: KELVIN SIGN is no k to DuckDB."""
     large = "k0 AS (SELECT 1 AS s), " + ", ".join(
@@ -99,6 +127,11 @@ def test_names_that_are_equal_to_python_only_are_told_apart(strict):
 
 
 HARMLESS = [
+    (f"SELECT count(*) FROM {pivot(50, 50)}", 1),
+    (f"SELECT count(*) FROM {pivot(3, 4, aggregates='count(*), max(c0)')}", 1),
+    (f"SELECT count(*) FROM ({grouped(8, word='CUBE')})", 1 + 3 * 255),
+    (f"SELECT count(*) FROM ({grouped(2, 3)})", 1 + 3 * 11),
+    ("SELECT count(*) FROM (SELECT 1 FROM entities GROUP BY GROUPING SETS ((kind), ()))", None),
     ("SELECT count(*) FROM (SELECT *, upper(name) AS u FROM entities) WHERE u LIKE 'C%'", None),
     (f"SELECT length({nested('hex(§)', 6, chr(39) + 'ab' + chr(39))})", 128),
     (chain("SELECT 1 AS s", "SELECT s + 1 AS s, s AS before FROM §", 60), 1),

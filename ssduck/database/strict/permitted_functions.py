@@ -88,6 +88,10 @@ JOINING = frozenset(("group_concat", "listagg", "string_agg"))
 AGGREGATING = frozenset(
     ("aggregate", "array_aggr", "array_aggregate", "list_aggr", "list_aggregate")
 )
+# Aggregates that take a fraction or a list of fractions last, and the largest number of these: all
+# of them are computed in one step.
+QUANTILES = frozenset(("approx_quantile", "quantile", "quantile_cont", "quantile_disc"))
+MAX_FRACTIONS = 100
 # Aggregates that hash each element: of the elements of a list, in one step.
 HASHING = frozenset(("entropy", "histogram", "mode"))
 # Functions that hash each element of the shorter of two lists.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections import OrderedDict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -26,8 +26,10 @@ from ssduck.database.strict.permitted_functions import (
     JOINING,
     LIKES,
     MAX_EXPRESSION,
+    MAX_FRACTIONS,
     OPERATORS,
     PATHS,
+    QUANTILES,
     READING_TIMES,
     REGULAR,
     TABLE_FUNCTIONS,
@@ -67,8 +69,8 @@ _OWN_TABLES = (
 )
 _OF_LISTS = FUNCTIONS - JOINING - HASHING
 _WITH_CHECKED_ARGUMENTS = (
-    REGULAR | LIKES.keys() | READING_TIMES | AGGREGATING | PATHS | HASHING_SHORTER | {"map"}
-)
+    REGULAR | LIKES.keys() | READING_TIMES | AGGREGATING | PATHS | HASHING_SHORTER | QUANTILES
+) | {"map"}
 # The kinds of parts of a SELECT that changes nothing, as DuckDB's trees name them. A query of WITH
 # may be an INSERT or a COPY, and the next DuckDB may have others.
 _KINDS = frozenset(("SELECT_NODE", "SET_OPERATION_NODE", "RECURSIVE_CTE_NODE", "CTE_NODE")).union(
@@ -313,6 +315,10 @@ class _Walk:
                 if aggregate not in _OF_LISTS:
                     message = f"{name} takes the name of an aggregate that SQL may call"
                     self._refuse(node, message, aggregate, _OF_LISTS)
+                if aggregate in QUANTILES:
+                    self._check_fractions(node, aggregate)
+        if name in QUANTILES:
+            self._check_fractions(node, name)
         if name in PATHS and len(node["arguments"]) > 1:
             self._check_path(node, name, node["arguments"][1]["expression"])
         if name == "map" and not all(map(_is_written_out, node["arguments"])):
@@ -324,6 +330,15 @@ class _Walk:
         """Checks that the arguments stand where they are looked for: `v.f(x)` may be `f(v, x)`."""
         if node["schema"] or any(argument["name"] for argument in node["arguments"]):
             self._refuse(node, f"{name} is written as {name}(…) here, without names of arguments")
+
+    def _check_fractions(self, node: Node, name: str) -> None:
+        """Checks that the last argument is a number, or a list of some that is written out."""
+        numbers: Sequence[Node] = node["arguments"][-1:]
+        if numbers and _is_written_out(numbers[0]):
+            numbers = numbers[0]["expression"]["arguments"]
+        if len(numbers) > MAX_FRACTIONS or not all(map(_is_number, numbers)):
+            what = f"a number, or a list of at most {MAX_FRACTIONS} that is written out: [0.5, 0.9]"
+            self._refuse(node, f"{name} takes {what}")
 
     def _check_path(self, node: Node, name: str, path: Node) -> None:
         """Checks that a path in JSON is known, or one without wildcards: that of a column."""
@@ -378,6 +393,11 @@ def _first_word(text: str) -> str:
 def _is_written_out(argument: Node) -> bool:
     expression = argument["expression"]
     return expression.get("function_name") in ("list_value", "array_value", "list_pack")
+
+
+def _is_number(argument: Node) -> bool:
+    literal = argument["expression"].get("literal") or {}
+    return literal.get("kind") in ("INTEGER", "NUMERIC")
 
 
 def _split(name: str) -> tuple[str, str]:

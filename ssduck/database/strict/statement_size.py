@@ -2,14 +2,16 @@
 
 DuckDB puts what a name stands for in the place of the name: of an alias in the same SELECT, of a
 column of a nested query, of `*`. If each level names the one before twice, forty lines describe a
-plan, a type or a text of terabytes. Neither planning nor a step of a plan can be interrupted, so
-the check comes first. It takes every name for the largest column of that name.
+plan, a type or a text of terabytes. PIVOT makes a column of each combination of its values, and
+ROLLUP and CUBE group as often. Neither planning nor a step of a plan can be interrupted, so the
+check comes first. It takes every name for the largest column of that name.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import prod
 from typing import Any, TypeAlias
 
 from ssduck.database.folding import folded
@@ -24,6 +26,9 @@ MAX_SIZE = 200_000
 MAX_TABLES, MAX_JOINED = 300, 100
 # The largest number of columns that the stars of a SELECT stand for.
 MAX_COLUMNS = 10_000
+# So many columns of a PIVOT, which has all combinations of its values, are planned in the time of a
+# table; so is each grouping set (ROLLUP, CUBE).
+_PIVOTED = 100
 # The number of columns of a table; none has more. The number of letters that count as a part.
 _COLUMNS, _LETTERS = 40, 100
 # Functions whose text is so many times as long as that of their argument.
@@ -96,8 +101,8 @@ def _checked(columns: _Columns) -> _Columns:
 
 def _too_large() -> LimitError:
     return LimitError(
-        "names in the SQL stand for others so often that its plan or its values would be too "
-        "large (Limits: select_only)"
+        "the plan of the SQL or its values would be too large: names stand for others, or values "
+        "of PIVOT and grouping sets are combined, too often (Limits: select_only)"
     )
 
 
@@ -166,7 +171,8 @@ def _selected(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Colum
     ]
     _checked(_Columns(total=walk.size(rest)))
     bare = int(node["from_table"]["type"] == "EMPTY")
-    tables, joined = source.tables + walk.tables, source.joined + walk.joined - bare
+    sets = max(0, len(node["group_sets"]) - 1)
+    tables, joined = source.tables + walk.tables + sets, source.joined + walk.joined - bare
     return _checked(_Columns(sizes, max(total, 1), tables, joined, bare))
 
 
@@ -200,10 +206,11 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
         inner = node.get("source")
         columns = _source(inner, queries, outer) if isinstance(inner, dict) else _Columns()
         size = walk.size([part for key, part in node.items() if key != "source"])
+        pivoted = _pivoted_columns(node)
         columns = _Columns(
             columns.sizes,
-            columns.total + size,
-            columns.tables + walk.tables,
+            columns.total + size + pivoted,
+            columns.tables + walk.tables + pivoted // _PIVOTED,
             columns.joined + walk.joined,
         )
         alias = node.get("alias") or ""
@@ -211,6 +218,14 @@ def _source(node: Node, queries: _Queries, outer: Mapping[str, int]) -> _Columns
     # The name of a table stands for all of its columns.
     sizes = {folded(alias): columns.total, **columns.sizes}
     return _checked(replace(columns, sizes=sizes, is_inlined=False))
+
+
+def _pivoted_columns(node: Node) -> int:
+    """Returns the number of columns that a PIVOT makes."""
+    if node["type"] != "PIVOT":
+        return 0
+    values = (max(1, len(pivot["entries"])) for pivot in node.get("pivots") or ())
+    return prod(values) * max(1, len(node.get("aggregates") or ()))
 
 
 def _renamed(columns: _Columns, names: Iterable[str]) -> _Columns:
