@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from contextlib import contextmanager
 
@@ -256,3 +257,33 @@ def test_a_lake_without_permission(run):
     with nobody():
         assert "Permission denied" in ssduck.lake(run.parent).episodes["error"][0].as_py()
     run.chmod(0o755)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+@pytest.mark.parametrize("place", ["entities", "ticks", "episodes"])
+@pytest.mark.parametrize("is_listed", [False, True])
+def test_questions_to_a_lake_without_permission(run, place, is_listed):
+    """It was listed before, or not."""
+    closed, program = run / place, "max(z(kitchen.can));"
+    lake = ssduck.lake(run.parent) if is_listed else None
+    lake and lake.ask(program, processes=1)
+    for path in (run.parent, run, *run.rglob("*")):
+        path.chmod(0o777)
+    closed.chmod(0o000)
+    denied = f"{closed}.*: Permission denied"
+    try:
+        with nobody():
+            lake = lake or ssduck.lake(run.parent)
+            (error,) = lake.ask(program, processes=1)["error"].to_pylist()
+            assert re.fullmatch(denied, error)
+            if not is_listed:
+                with pytest.raises(ssduck.errors.ArgumentError, match=f"no episode.*{denied}"):
+                    lake.sql(program)
+                with pytest.warns(UserWarning, match=f"episodes without tags: 1 .*{denied}; "):
+                    assert lake.set_tags({"seen": True}) == 0
+            else:
+                with pytest.raises(ssduck.errors.SelectScriptError, match="Permission") as caught:
+                    lake.sql(program)
+                assert str(closed) in str(caught.value)
+    finally:
+        closed.chmod(0o755)
