@@ -45,7 +45,7 @@ PERMITTED = [
     "FROM (PIVOT (SELECT kind, z > 1 AS high FROM entities) ON kind IN ('robot') USING count(*))",
     "SELECT regexp_matches(name, '^c.*[0-9]$'), name SIMILAR TO 'c(a|u).*' FROM entities",
     f"SELECT regexp_extract(name, '{'a|' * 99}ab') FROM entities",
-    r"SELECT regexp_matches(name, '^(cup|can)_[0-9]{1,3}(\pL{2}){3}[^]x]{20}\{900}[{901}]$')",
+    r"SELECT regexp_matches(name, '^(cup|can)_[0-9]{1,3}(\pL{2}){3}[^]x]{20}\{900}[{901}]$') FROM entities",
     f"SELECT name FROM entities WHERE name LIKE '{'%a' * 100}' OR name NOT ILIKE 'C_p%' ESCAPE '!'",
     "SELECT unnest([1, 2]), extract(year FROM DATE '2026-01-01')",
     "SELECT list_has_any([1], l), l && [2] FROM (SELECT list(id) AS l FROM entities)",
