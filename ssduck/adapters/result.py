@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from ssduck import validation
 from ssduck.adapters.display import RowsOfColumns
+from ssduck.errors import EvaluationError
 from ssduck.formatting import count_of
 
 if TYPE_CHECKING:
@@ -42,6 +45,9 @@ _TYPES = {
     pa.date32(): "date",
     pa.decimal128(38, 0): "hugeint",
 }
+_NO_SUCH_DATE = "there is {}, which Python cannot hold: cast it to text, with ::VARCHAR"
+# The length of a day, in the units of Arrow's times.
+_DAY = {"us": 86_400 * 10**6, "ns": 86_400 * 10**9}
 _FAMILIES = (
     (pa.types.is_struct, "struct"),
     (pa.types.is_map, "map"),
@@ -157,11 +163,13 @@ class Result(RowsOfColumns):
 
         Raises:
             UnsupportedError: pandas is not installed; the message says how to install it.
+            EvaluationError: a date is beyond the years that Python has.
         """
         from ssduck.adapters.optional import library
 
         library("pandas", "pandas")
-        return self._table.to_pandas()
+        with _python_dates():
+            return self._table.to_pandas()
 
     def pl(self) -> pl.DataFrame:
         """Returns the rows as a polars data frame.
@@ -237,11 +245,30 @@ def python_values(column: pa.ChunkedArray | pa.Array) -> list[Any]:
     """Returns the Python values of a column; integral decimals become int.
 
     DuckDB exports its 128-bit integers as decimals.
+
+    Raises:
+        EvaluationError: Python cannot hold a date or a time.
     """
-    values: list[Any] = column.to_pylist()
+    if pa.types.is_time64(column.type):
+        last = pc.max(column.cast(pa.int64())).as_py() or 0
+        if last >= _DAY[column.type.unit]:  # Python would take it for 0:00
+            raise EvaluationError(_NO_SUCH_DATE.format("a time of 24:00"))
+    with _python_dates():
+        values: list[Any] = column.to_pylist()
     if pa.types.is_decimal(column.type) and (column.type.precision, column.type.scale) == (38, 0):
         return [None if value is None else int(value) for value in values]
     return values
+
+
+@contextmanager
+def _python_dates() -> Iterator[None]:
+    """Turns errors of dates that Python cannot hold into ssduck's."""
+    try:
+        yield
+    except (OverflowError, ValueError) as error:
+        if type(error) not in (OverflowError, ValueError):  # Arrow's errors are ValueErrors, too
+            raise
+        raise EvaluationError(_NO_SUCH_DATE.format("a date beyond the years 1 to 9999")) from error
 
 
 def _type_name(type: pa.DataType) -> str:

@@ -52,6 +52,7 @@ from ssduck.errors import (
 from ssduck.limits import Limits
 from ssduck.recording.opened_record import OpenedRecord
 from ssduck.recording.recorder import Recorder
+from ssduck.recording.stores.file_lists import exact_path
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.object_store import ObjectPath
 
@@ -137,7 +138,13 @@ class Connection(StatementRunner):
         """
         self._is_altered = True
         if readable:
-            names = [exp.Literal.string(f"{folder}{os.sep}").sql("duckdb") for folder in readable]
+            # DuckDB checks the pattern that it is given, and each file that fits it.
+            forms = {
+                form
+                for folder in readable
+                for form in (str(folder), str(folder.resolve()), exact_path(folder))
+            }
+            names = [exp.Literal.string(f"{form}{os.sep}").sql("duckdb") for form in sorted(forms)]
             self.run(f"SET allowed_directories = [{', '.join(names)}]")
         self.run(NO_RANGE_JOINS)  # it cannot be set later
         self.run("SET enable_external_access = false")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import itemgetter
@@ -11,9 +11,11 @@ from typing import Any, TypeAlias
 
 import duckdb
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from ssduck.database.fetched_rows import ARROW_TYPES, MANY_ROWS, all_rows, are_plain
-from ssduck.errors import LimitError
+from ssduck.errors import LimitError, SqlError
+from ssduck.formatting import short_repr
 
 # Counts the size of values, bytes.
 Charge: TypeAlias = Callable[[int], None]
@@ -40,6 +42,9 @@ _TEXTS = ARROW_TYPES["VARCHAR"]
 _MOST_KNOWN = 200
 # Begins a statement that executes a prepared one.
 EXECUTE = "EXECUTE "
+# DuckDB's types that Arrow may not hold, and those that have others within.
+_UNSIGNED, _ZONED = "uhugeint", "time with time zone"
+_NESTED = frozenset(("list", "array", "struct", "tuple", "map", "union"))
 # The sizes of Python's objects, bytes.
 _ROW, _VALUE, _TEXT, _POINTER = 64, 32, 56, 8
 
@@ -280,7 +285,7 @@ def limited_table(
         batches.append(batch)
 
     schema = _read(relation, _batch_size(tuple(map(str, relation.types))), max_rows, take)
-    return pa.Table.from_batches(batches, schema)
+    return _exact(relation, pa.Table.from_batches(batches, schema))
 
 
 @lru_cache
@@ -321,9 +326,63 @@ def _read(
 def whole_table(relation: duckdb.DuckDBPyRelation) -> pa.Table:
     """Returns all rows of a relation as an Arrow table."""
     try:
-        return relation.to_arrow_table()
+        table = relation.to_arrow_table()
     except pa.ArrowException as error:  # a type that is nested too deeply for Arrow
         raise duckdb_error(str(error)) from error
+    return _exact(relation, table)
+
+
+def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
+    """Returns the Arrow table of a relation, after a check that Arrow can hold its values.
+
+    Raises:
+        SqlError: it cannot: those of UHUGEINT from 2^127 on become negative, and times of day lose
+            their zones.
+    """
+    if not any(map(_may_differ, table.schema.types)):
+        return table
+    for name, kind, column in zip(table.column_names, relation.types, table.columns, strict=True):
+        kinds = set(_kinds_in(kind))
+        if _UNSIGNED in kinds and any(map(_has_negative, column.chunks)):
+            raise SqlError(
+                f"{short_repr(name)} has an integer of 2^127 or more, which Arrow cannot hold: cast "
+                "it to VARCHAR or DOUBLE"
+            )
+        if _ZONED in kinds:
+            raise SqlError(
+                f"{short_repr(name)} has times of day with a zone, which Arrow cannot hold: cast "
+                "them to VARCHAR, or to TIME without the zone"
+            )
+    return table
+
+
+def _may_differ(kind: pa.DataType) -> bool:
+    """Checks whether values of DuckDB's may be others in columns of a type of Arrow's."""
+    types = pa.types
+    return types.is_decimal(kind) or types.is_time(kind) or types.is_nested(kind)
+
+
+def _kinds_in(kind: duckdb.sqltypes.DuckDBPyType) -> Iterator[str]:
+    """Yields the names of a type and of those within it."""
+    yield kind.id
+    if kind.id in _NESTED:
+        for _, child in kind.children:
+            if isinstance(child, duckdb.sqltypes.DuckDBPyType):  # an array has a size, too
+                yield from _kinds_in(child)
+
+
+def _has_negative(values: pa.Array) -> bool:
+    """Checks whether a column has a negative decimal, at any depth."""
+    kind = values.type
+    if pa.types.is_decimal(kind):
+        return bool(pc.any(pc.less(values, 0)).as_py())
+    if pa.types.is_map(kind):
+        return _has_negative(values.keys) or _has_negative(values.items)
+    if pa.types.is_struct(kind):
+        return any(map(_has_negative, values.flatten()))
+    if pa.types.is_union(kind):
+        return any(_has_negative(values.field(i)) for i in range(kind.num_fields))
+    return bool(pa.types.is_nested(kind)) and _has_negative(values.flatten())
 
 
 def duckdb_error(message: str) -> duckdb.Error:

@@ -23,10 +23,11 @@ from ssduck.database.macros import (
 from ssduck.database.referenced_tables import qualified_formulas
 from ssduck.errors import SqlError
 from ssduck.recording.spec import not_recorded_message
-from ssduck.recording.stores.base import BufferViews
+from ssduck.recording.stores.base import BufferViews, VisibleRows
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.history_sql import quoted
 from ssduck.schema import HISTORIES, LINK_FACTOR, MAX_LINKS, MODELS, TABLES, Table
+from ssduck.world.live_tables import LiveTable
 
 _HISTORY_VIEWS = {table.history_view: table for table in HISTORIES.values()}
 _MODEL_VIEWS = [table.model_view for table in MODELS.values()]
@@ -341,8 +342,16 @@ def _register(
     """Registers some buffers of a world with DuckDB, unless they are."""
     for _, name, rows in buffers:
         if name in names and name not in bound.versions:
-            connection.register(name, rows.arrow)
-            bound.versions[name] = rows.version
+            register_rows(connection, bound, name, rows)
+
+
+def register_rows(
+    connection: Connection, bound: BoundWorld, name: str, rows: LiveTable | VisibleRows
+) -> None:
+    """Registers rows of a world with DuckDB under a name."""
+    version = rows.version  # before the rows, which may be stored meanwhile: they are read again
+    connection.register(name, rows.arrow)
+    bound.versions[name] = version
 
 
 def _not_recorded(table: Table, world: str, history: WorldHistory | None) -> str:

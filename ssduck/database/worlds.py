@@ -13,7 +13,7 @@ from ssduck import validation
 from ssduck.database.binding import BoundWorld, WorldHistory
 from ssduck.database.connection import Connection
 from ssduck.database.recorders import Recorders
-from ssduck.database.schemas import Schemas
+from ssduck.database.schemas import Schemas, register_rows
 from ssduck.database.statement import PreparedPlans
 from ssduck.errors import ArgumentError
 from ssduck.recording.replay.mirrored_world import MirroredWorld
@@ -244,22 +244,25 @@ class WorldRegistry:
         raise AssertionError(preferred)
 
     def register(self, bound: BoundWorld) -> None:
-        """Registers replaced buffers with DuckDB, of those that views read already."""
+        """Registers replaced buffers with DuckDB, of those that views read already.
+
+        It may be interrupted: what was not registered then is at the next time.
+        """
         state = bound.state()
         if state == bound.registered:
             return
-        bound.registered = state
         new = [
             entry
             for entry in bound.buffers()
             if bound.versions.get(entry[1], entry[2].version) != entry[2].version
         ]
         stale = {table for table, _, _ in new}
-        if bound.margins != bound.planned_margins:  # DuckDB treats them as constants
+        margins = bound.margins
+        if margins != bound.planned_margins:  # DuckDB treats them as constants
             stale.add("entities")
-            bound.planned_margins = bound.margins
         if stale:
             self._plans.forget(*stale)
+        bound.planned_margins = margins
         for _, name, rows in new:
-            self._connection.register(name, rows.arrow)
-            bound.versions[name] = rows.version
+            register_rows(self._connection, bound, name, rows)
+        bound.registered = state

@@ -181,7 +181,7 @@ def replayed_world(run: RecordedRun, database: Database) -> ReplayedWorld:
     if isinstance(run, FolderRun):
         tables = [table for table in run.tables if table in RECORDABLE]
         recording = _recording({**run.recording, "tables": tables}, run.about_file)
-        opened = OpenedRecord(run.path, run.about_file, run.description)
+        opened = OpenedRecord(run.path, run.about_file, run.description, run.about_status)
         archive = ParquetArchive(run, recording, database.connection.reader(opened), opened)
         ticks, models = archive.ticks, archive.model_rows()
     else:

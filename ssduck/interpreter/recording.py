@@ -80,14 +80,18 @@ class RecordingMethods(ABC):
         """
         validation.instance(recording, Recording, "record: recording")
         with self._lock:
-            self._database.record(self._world(world), recording, checked_tags(tags))
-            self._planner.forget()
+            try:
+                self._database.record(self._world(world), recording, checked_tags(tags))
+            finally:  # Ctrl-C ends it after the recording began, too
+                self._planner.forget()
 
     def episode_began(self, world: World) -> None:
         """Records a world that the user has reset as a new episode; see `World.tick`."""
         with self._lock:
-            self._database.begin_episode(world)
-            self._planner.forget()
+            try:
+                self._database.begin_episode(world)
+            finally:
+                self._planner.forget()
         self._triggers.episode_began(world)
 
     def past(self, world: str | World, age: float | None = None) -> Past:

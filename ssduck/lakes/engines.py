@@ -11,6 +11,7 @@ import os
 import pickle
 import select
 import sys
+import sysconfig
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -183,7 +184,7 @@ def answer_on_ray(
         if not settings.keys() & {"runtime_env", "job_config"}:
             # Ray puts the folder first on the path of its workers, but for jobs of its client.
             settings["job_config"] = ray.job_config.JobConfig(_client_job=True)
-        with safe_path(**_where_ssduck_is()):
+        with safe_path(**_where_ssduck_is(sys.executable)):
             ray.init(**settings)
     task = ray.remote(max_retries=RETRIES)(answer_episodes)
     shared = ray.put(question)
@@ -193,11 +194,21 @@ def answer_on_ray(
         yield references.pop(done), ray.get(done)
 
 
-def _where_ssduck_is() -> dict[str, str]:
-    """Returns the variable that lets workers find ssduck, wherever this process has found it."""
+def _where_ssduck_is(python: str) -> dict[str, str]:
+    """Returns the variable that lets workers find ssduck, wherever this process has found it.
+
+    Its folder may have all that is installed. The standard library comes before it, as in this
+    process: what is installed must not take the place of one of its modules.
+
+    Args:
+        python: the program of the workers; one that is not this one has its own library.
+    """
     name = "PYTHONPATH"
+    library = Path(sysconfig.get_path("stdlib"))
+    standard = {str(library), str(library / "lib-dynload"), str(Path(sys.base_prefix, "DLLs"))}
+    first = [place for place in sys.path if place in standard] if python == sys.executable else []
     folder = str(Path(__file__).parents[2])
-    return {name: os.pathsep.join(filter(None, (os.environ.get(name), folder)))}
+    return {name: os.pathsep.join(filter(None, (os.environ.get(name), *first, folder)))}
 
 
 def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) -> Answers:
@@ -218,7 +229,7 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         raise UnsupportedError(_SPARK_HINT) from error
     if session is None:
         # The workers of this machine have ssduck in the same Python.
-        os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
+        python = os.environ.setdefault("PYSPARK_PYTHON", sys.executable)
         # Without the second number, a task that fails once would end the job.
         builder = SparkSession.builder.master(f"local[*,{RETRIES + 1}]").appName("ssduck")
         settings = {
@@ -229,7 +240,7 @@ def answer_on_spark(question: Question, batches: Sequence[Batch], session: Any) 
         }
         for name, value in settings.items():
             builder = builder.config(name, value)
-        with safe_path(**_where_ssduck_is()):  # Java starts now, and its workers as Java is
+        with safe_path(**_where_ssduck_is(python)):  # Java starts now, and its workers as Java is
             session = builder.getOrCreate()
     text = pickle.dumps(question)
     rows = [(index, text, to_bytes(batch)) for index, batch in enumerate(batches)]

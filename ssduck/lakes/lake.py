@@ -21,7 +21,13 @@ from ssduck.errors import ArgumentError, ProgramWarning, RecordError, SqlError, 
 from ssduck.gym.terms import Reward, Terms
 from ssduck.lakes.answers import AnsweredEpisode, KeptAnswers, answer_table
 from ssduck.lakes.engines import Answerer, EngineName, engine_of
-from ssduck.lakes.manifest import EpisodeEntry, read_manifest, table_of, write_manifest
+from ssduck.lakes.manifest import (
+    EpisodeEntry,
+    named_errors,
+    read_manifest,
+    table_of,
+    write_manifest,
+)
 from ssduck.lakes.pool import pools
 from ssduck.lakes.progress import counted, shown_progress
 from ssduck.lakes.questions import ProgramQuestion, Question, ScoreQuestion
@@ -430,6 +436,8 @@ class Lake:
     def set_tags(self, tags: Mapping[str, Tag], where: str | None = None) -> int:
         """Gives the selected episodes tags; returns the number of these episodes.
 
+        A warning tells of episodes that have errors: they get none.
+
         Args:
             tags: texts, True, False or finite numbers by name.
             where: a condition on the columns of `episodes`; None for all.
@@ -440,8 +448,11 @@ class Lake:
         """
         added = checked_tags(tags)
         entries = self._selected(where)
-        self._write_tags({entry.key: added for entry in entries if entry.error is None})
-        return sum(entry.error is None for entry in entries)
+        whole = [entry for entry in entries if entry.error is None]
+        self._write_tags({entry.key: added for entry in whole})
+        if failed := [entry for entry in entries if entry.error is not None]:
+            warn(f"episodes without tags: {named_errors(failed)}; mend that, and refresh the lake")
+        return len(whole)
 
     def _write_tags(self, tags: Mapping[tuple[str, str, int], Mapping[str, Tag]]) -> None:
         """Writes tags of episodes, by their keys, and reads their descriptions again."""

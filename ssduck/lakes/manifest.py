@@ -133,6 +133,12 @@ class EpisodeEntry:
         return self.path, self.world, self.episode
 
 
+def named_errors(entries: Sequence[EpisodeEntry]) -> str:
+    """Returns how many episodes have errors, and what that of the first one is."""
+    number = "1 has an error" if len(entries) == 1 else f"{len(entries)} have errors, the first"
+    return f"{number}, in {entries[0].path}: {entries[0].error}"
+
+
 def table_of(entries: Iterable[EpisodeEntry]) -> pa.Table:
     """Returns entries as the rows of a manifest."""
     rows = [_row(entry) for entry in entries]

@@ -159,9 +159,16 @@ def _found_run(run: FolderRun) -> FoundEpisode:
         return _unreadable(run.path, run.world, run.number, error)
 
 
+def _text_of(error: Exception) -> str:
+    """Returns what an error of the operating system says, beginning with the file."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error)
+
+
 def _unreadable(record: Path, world: str, number: int, error: Exception) -> FoundEpisode:
     """Returns an episode whose files cannot be listed."""
-    message = error.message if isinstance(error, RecordError) else str(error)
+    message = error.message if isinstance(error, RecordError) else _text_of(error)
     entry = EpisodeEntry(str(record), world, number, error=message)
     return FoundEpisode(record, world, number, {}, entry)
 

@@ -28,7 +28,7 @@ from ssduck.lakes.answers import ERROR, KEYS
 from ssduck.lakes.entry_files import EntryFiles
 from ssduck.lakes.footers import footer_errors
 from ssduck.lakes.groups import EpisodeGroup
-from ssduck.lakes.manifest import EpisodeEntry
+from ssduck.lakes.manifest import EpisodeEntry, named_errors
 from ssduck.lakes.workers import UNREADABLE
 from ssduck.limits import Limits
 from ssduck.recording.buffers import TickBuffer
@@ -84,7 +84,7 @@ def statement(
     whole, failed = _read_episodes(entries)
     plans = _plans_of(whole, program, limits)
     if not plans:
-        raise ArgumentError("there is no episode to ask: none was selected, or all have errors")
+        raise ArgumentError(_no_episode(list(failed.values())))
     parts: dict[str, exp.Expr] = {}
     answers: list[exp.Select] = []
     for place, (plan, chosen) in enumerate(plans):
@@ -96,6 +96,13 @@ def statement(
     for name, part in parts.items():
         whole_select = whole_select.with_(name, as_=part)
     return _text(whole_select, dialect)
+
+
+def _no_episode(failed: Sequence[EpisodeEntry]) -> str:
+    """Returns the message that no episode can be asked, as some have errors or none was chosen."""
+    if not failed:
+        return "there is no episode to ask: none was selected"
+    return f"there is no episode to ask: {named_errors(failed)}"
 
 
 _Entries: TypeAlias = dict[int, EpisodeEntry]

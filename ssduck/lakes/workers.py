@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from ssduck.errors import RecordError, SelectScriptError
+from ssduck.errors import RecordError, SelectScriptError, record_errors
 from ssduck.interpreter.episode_batches import BatchInterpreter, collected_doubts
 from ssduck.interpreter.interpreter import Interpreter
 from ssduck.interpreter.opening import open_record
@@ -235,10 +235,12 @@ def answer_by_itself(question: Question, entry: EpisodeEntry) -> Answer:
     if entry.error is not None:
         return Answer(None, entry.error)
     try:
-        _check_database_file(entry)
-        with open_record(
-            entry.path, entry.world, entry.episode, limits=question.limits
-        ) as interpreter:
+        with record_errors():
+            _check_database_file(entry)
+            interpreter = open_record(
+                entry.path, entry.world, entry.episode, limits=question.limits
+            )
+        with interpreter:
             interpreter.strict = question.is_strict
             return _answer(question.answering(interpreter), interpreter, entry)
     except SelectScriptError as error:

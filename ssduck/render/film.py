@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 from collections.abc import Iterator
 from contextlib import suppress
-from itertools import chain, pairwise
+from itertools import chain, count, pairwise
 from pathlib import Path
 from shutil import which
 from typing import Any
@@ -76,16 +76,26 @@ def _write_png(path: Path, pictures: Iterator[Picture], fps: float) -> None:  # 
 
 
 def _write_gif(path: Path, pictures: Iterator[Picture], fps: float) -> None:
-    images = [
-        Image.fromarray(picture).quantize(
+    durations: list[int] = []
+    images = _gif_images(pictures, fps, durations)
+    first = next(images)
+    # Pillow takes image by image, and keeps a copy of each.
+    first.save(path, "GIF", save_all=True, append_images=images, duration=durations, loop=0)
+
+
+def _gif_images(
+    pictures: Iterator[Picture], fps: float, durations: list[int]
+) -> Iterator[Image.Image]:
+    """Yields pictures with the colours of a GIF, and adds the duration of each before, ms.
+
+    The durations are whole hundredths of a second, whose sum is that of the film.
+    """
+    ends = (round(100 * number / fps) for number in count())
+    for picture, (start, end) in zip(pictures, pairwise(ends), strict=False):
+        durations.append(10 * (end - start))
+        yield Image.fromarray(picture).quantize(
             GIF_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
         )
-        for picture in pictures
-    ]
-    # The durations are whole hundredths of a second, whose sum is that of the film.
-    ends = [round(100 * number / fps) for number in range(len(images) + 1)]
-    durations = [10 * (end - start) for start, end in pairwise(ends)]
-    images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=durations, loop=0)
 
 
 def _write_mp4(path: Path, pictures: Iterator[Picture], fps: float) -> None:

@@ -6,8 +6,6 @@ import _signal  # type: ignore[import-not-found]
 import inspect
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 # Without the wrappers of `signal`, which take ten times longer.
@@ -40,8 +38,8 @@ class deferred:  # noqa: N801  # used as a function
             self._handler = None
             return
         self._handler = handler
+        _set_handler(_SIGINT, _note)  # Ctrl-C may come here; it is noted after that
         _replaced.append(handler)
-        _set_handler(_SIGINT, _note)
 
     def __exit__(self, *_: object) -> None:
         handler = self._handler
@@ -51,20 +49,31 @@ class deferred:  # noqa: N801  # used as a function
             _deliver(handler)
 
 
-@contextmanager
-def allowed() -> Iterator[None]:
-    """Delivers Ctrl-C in the context, which may wait for long, within `deferred`."""
-    is_deferred = threading.current_thread() is threading.main_thread() and bool(_replaced)
-    if not is_deferred or handler_of(_SIGINT) is not _note:
-        yield
-        return
-    handler = _replaced[-1]
-    _set_handler(_SIGINT, handler)
-    try:
-        _deliver(handler)
-        yield
-    finally:
-        _set_handler(_SIGINT, _note)
+class allowed:  # noqa: N801  # used as a function
+    """Delivers Ctrl-C in the context, which may wait for long, within `deferred`.
+
+    A generator that Ctrl-C keeps from being entered would end later, and take the handler then.
+    """
+
+    __slots__ = ("_is_deferred",)
+
+    def __enter__(self) -> None:
+        self._is_deferred = False
+        is_main = threading.current_thread() is threading.main_thread()
+        if not (is_main and _replaced and handler_of(_SIGINT) is _note):
+            return
+        handler = _replaced[-1]
+        try:
+            _set_handler(_SIGINT, handler)
+            _deliver(handler)
+        except BaseException:
+            _set_handler(_SIGINT, _note)
+            raise
+        self._is_deferred = True
+
+    def __exit__(self, *_: object) -> None:
+        if self._is_deferred:
+            _set_handler(_SIGINT, _note)
 
 
 def _deliver(handler: Any) -> None:

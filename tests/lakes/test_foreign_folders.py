@@ -14,6 +14,7 @@ import pytest
 
 import ssduck
 from ssduck.cli.worker import Source, WorkerAnswers
+from ssduck.lakes import engines
 from tests.support.command_line import BOX, ROOT
 from tests.support.rising_cups import write_rising_cups
 
@@ -126,3 +127,24 @@ def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
         finally:
             late.cancel()
             process.kill()
+
+
+def test_workers_of_clusters_import_the_standard_library_first(tmp_path, monkeypatch):
+    """Among what is installed may be a module with the name of one of its own."""
+    installed = tmp_path / "installed"
+    (installed / "ssduck" / "lakes").mkdir(parents=True)
+    names = "ssduck", "json", "unicodedata", "colorsys"
+    for name in names[1:]:
+        (installed / f"{name}.py").touch()
+    (installed / "ssduck" / "__init__.py").touch()
+    monkeypatch.setattr(engines, "__file__", str(installed / "ssduck" / "lakes" / "engines.py"))
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    program = f"import {', '.join(names)}; print({', '.join(f'{n}.__file__' for n in names)})"
+    found = subprocess.run(
+        [sys.executable, "-P", "-c", program],
+        env={**os.environ, **engines._where_ssduck_is(sys.executable)},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split()
+    assert [str(installed) in file for file in found] == [True, False, False, False]

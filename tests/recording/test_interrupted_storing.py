@@ -14,6 +14,9 @@ import pybullet
 import pytest
 
 import ssduck
+from ssduck.database.connection import Connection
+from ssduck.recording.background_writer import BufferedRows
+from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.parquet import ParquetStore
 from tests.support.timing import HANGS
@@ -200,3 +203,50 @@ def test_another_episode_begins_or_the_one_goes_on(is_folder, tmp_path):
     for press in range(PRESSES):
         line = 1 + press * (count - 1) // (PRESSES - 1)
         begin(tmp_path / f"{line}.duckdb", line)
+
+
+def test_ticks_that_are_stored_while_a_recording_begins_are_read_once(tmp_path, monkeypatch):
+    """The first tick is stored in the background, at the moment at which DuckDB gets it."""
+    arrow = BufferedRows.arrow.fget
+    waited_for = []
+
+    def rows_before_they_are_stored(rows):
+        table = arrow(rows)
+        for thread in threading.enumerate():
+            if thread.name == "ssduck stores" and table.num_rows:
+                thread.join(0.5)  # a query lets it wait
+                waited_for.append(not thread.is_alive())
+        return table
+
+    with ssduck.load("kitchen", tmp_path / "run.duckdb") as ss:
+        monkeypatch.setattr(BufferedRows, "arrow", property(rows_before_they_are_stored))
+        ss.record("kitchen", ssduck.Recording(every=2))
+        assert any(waited_for)
+        ticks = "SELECT count(*), count(DISTINCT tick) FROM ticks_history"
+        assert ss.sql(ticks).fetchall() == [(1, 1)]
+        sql = "SELECT count(*), count(DISTINCT (tick, id)) FROM entities_history"
+        rows, different = ss.sql(sql).fetchall()[0]
+        assert rows == different > 0
+
+
+def test_rows_that_ctrl_c_kept_from_duckdb_are_there_at_the_next_query(tmp_path, monkeypatch):
+    """It is pressed while DuckDB gets tables that replace full ones."""
+    register = Connection.register
+
+    def pressed(connection, name, rows):
+        monkeypatch.undo()
+        register(connection, name, rows)
+        raise KeyboardInterrupt
+
+    def counts():
+        tables = "ticks_history", "entities_history"
+        return [ss.sql(f"SELECT count(DISTINCT tick) FROM {t}").fetchall()[0][0] for t in tables]
+
+    with ssduck.load("kitchen", tmp_path / "run.duckdb") as ss:
+        assert counts() == [1, 1]
+        ss["kitchen"].step(BUFFERED_TICKS + 2, every=1)
+        monkeypatch.setattr(Connection, "register", pressed)
+        with pytest.raises(KeyboardInterrupt):
+            counts()
+        ss["kitchen"].step(3, every=1)
+        assert counts() == [BUFFERED_TICKS + 6] * 2

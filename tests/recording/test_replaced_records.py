@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from contextlib import contextmanager
 
 import pytest
 
 import ssduck
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, SqlError
+from ssduck.limits import Limits
+from ssduck.recording.opened_record import OpenedRecord
+from ssduck.recording.stores.parquet_layout import FolderRun
 
 QUESTION = "SELECT count(*) FROM kitchen{} AS value;"
 ROWS = "SELECT count(*) FROM kitchen.entities_history"
@@ -78,6 +82,70 @@ def test_a_record_that_is_removed(run, is_asked):
         assert all(str(run) in error for error in errors)
         if is_asked:  # otherwise a part may be missed first
             assert all("was removed after it was opened" in error for error in errors)
+
+
+def test_a_record_that_is_replaced_while_it_is_opened(run, recorded):
+    """Its description was read before."""
+    described = FolderRun(run, "kitchen", 0)
+    assert described.description["id"]
+    shutil.rmtree(run)
+    shutil.copytree(recorded / "three", run)
+    opened = OpenedRecord(
+        run, described.about_file, described.description, described.about_status
+    )
+    with pytest.raises(RecordError, match="another recording than when it was opened"):
+        opened.check()
+
+
+# What SQL reads of the parts of a record.
+OF_PARTS = [
+    "SELECT sum(z) FROM kitchen.entities_history",
+    "SELECT max(z) FROM kitchen.entities_history WHERE tick > ?",
+    "SELECT count(DISTINCT name) FROM kitchen.entities_model",
+]
+
+
+def ask_of_parts(ss):
+    for sql in OF_PARTS:
+        with pytest.raises(RecordError) as caught:
+            ss.sql(sql, [0] if "?" in sql else None).fetchall()
+        yield str(caught.value)
+
+
+@pytest.mark.parametrize("is_strict", [False, True])
+@pytest.mark.parametrize("name", ["run", "a [run]"])
+@pytest.mark.parametrize("is_asked", [False, True])
+def test_a_part_that_is_removed(run, is_asked, name, is_strict):
+    run = run.rename(run.with_name(name))
+    parts = [next((run / table).rglob("*.parquet")) for table in ("entities", "models/entities")]
+    with ssduck.open(run, limits=Limits.strict() if is_strict else None) as ss:
+        for sql in OF_PARTS if is_asked else ():
+            ss.sql(sql, [0] if "?" in sql else None).fetchall()
+        for part in parts:
+            part.unlink()
+        for error, part in zip(ask_of_parts(ss), [parts[0], *parts], strict=True):
+            assert error.startswith(f"{part} ")
+        with pytest.raises(SqlError, match="No files found"):  # of another folder
+            ssduck.Interpreter().sql("FROM 'none.parquet'")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+@pytest.mark.parametrize("place", ["", "entities", "models", "part"])
+@pytest.mark.parametrize("is_asked", [False, True])
+def test_a_part_that_may_no_longer_be_read(run, place, is_asked):
+    closed = next((run / "entities").rglob("*.parquet")) if place == "part" else run / place
+    for path in (run, *run.rglob("*")):
+        path.chmod(0o755)
+    sql = OF_PARTS[2 if place == "models" else 0]
+    with ssduck.open(run) as ss:
+        ss.sql(sql).fetchall() if is_asked else None
+        closed.chmod(0o000)
+        try:
+            with nobody(), pytest.raises(RecordError, match=f"{run}.*: Permission denied$") as caught:
+                ss.sql(sql).fetchall()
+            assert isinstance(caught.value, PermissionError)
+        finally:
+            closed.chmod(0o755)
 
 
 def test_tags_of_an_open_record(run):
@@ -189,3 +257,33 @@ def test_a_lake_without_permission(run):
     with nobody():
         assert "Permission denied" in ssduck.lake(run.parent).episodes["error"][0].as_py()
     run.chmod(0o755)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
+@pytest.mark.parametrize("place", ["entities", "ticks", "episodes"])
+@pytest.mark.parametrize("is_listed", [False, True])
+def test_questions_to_a_lake_without_permission(run, place, is_listed):
+    """It was listed before, or not."""
+    closed, program = run / place, "max(z(kitchen.can));"
+    lake = ssduck.lake(run.parent) if is_listed else None
+    lake and lake.ask(program, processes=1)
+    for path in (run.parent, run, *run.rglob("*")):
+        path.chmod(0o777)
+    closed.chmod(0o000)
+    denied = f"{closed}.*: Permission denied"
+    try:
+        with nobody():
+            lake = lake or ssduck.lake(run.parent)
+            (error,) = lake.ask(program, processes=1)["error"].to_pylist()
+            assert re.fullmatch(denied, error)
+            if not is_listed:
+                with pytest.raises(ssduck.errors.ArgumentError, match=f"no episode.*{denied}"):
+                    lake.sql(program)
+                with pytest.warns(UserWarning, match=f"episodes without tags: 1 .*{denied}; "):
+                    assert lake.set_tags({"seen": True}) == 0
+            else:
+                with pytest.raises(ssduck.errors.SelectScriptError, match="Permission") as caught:
+                    lake.sql(program)
+                assert str(closed) in str(caught.value)
+    finally:
+        closed.chmod(0o755)

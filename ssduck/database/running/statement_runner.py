@@ -35,6 +35,8 @@ from ssduck.recording.opened_record import OpenedRecord
 T = TypeVar("T")
 
 _REFUSAL_ERRORS = (duckdb.BinderException, duckdb.ParserException, duckdb.CatalogException)
+# Errors that a file may cause.
+_READING_ERRORS = (duckdb.IOException, duckdb.InvalidInputException, duckdb.SerializationException)
 # Errors of functions that SQL calls, which stay as they are.
 _OWN_ERRORS = (LimitError, UnknownNameError, UnsupportedError, EvaluationError, RecordError)
 
@@ -143,6 +145,10 @@ class StatementRunner(ABC):
                 f"the statement needs DuckDB's extension {extension!r}, which is not loaded, and "
                 "files are switched off here (Limits: files)"
             ) from error
+        if self._opened is not None and isinstance(error, _READING_ERRORS):
+            unreadable = self._opened.reading_error(str(error))
+            if unreadable is not None:
+                raise unreadable from error
         refused = isinstance(error, _REFUSAL_ERRORS)
         raise SqlError(str(error).strip() + hint_of(error), is_refused=refused) from error
 

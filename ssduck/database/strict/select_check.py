@@ -18,6 +18,7 @@ from ssduck.database.connection import Connection
 from ssduck.database.folding import folded
 from ssduck.database.macros import TABLE_MACROS
 from ssduck.database.referenced_tables import COMMENT
+from ssduck.database.strict.expression_size import expression_size
 from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
@@ -304,6 +305,7 @@ class _Walk:
             self._check_order_of_arguments(node, name)
         if name in REGULAR:
             self._check_expression(node, f"the regular expression of {name}")
+            self._check_repeats(node, name)
         if name in LIKES:
             self._check_expression(node, f"the pattern of {LIKES[name]}")
         if name in READING_TIMES:
@@ -365,6 +367,16 @@ class _Walk:
             for part in without:
                 if isinstance(text, str) and part in text:
                     self._refuse(node, f"{what} has no {part} here")
+
+    def _check_repeats(self, node: Node, name: str) -> None:
+        """Checks that a regular expression is short as DuckDB compiles it, which repeats parts."""
+        for argument in node["arguments"][1:2]:
+            if expression_size(argument["expression"]["literal"]["text"]) > MAX_EXPRESSION:
+                self._refuse(
+                    node,
+                    f"the regular expression of {name} has at most {MAX_EXPRESSION} letters here "
+                    "when its repeats are written out, as aaa is for a{3}",
+                )
 
     def _refuse(
         self, node: Node, message: str, name: str | None = None, known: Collection[str] = ()

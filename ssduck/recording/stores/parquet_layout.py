@@ -35,9 +35,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ssduck.errors import RecordError
+from ssduck.errors import RecordError, record_errors
 from ssduck.recording.buffers import TickBuffer
 from ssduck.recording.episode import Episode
+from ssduck.recording.opened_record import FileStatus, file_status
 from ssduck.recording.stores.checksums import (
     content_of,
     content_problem,
@@ -54,6 +55,7 @@ from ssduck.recording.stores.descriptions import (
     read_description,
 )
 from ssduck.recording.stores.links import check_inside, files_in
+from ssduck.recording.stores.object_store import ObjectPath
 from ssduck.recording.stores.part_log import following_rows, is_log, read_log
 from ssduck.recording.stores.part_names import label_of, part_name, part_number, part_numbers
 from ssduck.recording.stores.stored_columns import (
@@ -112,9 +114,15 @@ class FolderRun:
         return self.path / self.folder(table)
 
     @cached_property
+    def about_status(self) -> FileStatus:
+        """The status of the file that describes the episode, from before it was read."""
+        return None if isinstance(self.path, ObjectPath) else file_status(self.about_file)
+
+    @cached_property
     def description(self) -> dict[str, Any]:
         """The description of the episode, which was checked."""
         check_inside(self.path, self.about_file)
+        _ = self.about_status  # first: what is written meanwhile is another status
         about = read_description(self.about_file)
         source = str(self.about_file)
         episode = about.get("world"), about.get("episode")
@@ -290,6 +298,7 @@ class FolderRun:
         self.check(table, map(part_number, files))
         return files
 
+    @record_errors()
     def listed_files(self, table: str) -> list[Path]:
         """Returns the files of a table, of complete parts only; looks into none of them.
 
