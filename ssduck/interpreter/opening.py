@@ -59,11 +59,12 @@ def load(
     if is_foreign:
         check_scene_inside(scene)
     description = find_scene(scene)
-    if is_foreign and description.path not in shipped_scenes().values():
+    trial = Trial(description, limits, simulator)  # which checks the files, too
+    if is_foreign and not trial.is_needed and description.path not in shipped_scenes().values():
         check_files_inside(description)
     interpreter = Interpreter(database, recording=recording, limits=limits)
     try:
-        world = load_tried(description, Trial(description, limits, simulator), simulator)
+        world = load_tried(description, trial, simulator)
         interpreter._owned_worlds.append(world)  # noqa: SLF001  # `close` closes it
         interpreter.add_variable(description.name, world)
     except BaseException:

@@ -48,6 +48,10 @@ _PICTURES = re.compile(r"(?:^|\s)(?:map_|bump|disp|decal|refl|norm)\S*([^\n]*)",
 _WORD = re.compile(r"\S+")
 # The largest length of a name, letters, and number of words of a line that has one.
 MAX_NAME, MAX_WORDS = 500, 16
+# The greatest size of the files of a scene whose names are read, and of a scene.toml, bytes.
+MAX_READ, MAX_TOML = 128 * 2**20, 4 * 2**20
+# The greatest number of places where files of such names may be.
+MAX_PLACES = 100_000
 # The longest piece of a line of OBJ files and of materials that PyBullet reads at once, bytes.
 PIECE = 1023
 # Where PyBullet looks beside the working directory.
@@ -62,13 +66,15 @@ def check_scene_inside(scene: str | Path, folder: Path | None = None) -> None:
         folder: the folder; None for the one that the path of the file names.
 
     Raises:
-        SceneError: the file is a link to one elsewhere.
+        SceneError: the file is a link to one elsewhere, or too large.
     """
     file = scene_file(Path(scene))
     own = Path(os.path.realpath(file.parent if folder is None else folder))
     real = os.path.realpath(file)
     if not Path(real).is_relative_to(own):
         _refuse(file, real, own)
+    if file.suffix.lower() == ".toml" and _size(file) > MAX_TOML:
+        raise SceneError(f"{file} has more than {MAX_TOML:,} bytes (Limits: files)")
 
 
 def check_files_inside(scene: Scene) -> tuple[Path, ...]:
@@ -80,7 +86,8 @@ def check_files_inside(scene: Scene) -> tuple[Path, ...]:
         The files that it may read, and others of such names in the folder.
 
     Raises:
-        SceneError: a file is elsewhere, is no regular file, or cannot be checked.
+        SceneError: a file is elsewhere, is no regular file, or cannot be checked; or there are so
+            many names, or so large files, that this would take long.
     """
     files = _SceneFiles(scene.path.resolve().parent)
     for body in scene.bodies:
@@ -135,6 +142,7 @@ class _SceneFiles:
         self._required: dict[_NamedFile, None] = {}
         self._model_folders: dict[Path, None] = {}
         self._inner: dict[str, None] = {}
+        self._place_count = self._bytes = 0
 
     def add_model(self, model: Path, source: Path) -> None:
         """Adds a model file that the scene names.
@@ -193,6 +201,12 @@ class _SceneFiles:
         if (file, role) in self._checked:
             return
         self._checked.add((file, role))
+        self._bytes += 0 if role == "picture" else _size(file)
+        if self._bytes > MAX_READ:
+            raise SceneError(
+                f"{file}: the models of a scene, and the meshes and materials that name other "
+                f"files, have at most {MAX_READ:,} bytes in all (Limits: files)"
+            )
         match role:
             case "model":
                 self._read_model(file)
@@ -267,6 +281,7 @@ class _SceneFiles:
             names += [f"{inner}/{named.name}" for inner in self._inner]
         bare = re.split(r"[/\\]", named.name)[-1] if named.is_mjcf else named.name
         bares = [bare, *(f"{inner}/{bare}" for inner in self._inner if named.is_mjcf)]
+        self._count_places(len(folders) * (len(names) + len(bares)))
         files = [folder / name for folder in folders for name in (*names, *bares)]
         there = [file for file in files if os.path.isfile(file)]  # noqa: PTH113  # of any name
         if not there:
@@ -280,10 +295,28 @@ class _SceneFiles:
     def _check_elsewhere(self, source: Path, name: str, files: list[Path]) -> None:
         """Checks that no other file has a name in the working directory or above the folder."""
         places = [Path(data) for data in _DATA] + list(self._folder.parents)
+        self._count_places(len(places))
         for place in places:
             other = place / name
             if os.path.exists(other) and not any(_are_same(other, file) for file in files):  # noqa: PTH110
                 _refuse(source, str(other), self._folder)
+
+    def _count_places(self, count: int) -> None:
+        """Counts places where files may be: to look at each takes some microseconds."""
+        self._place_count += count
+        if self._place_count > MAX_PLACES:
+            raise SceneError(
+                f"the files in {self._folder} name so many others, or folders, that these may be "
+                f"in more than {MAX_PLACES:,} places (Limits: files)"
+            )
+
+
+def _size(file: Path) -> int:
+    """Returns the size of a file, bytes; 0 if there is none, of which its reader tells."""
+    try:
+        return file.stat().st_size
+    except OSError:
+        return 0
 
 
 def _are_same(file: Path, other: Path) -> bool:

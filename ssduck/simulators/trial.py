@@ -75,6 +75,11 @@ class Trial:
         self._scene, self._simulator = scene, simulator
         self._passed: Mapping[Path, tuple[Any, ...]] | None = None
 
+    @property
+    def is_needed(self) -> bool:
+        """Whether another process loads the scene first."""
+        return self._limits is not None
+
     @contextmanager
     def passed(self) -> Iterator[None]:
         """Loads the scene in another process, unless that was done with the same files.

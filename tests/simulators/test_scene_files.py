@@ -9,7 +9,8 @@ import pytest
 
 import ssduck
 from ssduck.errors import SceneError
-from ssduck.simulators.scenes import shipped_scenes
+from ssduck.simulators import scene_files
+from ssduck.simulators.scenes import find_scene, shipped_scenes
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESH = '<mesh name="m" file="m.obj"/>'
@@ -341,3 +342,69 @@ def test_a_scene_that_is_a_link_inside_is_read(folder):
     (folder / "scene.toml").symlink_to(folder / "other.toml")
     with strict(folder) as ss:
         assert ss.sql("SELECT name FROM entities").fetchall() == [("secret",)]
+
+
+NAMING = (
+    '<robot name="r"><link name="b"><visual><geometry><mesh filename="a.obj"/></geometry></visual>'
+    "</link></robot>"
+)
+LINES_OF_NAMES = 80  # of materials, each of 16 words, which stand for 136 names
+
+
+def many_names(folder):
+    lines = (f"mtllib {' '.join(f'w{i}_{k}' for k in range(16))}\n" for i in range(LINES_OF_NAMES))
+    (folder / "a.obj").write_text(OBJ + "".join(lines))
+    (folder / "m.urdf").write_text(NAMING)
+    return folder / "m.urdf"
+
+
+def many_folders(folder):
+    meshes = "".join(f'<mesh name="m{i}" file="m.obj"/>' for i in range(100))
+    folders = "".join(f'<compiler meshdir="d{i}"/>' for i in range(1200))
+    (folder / "m.obj").write_text(OBJ)
+    (folder / "m.xml").write_text(f"<mujoco>{folders}<asset>{meshes}</asset></mujoco>")
+    return folder / "m.xml"
+
+
+def large_mesh(folder):
+    (folder / "a.obj").write_text(OBJ)
+    os.truncate(folder / "a.obj", scene_files.MAX_READ)
+    (folder / "m.urdf").write_text(NAMING)
+    return folder / "m.urdf"
+
+
+def large_scene(folder):
+    (folder / "scene.toml").write_text("#" * (scene_files.MAX_TOML + 1))
+    return folder / "scene.toml"
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (many_names, "more than 100,000 places"),
+        (many_folders, "more than 100,000 places"),
+        (large_mesh, "at most 134,217,728 bytes in all"),
+        (large_scene, "more than 4,194,304 bytes"),
+    ],
+)
+def test_files_whose_check_would_take_long_are_refused(tmp_path, make, words):
+    scene = make(tmp_path)
+    for trial in (True, False):
+        with pytest.raises(SceneError, match=words):
+            ssduck.load(scene, limits=ssduck.Limits.strict(trial=trial))
+
+
+def test_the_bounds_of_what_is_checked(tmp_path, monkeypatch):
+    scene = find_scene(many_names(tmp_path))
+    monkeypatch.setattr(scene_files, "MAX_PLACES", 10**7)
+    checks = scene_files._SceneFiles(tmp_path)
+    checks.add_model(scene.path, scene.path)
+    assert len(checks.check()) == 2
+    size = sum(file.stat().st_size for file in tmp_path.iterdir())
+    for name, bound in (("MAX_PLACES", checks._place_count), ("MAX_READ", size)):
+        with monkeypatch.context() as changed:
+            changed.setattr(scene_files, name, bound)
+            scene_files.check_files_inside(scene)
+            changed.setattr(scene_files, name, bound - 1)
+            with pytest.raises(SceneError, match=r"\(Limits: files\)"):
+                scene_files.check_files_inside(scene)
