@@ -359,9 +359,10 @@ def many_names(folder):
 
 
 def many_folders(folder):
-    meshes = "".join(f'<mesh name="m{i}" file="m.obj"/>' for i in range(100))
-    folders = "".join(f'<compiler meshdir="d{i}"/>' for i in range(1200))
-    (folder / "m.obj").write_text(OBJ)
+    meshes = "".join(f'<mesh name="m{i}" file="m{i}.obj"/>' for i in range(100))
+    folders = "".join(f'<compiler meshdir="d{i}"/>' for i in range(300))
+    for i in range(100):
+        (folder / f"m{i}.obj").write_text(OBJ)
     (folder / "m.xml").write_text(f"<mujoco>{folders}<asset>{meshes}</asset></mujoco>")
     return folder / "m.xml"
 
