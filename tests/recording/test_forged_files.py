@@ -98,6 +98,13 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
     ),
     ("a view as a description", in_place_of("ssduck record", "FROM {old}"), "nothing is recorded"),
     ("a computed column", sql(*COMPUTED), "'ticks 0' is damaged: it is missing, or no table"),
+    *(
+        (f"a collation of {table}",
+         sql(f"CREATE TABLE {place('new')} AS SELECT * REPLACE ({column} COLLATE NOCASE AS {column}) FROM {place(table)}",
+             f"DROP TABLE {place(table)}", f"ALTER TABLE {place('new')} RENAME TO \"{table}\""),
+         f"'{table}' is damaged: it is missing, or no table whose columns are stored and have no collation")
+        for table, column in (("entities model", "name"), ("entities model", "kind"), ("geometries model", "type"))
+    ),
     ("no model", sql(f"DROP TABLE {SHAPES}"), "'shapes model' is damaged: it is missing"),
     ("no rows", sql(f"DROP TABLE {ROWS}"), "'entities 0' is damaged: it is missing"),
     ("two descriptions", sql(f"INSERT INTO {place('ssduck record')} FROM {place('ssduck record')}"),

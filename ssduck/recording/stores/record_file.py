@@ -1,8 +1,9 @@
 """Reads records in a DuckDB file, as data: from base tables only.
 
 A file may come from a stranger. A view in the place of a table would run what it says, and so would
-a column that is computed; a table may have any columns, and a file of a few bytes any number of
-rows. So each table is checked before it is read.
+a column that is computed; one with a collation may be equal to texts that it does not have. A table
+may have any columns, and a file of a few bytes any number of rows. So each table is checked before
+it is read.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ from ssduck.recording.stores.history_sql import quoted
 from ssduck.recording.stores.stored_columns import MAX_VALUES, arrow_columns, check_columns
 from ssduck.schema import ColumnType
 
-# What the text of a table has that computes a column.
-_COMPUTED = "GENERATED ALWAYS"
+# What the text of a table has that computes a column, or has texts compared in another way.
+_OF_STRANGERS = ("GENERATED ALWAYS", "COLLATE")
 # The largest number of rows that rows stand for which are not stored again while they are equal.
 _MAX_REPEATED = 1 << 36
 
@@ -34,8 +35,8 @@ class RecordFile:
     Attributes:
         path: the file.
         catalog: the name under which it is attached.
-        rows: the number of rows of each base table whose columns are all stored, by its schema and
-            its name.
+        rows: the number of rows of each base table whose columns are all stored and have no
+            collation, by its schema and its name.
     """
 
     path: Path
@@ -54,7 +55,7 @@ class RecordFile:
         rows = {
             (schema, table): size
             for schema, table, size, text in tables
-            if _COMPUTED not in str(text).upper()
+            if not any(words in str(text).upper() for words in _OF_STRANGERS)
         }
         return cls(path, catalog, rows)
 
@@ -90,7 +91,8 @@ class RecordFile:
             place, source = self.place(schema, table), f"{self.path}: {schema}.{table!r}"
             if key not in self.rows:
                 raise RecordError(
-                    f"{source} is damaged: it is missing, or no table whose columns are stored"
+                    f"{source} is damaged: it is missing, or no table whose columns are stored and "
+                    "have no collation"
                 )
             types = connection.rows(f"SELECT * FROM {place} LIMIT 0").schema  # noqa: S608
             check_columns(source, arrow_columns(types), expected)
