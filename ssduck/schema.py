@@ -44,7 +44,8 @@ ColumnType: TypeAlias = Literal["double", "integer", "string", "boolean", "point
 # Where a record stores a column: with the rows of each tick, once for each entity in the *model*
 # of the table, or in both.
 Storage: TypeAlias = Literal["tick", "model", "both"]
-_SQL: dict[ColumnType, str] = {
+# DuckDB's names of these types.
+SQL_TYPES: dict[ColumnType, str] = {
     "double": "DOUBLE",
     "integer": "BIGINT",
     "string": "VARCHAR",
@@ -82,7 +83,7 @@ class Column:
     @property
     def sql(self) -> str:
         """The type of its values in SQL."""
-        return _SQL[self.type]
+        return SQL_TYPES[self.type]
 
 
 @dataclass(frozen=True)
@@ -113,9 +114,9 @@ class TickColumns:
     def sql(self) -> dict[str, str]:
         """The type of each column in SQL."""
         return {
-            **dict.fromkeys(self.integers, _SQL["integer"]),
-            **dict.fromkeys(self.doubles, _SQL["double"]),
-            **dict.fromkeys(self.booleans, _SQL["boolean"]),
+            **dict.fromkeys(self.integers, SQL_TYPES["integer"]),
+            **dict.fromkeys(self.doubles, SQL_TYPES["double"]),
+            **dict.fromkeys(self.booleans, SQL_TYPES["boolean"]),
         }
 
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from ssduck.adapters.display import print_line
+from ssduck.cli import signals
 from ssduck.errors import RecordError, warn
 from ssduck.formatting import count_of
 from ssduck.recording.paths import expand_path
@@ -101,6 +102,7 @@ def export_as(
             print_line(str(written))
 
 
+@signals.raised()
 def import_(
     source: Annotated[
         Path,

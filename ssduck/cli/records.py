@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import signal
 import sys
-import threading
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Collection
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ssduck.adapters.display import DisplayTable, print_line, print_table
+from ssduck.cli import signals
 from ssduck.formatting import count_of
 from ssduck.recording.paths import expand_path, is_record
 
@@ -106,7 +106,7 @@ def record(
 
     tags = dict(map(parsed_tag, tag or ()))
     to_file = output.suffix == _DUCKDB_SUFFIX
-    with _deferred_signals() as received:
+    with signals.deferred() as received:
         database = output if to_file else ":memory:"
         with load(scene, database, recording=None) as ss:
             writer = None
@@ -155,31 +155,7 @@ def _run(world: World, steps: int, received: Collection[int]) -> None:
             world.step()
 
 
-@contextmanager
-def _deferred_signals() -> Iterator[list[int]]:
-    """Yields a list to which the first signal to end is added; the second one acts as usual."""
-    received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    handlers = {number: signal.getsignal(number) for number in numbers}
-
-    def on_first_signal(number: int, _: object) -> None:
-        received.append(number)
-        signal.signal(number, handlers[number])
-
-    for number, handler in handlers.items():
-        if number == signal.SIGINT or handler != signal.SIG_IGN:  # nohup lets SIGHUP be ignored
-            signal.signal(number, on_first_signal)
-    try:
-        yield received
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-
-
+@signals.raised()
 def export(
     path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
     output: Annotated[
@@ -299,6 +275,7 @@ def check(
         raise typer.Exit(1)
 
 
+@signals.raised()
 def upgrade(
     path: Annotated[Path, typer.Argument(metavar="RECORD", help="The record.")],
     output: Annotated[

@@ -51,7 +51,7 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
         raise RecordError(f"{source} has no episode with ticks")
     with_steps = set(recorded_steps(source) if source.is_dir() else ())
     place = unfinished_folder(folder)
-    with whole_record(place) as runs:
+    with whole_record(place, is_private=place != folder) as runs:
         for episode in listed:
             name = episode.world, episode.number
             # Before the episode is written, as the file may be damaged.

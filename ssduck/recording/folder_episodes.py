@@ -42,11 +42,12 @@ def remove_episode(run: FolderRun) -> None:
 
 
 @contextmanager
-def whole_record(path: Path) -> Iterator[list[FolderRun]]:
+def whole_record(path: Path, *, is_private: bool = False) -> Iterator[list[FolderRun]]:
     """Lets episodes be added to a folder, all or none.
 
     Args:
         path: the folder; one that is made in the context goes, too, if the context fails.
+        is_private: whether nobody else knows of the folder, so that all in it goes.
 
     Yields:
         The episodes, which are appended when they are complete.
@@ -55,9 +56,12 @@ def whole_record(path: Path) -> Iterator[list[FolderRun]]:
     try:
         yield runs
     except BaseException:
-        for run in runs:
-            remove_episode(run)
-        if made is not None and path.exists():
+        if is_private:
+            remove_tree(path)
+        else:
+            for run in runs:
+                remove_episode(run)
+        if made is not None and (is_private or path.exists()):
             remove_empty(path, made)
         raise
 

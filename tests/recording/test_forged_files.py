@@ -105,6 +105,15 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
          f"'{table}' is damaged: it is missing, or no table whose columns are stored and have no collation")
         for table, column in (("entities model", "name"), ("entities model", "kind"), ("geometries model", "type"))
     ),
+    *(
+        (f"names of the type {kind}",
+         sql(f"ALTER TABLE {ENTITIES} ALTER name TYPE {kind} USING {value}"),
+         f"its column 'name' has the type {kind}; it is to have values of the type string")
+        for kind, value in (("UUID", "md5(name)::UUID"), ("JSON", "to_json(name)"))
+    ),
+    ("points of two numbers",
+     sql(f"ALTER TABLE {GEOMETRIES} ALTER vertices TYPE DOUBLE[2][] USING [[1, 2]]::DOUBLE[2][]"),
+     r"its column 'vertices' has the type DOUBLE\[2\]\[\]; it is to have values of the type points"),
     ("no model", sql(f"DROP TABLE {SHAPES}"), "'shapes model' is damaged: it is missing"),
     ("no rows", sql(f"DROP TABLE {ROWS}"), "'entities 0' is damaged: it is missing"),
     ("two descriptions", sql(f"INSERT INTO {place('ssduck record')} FROM {place('ssduck record')}"),
@@ -139,11 +148,11 @@ ATTACKS: list[tuple[str, Callable[[Path], None], str]] = [
     ("a column of text", sql(f"ALTER TABLE {ROWS} ALTER x TYPE VARCHAR"),
      "'entities 0' is damaged: its column 'x' has the type string"),
     ("a column of lists", sql(f"ALTER TABLE {ROWS} DROP x", f"ALTER TABLE {ROWS} ADD x DOUBLE[]"),
-     "its column 'x' has the type list<"),
+     r"its column 'x' has the type DOUBLE\[\]"),
     ("a missing column", sql(f"ALTER TABLE {ROWS} DROP qw"), "it lacks the column 'qw'"),
     ("a missing column of a model", sql(f"ALTER TABLE {ENTITIES} DROP kind"), "lacks the column 'kind'"),
     ("an enumeration", sql("CREATE TYPE k AS ENUM ('robot', 'kinbody', 'sensor')",
-     f"ALTER TABLE {ENTITIES} ALTER kind TYPE k"), "its column 'kind' has the type dictionary"),
+     f"ALTER TABLE {ENTITIES} ALTER kind TYPE k"), "its column 'kind' has the type ENUM"),
     ("an id twice", sql(f"UPDATE {ENTITIES} SET id = 1"), "column 'id' has a number twice"),
     ("an id of 0", sql(f"UPDATE {ENTITIES} SET id = id - 1"), "'id' has a number out of bounds"),
     ("an unknown kind", sql(f"UPDATE {ENTITIES} SET kind = 'x' WHERE id = 1"), "'kind' has the value"),

@@ -19,11 +19,15 @@ from ssduck.errors import RecordError
 from ssduck.limits import check_opening
 from ssduck.recording.stores.base import StoreConnection
 from ssduck.recording.stores.history_sql import quoted
-from ssduck.recording.stores.stored_columns import MAX_VALUES, arrow_columns, check_columns
-from ssduck.schema import ColumnType
+from ssduck.recording.stores.stored_columns import MAX_VALUES, check_columns
+from ssduck.schema import SQL_TYPES, ColumnType
 
 # What the text of a table has that computes a column, or has texts compared in another way.
 _OF_STRANGERS = ("GENERATED ALWAYS", "COLLATE")
+# The types of columns by DuckDB's names: those of texts are not all compared as texts.
+_TYPES: dict[str, str] = {name: type for type, name in SQL_TYPES.items()}
+# So much of the name of another type is shown: that of an enumeration has all of its values.
+_LONGEST = 60
 # The largest number of rows that rows stand for which are not stored again while they are equal.
 _MAX_REPEATED = 1 << 36
 
@@ -94,11 +98,12 @@ class RecordFile:
                     f"{source} is damaged: it is missing, or no table whose columns are stored and "
                     "have no collation"
                 )
-            types = connection.rows(f"SELECT * FROM {place} LIMIT 0").schema  # noqa: S608
-            check_columns(source, arrow_columns(types), expected)
+            described = connection.fetchall(f"DESCRIBE {place}")
+            types = {name: _TYPES.get(kind, kind[:_LONGEST]) for name, kind, *_ in described}
+            check_columns(source, types.items(), expected)
             if "until" in expected:
                 self._check_repeated(connection, place, source)
-            self._columns[key] = frozenset(types.names)
+            self._columns[key] = frozenset(types)
         return self._columns[key]
 
     def read(
