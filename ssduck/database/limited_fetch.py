@@ -315,8 +315,8 @@ def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
         kinds = set(_kinds_in(kind))
         if _UNSIGNED in kinds and any(map(_has_negative, column.chunks)):
             raise SqlError(
-                f"{short_repr(name)} has an integer of 2^127 or more, which Arrow cannot hold: cast "
-                "it to VARCHAR or DOUBLE"
+                f"{short_repr(name)} has an integer of 2^127 or more, which Arrow cannot hold: "
+                "cast it to VARCHAR or DOUBLE"
             )
         if _ZONED in kinds:
             raise SqlError(

@@ -67,7 +67,7 @@ def test_a_file_without_permission(file, door, ending, request):
     closed = file.with_name(file.name + ending)
     closed.touch()
     closed.chmod(0)
-    before = sorted(os.listdir(file.parent))
+    before = sorted(file.parent.iterdir())
     request.getfixturevalue("as_nobody")
     with pytest.raises(RecordError, match=f'"{closed}": Permission denied') as caught:
         DOORS[door](file)
@@ -75,7 +75,7 @@ def test_a_file_without_permission(file, door, ending, request):
     assert str(caught.value).startswith(f"{file} cannot be opened")
     if os.geteuid() == 65534:
         os.seteuid(0)
-    assert sorted(os.listdir(file.parent)) == before
+    assert sorted(file.parent.iterdir()) == before
 
 
 def flipped(file):
@@ -98,12 +98,14 @@ def test_the_check_of_a_file_that_cannot_be_opened(file, door):
 
 def test_another_recording_into_a_damaged_file(file):
     """It is not in use: a block is no lock."""
-    with pytest.raises(SqlError, match="is damaged.*block.*`ssduck check`") as caught:
+    with pytest.raises(SqlError, match=r"is damaged.*block.*`ssduck check`") as caught:
         ssduck.load("kitchen", flipped(file))
     assert "in use" not in str(caught.value)
 
 
-USES = "import ssduck, sys; ss = ssduck.load('kitchen', sys.argv[1]); print('on', flush=True); input()"
+USES = (
+    "import ssduck, sys; ss = ssduck.load('kitchen', sys.argv[1]); print('on', flush=True); input()"
+)
 
 
 @pytest.mark.parametrize("door", DOORS)

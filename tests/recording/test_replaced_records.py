@@ -90,9 +90,7 @@ def test_a_record_that_is_replaced_while_it_is_opened(run, recorded):
     assert described.description["id"]
     shutil.rmtree(run)
     shutil.copytree(recorded / "three", run)
-    opened = OpenedRecord(
-        run, described.about_file, described.description, described.about_status
-    )
+    opened = OpenedRecord(run, described.about_file, described.description, described.about_status)
     with pytest.raises(RecordError, match="another recording than when it was opened"):
         opened.check()
 
@@ -141,7 +139,10 @@ def test_a_part_that_may_no_longer_be_read(run, place, is_asked):
         ss.sql(sql).fetchall() if is_asked else None
         closed.chmod(0o000)
         try:
-            with nobody(), pytest.raises(RecordError, match=f"{run}.*: Permission denied$") as caught:
+            with (
+                nobody(),
+                pytest.raises(RecordError, match=f"{run}.*: Permission denied$") as caught,
+            ):
                 ss.sql(sql).fetchall()
             assert isinstance(caught.value, PermissionError)
         finally:

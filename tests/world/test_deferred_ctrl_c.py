@@ -72,22 +72,26 @@ def time_is_up(*_):
 UNIX = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="Windows has no such signal")
 
 
+def with_an_alarm(presser):
+    """Has an alarm come in a context that defers it."""
+    sys.settrace(presser.trace)
+    try:
+        with ctrl_c.deferred():
+            signal.raise_signal(signal.SIGALRM)
+            with ctrl_c.allowed():
+                pass
+    finally:
+        sys.settrace(None)
+
+
 @UNIX
 def test_the_handlers_are_back_whichever_of_two_signals_raises():
     """An alarm comes, and Ctrl-C at any place: one error follows from the other, or is the only."""
     kept = signal.signal(signal.SIGALRM, time_is_up)
     try:
         for event in (None, *range(2, with_ctrl_c_at(None)[1])):
-            presser = Presser(event)
             with pytest.raises((KeyboardInterrupt, TimeIsUpError)) as caught:
-                sys.settrace(presser.trace)
-                try:
-                    with ctrl_c.deferred():
-                        signal.raise_signal(signal.SIGALRM)
-                        with ctrl_c.allowed():
-                            pass
-                finally:
-                    sys.settrace(None)
+                with_an_alarm(Presser(event))
             assert event is not None or caught.type is TimeIsUpError
             del caught
             gc.collect()
