@@ -40,7 +40,7 @@ def absolute_path(path: str, *, is_written: bool = False) -> str:
     return absolute
 
 
-def open_error_text(path: str, error: Exception) -> str:
+def open_error_text(path: str, error: BaseException) -> str:
     """Returns the message about a file that cannot be opened."""
     if "already attached" in str(error):
         return f"{path} is open in this process: close it first, or use the interpreter that has it"

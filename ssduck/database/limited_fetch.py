@@ -329,7 +329,7 @@ def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
 def _may_differ(kind: pa.DataType) -> bool:
     """Checks whether values of DuckDB's may be others in columns of a type of Arrow's."""
     types = pa.types
-    return types.is_decimal(kind) or types.is_time(kind) or types.is_nested(kind)
+    return bool(types.is_decimal(kind) or types.is_time(kind) or types.is_nested(kind))
 
 
 def _kinds_in(kind: duckdb.sqltypes.DuckDBPyType) -> Iterator[str]:
