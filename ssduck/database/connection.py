@@ -19,8 +19,6 @@ from sqlglot import exp
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import (
     absolute_path,
-    damage_text,
-    is_damage,
     open_error_text,
 )
 from ssduck.database.instances import (
@@ -46,6 +44,7 @@ from ssduck.database.running.statement_runner import StatementRunner
 from ssduck.database.writer import WriterConnection
 from ssduck.errors import (
     RecordError,
+    RecordPermissionError,
     SelectScriptError,
     SqlError,
 )
@@ -252,10 +251,9 @@ class Connection(StatementRunner):
             # DuckDB would download an extension to read a file of another type.
             self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY, TYPE duckdb)")
         except SqlError as error:
-            text = open_error_text(str(path), error)
-            if error.__cause__ is not None and is_damage(error.__cause__):
-                text = damage_text(path, error.__cause__)
-            raise RecordError(text) from error
+            text = open_error_text(str(path), error.__cause__ or error)
+            kind = RecordPermissionError if "Permission denied" in text else RecordError
+            raise kind(text) from error
         self._attached, self.has_records = path, True
         return _ATTACHED
 

@@ -40,11 +40,13 @@ def absolute_path(path: str, *, is_written: bool = False) -> str:
     return absolute
 
 
-def open_error_text(path: str, error: Exception) -> str:
+def open_error_text(path: str, error: BaseException) -> str:
     """Returns the message about a file that cannot be opened."""
     if "already attached" in str(error):
         return f"{path} is open in this process: close it first, or use the interpreter that has it"
-    if "lock" in str(error).lower():
+    if is_damage(error):
+        return damage_text(Path(path), error)
+    if _LOCKED in str(error):
         process = _PROCESS.search(str(error))
         number = f" ({process.group()})" if process else ""
         return (
@@ -56,6 +58,10 @@ def open_error_text(path: str, error: Exception) -> str:
 
 
 _PROCESS = re.compile(r"PID \d+")
+# What DuckDB says of a file that another process has opened.
+_LOCKED = "Could not set lock on file"
+# What to do with a file of which something may be readable.
+CHECK_HINT = "`ssduck check` lists what can be read"
 _DAMAGES = (duckdb.SerializationException, duckdb.InternalException, duckdb.FatalException)
 
 
@@ -68,7 +74,7 @@ def is_damage(error: BaseException) -> bool:
 def damage_text(path: Path, error: BaseException) -> str:
     """Returns the message about a damaged DuckDB file."""
     log = path.with_name(f"{path.name}.wal")
-    hint = "`ssduck check` lists what can be read"
+    hint = CHECK_HINT
     if log.exists():
         hint = (
             f"if its log {log} is, `ssduck check --repair` renames the log, and what was moved to "

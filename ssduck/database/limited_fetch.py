@@ -345,8 +345,8 @@ def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
         kinds = set(_kinds_in(kind))
         if _UNSIGNED in kinds and any(map(_has_negative, column.chunks)):
             raise SqlError(
-                f"{short_repr(name)} has an integer of 2^127 or more, which Arrow cannot hold: cast "
-                "it to VARCHAR or DOUBLE"
+                f"{short_repr(name)} has an integer of 2^127 or more, which Arrow cannot hold: "
+                "cast it to VARCHAR or DOUBLE"
             )
         if _ZONED in kinds:
             raise SqlError(
@@ -359,7 +359,7 @@ def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
 def _may_differ(kind: pa.DataType) -> bool:
     """Checks whether values of DuckDB's may be others in columns of a type of Arrow's."""
     types = pa.types
-    return types.is_decimal(kind) or types.is_time(kind) or types.is_nested(kind)
+    return bool(types.is_decimal(kind) or types.is_time(kind) or types.is_nested(kind))
 
 
 def _kinds_in(kind: duckdb.sqltypes.DuckDBPyType) -> Iterator[str]:

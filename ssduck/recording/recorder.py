@@ -17,7 +17,7 @@ from time import monotonic
 import numpy as np
 import pyarrow as pa
 
-from ssduck.errors import RecordError, SelectScriptError
+from ssduck.errors import RecordError
 from ssduck.recording import flush_timer
 from ssduck.recording.background_writer import BackgroundWriter, BufferedRows
 from ssduck.recording.buffers import MAX_BUFFERED_ROWS, RowBuffer, TickBuffer, new_buffer
@@ -163,10 +163,13 @@ class Recorder:
 
     @staticmethod
     def _error_of(store: Callable[[], None]) -> BaseException | None:
-        """Calls a function that stores or waits; returns its error, or None if it succeeds."""
+        """Calls a function that stores or waits; returns its error, or None if it succeeds.
+
+        The tick is buffered first, whatever the error: a signal may raise any.
+        """
         try:
             store()
-        except (SelectScriptError, KeyboardInterrupt) as failure:
+        except BaseException as failure:  # noqa: BLE001  # `_record` raises it
             return failure
         return None
 

@@ -301,7 +301,7 @@ class SteppedSimulation(Observable):
                         on_progress(steps)
                 self._check_not_pinned()
                 self._take_first_or_next()
-            except KeyboardInterrupt:
+            except (KeyboardInterrupt, SystemExit):
                 if self.snapshot.time != self._simulator.time:
                     self._take_tick()  # the tables must match the simulator
                 raise
@@ -364,7 +364,7 @@ class SteppedSimulation(Observable):
             if recorder is not None:
                 try:
                     recorder.record(self.snapshot)
-                except (SelectScriptError, KeyboardInterrupt) as error:
+                except BaseException as error:  # noqa: BLE001  # a signal may raise any
                     failure = failure or error  # the other recorders still get the tick
         if failure is not None:
             raise failure

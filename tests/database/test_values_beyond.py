@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import datetime as dt
 
 import pytest
 
@@ -54,7 +54,7 @@ def test_integers_that_arrow_holds(ss):
 def test_times_of_day_with_a_zone():
     """Strict SQL has no such type."""
     ss = ssduck.Interpreter()
-    with pytest.raises(SqlError, match="'v' has times of day with a zone.*: cast them to VARCHAR"):
+    with pytest.raises(SqlError, match=r"'v' has times of day with a zone.*: cast them to VARCHAR"):
         ss.sql("SELECT '12:00:00+15:00'::TIMETZ AS v")
     sql = "SELECT '12:00:00+15:00'::TIMETZ::VARCHAR, 1.5::DECIMAL(4, 2)::VARCHAR"
     assert ss.sql(sql).fetchall() == [("12:00:00+15", "1.50")]
@@ -93,8 +93,8 @@ def test_dates_beyond_pythons(ss, value):
 
 def test_the_last_dates_of_python(ss):
     sql = "SELECT DATE '9999-12-31', DATE '0001-01-01', TIME '23:59:59.999999', NULL::TIME"
-    day = datetime.time(23, 59, 59, 999999)
-    assert ss.sql(sql).fetchall() == [(datetime.date.max, datetime.date.min, day, None)]
+    day = dt.time(23, 59, 59, 999999)
+    assert ss.sql(sql).fetchall() == [(dt.date.max, dt.date.min, day, None)]
 
 
 @pytest.mark.parametrize("ending", ["csv", "json", "md"])

@@ -1,4 +1,4 @@
-"""Ctrl-C while ticks are stored: each of them is stored once, in all formats."""
+"""Ctrl-C and SIGTERM while ticks are stored: each of them is stored once, in all formats."""
 
 from __future__ import annotations
 
@@ -30,12 +30,16 @@ PARTS = f"{Path(ssduck.__file__).parent}/"
 class Presser:
     """Presses Ctrl-C before a line of ssduck's that comes after so many others.
 
+    Args:
+        line: the number of the line.
+        number: another signal that comes there.
+
     Attributes:
         count: the number of lines so far.
     """
 
-    def __init__(self, line: float) -> None:
-        self._line = line
+    def __init__(self, line: float, number: int = signal.SIGINT) -> None:
+        self._line, self._number = line, number
         self.count = 0
 
     def __enter__(self):
@@ -51,7 +55,7 @@ class Presser:
         if event == "line":
             self.count += 1
             if self.count == self._line:
-                signal.raise_signal(signal.SIGINT)
+                signal.raise_signal(self._number)
         return self._trace
 
 
@@ -60,6 +64,9 @@ class InDatabase:
 
     def __init__(self, file: Path) -> None:
         self.ss = ssduck.load("kitchen", file, recording=ssduck.Recording(tables=("entities",)))
+
+    def step(self) -> None:
+        self.ss["kitchen"].step(2, every=1)
 
     def flush(self) -> None:
         self.ss.flush()
@@ -76,6 +83,9 @@ class InRunningFolder:
         self._recording = self.ss.record_to(
             folder, recording=ssduck.Recording(tables=("entities",))
         )
+
+    def step(self) -> None:
+        self.ss["kitchen"].step(2, every=1)
 
     def flush(self) -> None:
         self._recording.flush()
@@ -123,6 +133,40 @@ def test_all_is_stored_once(form, method, tmp_path):
     for press in range(PRESSES):
         line = 1 + press * (count - 1) // (PRESSES - 1)
         stored_once(tmp_path / f"{line}.duckdb", line, form, method)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has another SIGTERM")
+@pytest.mark.parametrize("method", ["step", "flush", "close"])
+@pytest.mark.parametrize("form", [InDatabase, InRunningFolder])
+def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
+    """Its handler is one that exits, as many programs have; the record is closed on the way."""
+
+    def ended(line: float) -> int:
+        path = tmp_path / f"{line}.duckdb"
+        recorded = form(path)
+        recorded.ss["kitchen"].step(TICKS, every=1)
+        with suppress(SystemExit), Presser(line, signal.SIGTERM) as presser:
+            getattr(recorded, method)()
+        recorded.close()
+        with ssduck.open(path) as ss:
+            sql = "SELECT count(*), count(DISTINCT (tick, id)), max(tick) FROM entities_history"
+            rows, different, last = ss.sql(sql).fetchall()[0]
+            ticks = ss.sql("SELECT count(*), count(DISTINCT tick) FROM ticks_history").fetchall()
+            bodies = ss.sql("SELECT count(*) FROM entities").fetchall()[0][0]
+        ((count, different_ticks),) = ticks
+        assert count == different_ticks >= TICKS + 1
+        assert rows == different == count * bodies
+        assert last == ssduck.episodes(path)[0].last_tick
+        assert ssduck.check(path) == []
+        return presser.count
+
+    kept = signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        count = ended(math.inf)
+        for press in range(PRESSES):
+            ended(1 + press * (count - 1) // (PRESSES - 1))
+    finally:
+        signal.signal(signal.SIGTERM, kept)
 
 
 @pytest.mark.parametrize("form", [InDatabase, InRunningFolder])

@@ -1,4 +1,4 @@
-"""Ctrl-C at any place of a context that defers it: it is delivered, and its handler is back."""
+"""Signals at any place of a context that defers them: they are delivered, and their handlers stay."""
 
 from __future__ import annotations
 
@@ -58,4 +58,78 @@ def test_the_handler_is_back_wherever_ctrl_c_comes():
         gc.collect()
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
         assert not ctrl_c._replaced
-        assert not ctrl_c._is_pressed
+        assert not ctrl_c._noted
+
+
+class TimeIsUpError(Exception):
+    """What a handler of SIGALRM may raise."""
+
+
+def time_is_up(*_):
+    raise TimeIsUpError
+
+
+UNIX = pytest.mark.skipif(not hasattr(signal, "SIGALRM"), reason="Windows has no such signal")
+
+
+def with_an_alarm(presser):
+    """Has an alarm come in a context that defers it."""
+    sys.settrace(presser.trace)
+    try:
+        with ctrl_c.deferred():
+            signal.raise_signal(signal.SIGALRM)
+            with ctrl_c.allowed():
+                pass
+    finally:
+        sys.settrace(None)
+
+
+@UNIX
+def test_the_handlers_are_back_whichever_of_two_signals_raises():
+    """An alarm comes, and Ctrl-C at any place: one error follows from the other, or is the only."""
+    kept = signal.signal(signal.SIGALRM, time_is_up)
+    try:
+        for event in (None, *range(2, with_ctrl_c_at(None)[1])):
+            with pytest.raises((KeyboardInterrupt, TimeIsUpError)) as caught:
+                with_an_alarm(Presser(event))
+            assert event is not None or caught.type is TimeIsUpError
+            del caught
+            gc.collect()
+            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+            assert signal.getsignal(signal.SIGALRM) is time_is_up
+            assert not ctrl_c._replaced
+            assert not ctrl_c._noted
+    finally:
+        signal.signal(signal.SIGALRM, kept)
+
+
+@UNIX
+def test_a_handler_is_called_as_often_as_its_signal_came():
+    """`ssduck record` ends after one, and at once after two."""
+    calls = []
+
+    def first(number, _):
+        calls.append("first")
+        signal.signal(number, second)
+
+    def second(*_):
+        calls.append("second")
+
+    kept = signal.signal(signal.SIGTERM, first)
+    try:
+        with ctrl_c.deferred():
+            with ctrl_c.deferred():
+                signal.raise_signal(signal.SIGTERM)
+                signal.raise_signal(signal.SIGTERM)
+            assert not calls
+        assert calls == ["first", "second"]
+        with ctrl_c.deferred():
+            signal.raise_signal(signal.SIGTERM)
+            with ctrl_c.allowed():
+                assert calls[2:] == ["second"]
+                signal.signal(signal.SIGTERM, first)
+            signal.raise_signal(signal.SIGTERM)
+        assert calls[3:] == ["first"]
+        assert signal.getsignal(signal.SIGTERM) is second
+    finally:
+        signal.signal(signal.SIGTERM, kept)

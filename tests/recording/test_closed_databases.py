@@ -1,0 +1,136 @@
+"""DuckDB files that are damaged, in use or closed to the user: the error says which it is."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import ssduck
+from ssduck.errors import RecordError, SqlError
+from tests.support.command_line import ssduck_
+
+HEADER = 12_288
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A DuckDB file with two episodes."""
+    file = tmp_path_factory.mktemp("recorded") / "run.duckdb"
+    with ssduck.load("kitchen", file) as ss:
+        ss["kitchen"].step()
+        ss.record("kitchen", ssduck.Recording())
+        ss["kitchen"].step()
+    return file
+
+
+@pytest.fixture
+def file(recorded, tmp_path):
+    return shutil.copy(recorded, tmp_path / "run.duckdb")
+
+
+DOORS = {
+    "open": ssduck.open,
+    "an episode": lambda file: ssduck.open(file, episode=0),
+    "partial": lambda file: ssduck.open(file, partial=True),
+    "strict": lambda file: ssduck.open(file, limits=ssduck.Limits.strict()),
+    "episodes": ssduck.episodes,
+    "upgrade": lambda file: ssduck.upgrade(file, file.parent / "upgraded"),
+    "check": ssduck.check,
+    "repair": lambda file: ssduck.check(file, repair=True),
+}
+
+
+@pytest.fixture
+def as_nobody():
+    """Another user than root, who may read everything."""
+    if os.name == "nt":
+        pytest.skip("Windows has other permissions")
+    if os.geteuid() != 0:
+        yield
+        return
+    os.seteuid(65534)
+    yield
+    os.seteuid(0)
+
+
+@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.parametrize("ending", ["", ".wal"])
+def test_a_file_without_permission(file, door, ending, request):
+    ssduck.check(file)  # imports what another user may not read
+    for folder in file.parents:
+        if folder.stat().st_uid == os.getuid() and not folder.stat().st_mode & 1:
+            folder.chmod(0o711)
+    closed = file.with_name(file.name + ending)
+    closed.touch()
+    closed.chmod(0)
+    before = sorted(file.parent.iterdir())
+    request.getfixturevalue("as_nobody")
+    with pytest.raises(RecordError, match=f'"{closed}": Permission denied') as caught:
+        DOORS[door](file)
+    assert isinstance(caught.value, PermissionError)
+    assert str(caught.value).startswith(f"{file} cannot be opened")
+    if os.geteuid() == 65534:
+        os.seteuid(0)
+    assert sorted(file.parent.iterdir()) == before
+
+
+def flipped(file):
+    """Flips a bit in each block, and checks that DuckDB sees it."""
+    content = bytearray(file.read_bytes())
+    for place in range(HEADER + 100, len(content), 4096):
+        content[place] ^= 1
+    file.write_bytes(content)
+    return file
+
+
+@pytest.mark.parametrize("door", ["check", "repair"])
+def test_the_check_of_a_file_that_cannot_be_opened(file, door):
+    """It does not say that a check tells more."""
+    with pytest.raises(RecordError, match="nothing of it can be read: put a copy back") as caught:
+        DOORS[door](flipped(file))
+    assert str(caught.value).startswith(f"{file} is damaged")
+    assert "ssduck check" not in str(caught.value)
+
+
+def test_another_recording_into_a_damaged_file(file):
+    """It is not in use: a block is no lock."""
+    with pytest.raises(SqlError, match=r"is damaged.*block.*`ssduck check`") as caught:
+        ssduck.load("kitchen", flipped(file))
+    assert "in use" not in str(caught.value)
+
+
+USES = (
+    "import ssduck, sys; ss = ssduck.load('kitchen', sys.argv[1]); print('on', flush=True); input()"
+)
+
+
+@pytest.mark.parametrize("door", DOORS)
+def test_a_file_in_use(door, recorded, tmp_path):
+    """Its log stays where it is, though the path says that it is damaged."""
+    (tmp_path / "damaged").mkdir()
+    file = shutil.copy(recorded, tmp_path / "damaged" / "run.duckdb")
+    with subprocess.Popen(
+        [sys.executable, "-c", USES, str(file)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout.readline() == "on\n"
+        log = file.with_name("run.duckdb.wal")
+        assert log.exists()
+        with pytest.raises(RecordError, match="in use by another process"):
+            DOORS[door](file)
+        assert sorted(file.parent.iterdir()) == [file, log]
+        process.communicate("\n")
+    assert ssduck.check(file) == []
+    assert len(ssduck.episodes(file)) == 3
+
+
+def test_the_command_line(file):
+    done = ssduck_("check", "--repair", str(flipped(file)))
+    assert done.exit_code == 1
+    assert "nothing of it can be read: put a copy back" in done.stderr
