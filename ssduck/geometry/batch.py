@@ -296,15 +296,17 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
 
 def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides a few convex shapes by what decided them before, and by proposals of FCL."""
-    decisions = Decisions.none(len(first))
     if len(first) > _MAX_PROPOSALS:
-        return decisions
+        return Decisions.none(len(first))
     proposer = tick.table.proposer
-    are_known = proposer.interiors.are_known
+    interiors, poses = proposer.interiors, (tick.positions, tick.matrices)
+    if interiors.are_all_known:
+        return proposer.decide(tick.placed_cores, poses, first, second, bounds)
+    decisions, are_known = Decisions.none(len(first)), interiors.are_known
     indices = np.flatnonzero(are_known.take(first) & are_known.take(second))
     if not len(indices):
         return decisions
-    poses, pairs = (tick.positions, tick.matrices), (first.take(indices), second.take(indices))
+    pairs = first.take(indices), second.take(indices)
     found = proposer.decide(tick.placed_cores, poses, *pairs, bounds.take(indices))
     decisions.decide(indices, found.verdicts, found.room)
     return decisions

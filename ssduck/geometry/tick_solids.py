@@ -12,7 +12,13 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
-from ssduck.geometry.poses import placed_point, rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.poses import (
+    flat_rotation_matrices,
+    placed_point,
+    rotate,
+    stacked_matrices,
+    unit_quaternions,
+)
 from ssduck.geometry.solids import Solid
 
 T = TypeVar("T")
@@ -202,7 +208,7 @@ class TickSolids:
         """Whether the pose of each shape is finite."""
         positions, orientations = self.positions, self._unit_orientations
         with np.errstate(over="ignore", invalid="ignore"):
-            total = float(positions.sum()) + float(orientations.sum())
+            total = np.add.reduce(positions, axis=None) + np.add.reduce(orientations, axis=None)
         if math.isfinite(total):  # then all of them are
             return np.ones(len(positions), dtype=bool)
         poses = np.concatenate((positions, orientations), axis=1)
@@ -244,10 +250,15 @@ class TickSolids:
         return moved
 
     @cached_property
+    def rotations(self) -> Array:
+        """The rotation matrices, (9, n), row by row."""
+        with np.errstate(invalid="ignore"):
+            return flat_rotation_matrices(self._unit_orientations)
+
+    @cached_property
     def matrices(self) -> Array:
         """The rotation matrices, (n, 3, 3)."""
-        with np.errstate(invalid="ignore"):
-            return rotation_matrices(self._unit_orientations)
+        return stacked_matrices(self.rotations)
 
 
 class _OfShapes(dict[int, T]):

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from ssduck.geometry.proofs import kept_columns, proposals
-from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
+from ssduck.geometry.proofs.gjk import tolerances
+from ssduck.geometry.proofs.kept_proposals import KeptProposals
 from ssduck.geometry.proofs.pair_proofs import PlacedInterior, pair_proof
-from ssduck.geometry.proofs.proposals import Proof, Proposer, proposals_of
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
+from ssduck.geometry.proofs.proposals import Proof, Proposals, Proposer, proposals_of
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
 from tests.support.pairs import gap
@@ -52,7 +53,8 @@ def decisions(two, bound, spoil=lambda proposals: proposals):
     scene = Scene(two)
     proposed = spoil(proposals_of(scene.proposer.ask(scene.poses, *scene.pairs)))
     proof = Proof(scene.cores, scene.proposer.interiors, proposed, *scene.pairs)
-    return proof.decisions(np.full(len(scene.first), bound)), scene.gaps()
+    bounds, error = np.full(len(scene.first), bound), tolerances(scene.cores, *scene.pairs)
+    return Decisions.of_interval(proof.least, proof.greatest, bounds, error), scene.gaps()
 
 
 def check(found, gaps, bound):
@@ -201,7 +203,7 @@ def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):
     for start in (0, 6, 12):
         keys = np.arange(start, start + 6)
         directions = np.full((3, 6), float(start))
-        kept.keep(keys, np.concatenate((directions, np.zeros((7, 6)))))
+        kept.keep(keys, np.concatenate((directions, np.zeros((6, 6)))))
         places, columns = kept.find(np.arange(20))
         assert places.tolist() == keys.tolist()
         assert (columns[0] == start).all()
