@@ -10,7 +10,7 @@ import pytest
 
 from ssduck.geometry.proofs import kept_columns, proposals
 from ssduck.geometry.proofs.gjk import tolerances
-from ssduck.geometry.proofs.kept_proposals import KeptProposals
+from ssduck.geometry.proofs.kept_proposals import KeptProposals, proved_again
 from ssduck.geometry.proofs.pair_proofs import PlacedInterior, pair_proof
 from ssduck.geometry.proofs.proposals import Proof, Proposals, Proposer, proposals_of
 from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
@@ -88,6 +88,37 @@ def test_wrong_proposals_give_no_wrong_verdict(bound, size):
         return Proposals(points, directions, one.meet ^ (random.random(len(one.meet)) < 0.5))
 
     check(*decisions(random_pairs(6, 3), bound, spoil), bound)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3, 0.1, 10.0])
+def test_whatever_is_kept_of_pairs_bounds_their_signed_distances(size):
+    scene, random = Scene(random_pairs(12, 4)), np.random.default_rng(13)
+    proposed = proposals_of(scene.proposer.ask(scene.poses, *scene.pairs))
+    interiors, gaps = scene.proposer.interiors, scene.gaps()
+    columns = Proof(scene.cores, interiors, proposed, *scene.pairs).columns
+    columns += random.normal(size=columns.shape) * size
+    columns[:3] /= np.linalg.norm(columns[:3], axis=0)
+    least, greatest = proved_again(scene.cores, interiors, *scene.pairs, columns)
+    error = tolerances(scene.cores, *scene.pairs)
+    assert (least - error <= gaps).all()
+    assert (gaps <= greatest + error).all()
+    if size < 0.1:  # and closely
+        assert (least > gaps - size - 1e-6)[gaps > 0.0].mean() > 0.7
+        assert (np.isfinite(greatest) & (greatest < 0.0))[gaps < -0.02].mean() > 0.7
+
+
+def test_points_without_a_direction_between_them_are_kept_with_some_direction():
+    scene = Scene(random_pairs(14, 2))
+    centres = np.array([scene.cores.centres[:, side] for side in scene.pairs])
+    nowhere, apart = np.zeros_like(centres[0]), np.zeros(len(scene.first), dtype=bool)
+    interiors, gaps = scene.proposer.interiors, scene.gaps()
+    proof = Proof(scene.cores, interiors, Proposals(centres, nowhere, apart), *scene.pairs)
+    assert np.linalg.norm(proof.columns[:3], axis=0) == pytest.approx(np.ones(len(gaps)))
+    again = proved_again(scene.cores, interiors, *scene.pairs, proof.columns)
+    error = tolerances(scene.cores, *scene.pairs)
+    for least, greatest in ((proof.least, proof.greatest), again):
+        assert (least - error <= gaps).all()
+        assert (gaps <= greatest + error).all()
 
 
 def moved(shapes, random, far):
