@@ -38,6 +38,7 @@ from ssduck.geometry.tick_shapes import (
 _MIN_BOXES = 8
 # The number of pairs of boxes that the narrow phase compares faster than rules for many pairs.
 _FEW_BOXES = 2
+_BELOW, _ABOVE = np.int8(BELOW), np.int8(ABOVE)
 # The greatest number of pairs for which FCL's proposals are faster than other rules.
 _MAX_PROPOSALS = 128
 
@@ -296,15 +297,17 @@ def _by_spheres(tick: TickShapes, first: Indices, second: Indices, bounds: Array
 
 def _by_proposals(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides a few convex shapes by what decided them before, and by proposals of FCL."""
-    decisions = Decisions.none(len(first))
     if len(first) > _MAX_PROPOSALS:
-        return decisions
+        return Decisions.none(len(first))
     proposer = tick.table.proposer
-    are_known = proposer.interiors.are_known
+    interiors, poses = proposer.interiors, (tick.positions, tick.matrices)
+    if interiors.are_all_known:
+        return proposer.decide(tick.placed_cores, poses, first, second, bounds)
+    decisions, are_known = Decisions.none(len(first)), interiors.are_known
     indices = np.flatnonzero(are_known.take(first) & are_known.take(second))
     if not len(indices):
         return decisions
-    poses, pairs = (tick.positions, tick.matrices), (first.take(indices), second.take(indices))
+    pairs = first.take(indices), second.take(indices)
     found = proposer.decide(tick.placed_cores, poses, *pairs, bounds.take(indices))
     decisions.decide(indices, found.verdicts, found.room)
     return decisions
@@ -355,16 +358,24 @@ def _by_planes(tick: TickShapes, first: Indices, second: Indices, bounds: Array)
 
 def _by_axes(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
     """Decides boxes exactly, by separating axes."""
+    if tick.table.are_all_boxes:
+        return _by_depths(tick, first, second, bounds)
     decisions = Decisions.none(len(first))
     indices = pairs_of_boxes(tick.table, first, second)
-    if not len(indices):
-        return decisions
-    boxes = first[indices], second[indices]
-    depths, error = box_depths(tick.placed_cores, *boxes), tolerances(tick.placed_cores, *boxes)
-    gaps = -depths - bounds[indices]
-    room = np.maximum(np.abs(gaps) - error, 0.0)
-    decisions.decide(indices, np.where(gaps < 0.0, BELOW, ABOVE), room)
+    if len(indices):
+        found = _by_depths(tick, first[indices], second[indices], bounds[indices])
+        decisions.decide(indices, found.verdicts, found.room)
     return decisions
+
+
+def _by_depths(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:
+    """Decides pairs of boxes exactly, by separating axes."""
+    gaps = -box_depths(tick.placed_cores, first, second)
+    gaps -= bounds
+    verdicts = np.where(gaps < 0.0, _BELOW, _ABOVE)
+    room = np.abs(gaps, out=gaps)
+    room -= tolerances(tick.placed_cores, first, second)
+    return Decisions(verdicts, np.maximum(room, 0.0, out=room))
 
 
 def _by_axes_if_sure(tick: TickShapes, first: Indices, second: Indices, bounds: Array) -> Decisions:

@@ -41,6 +41,8 @@ _MAX_DENSE_CELLS = 2.0**20
 _MAX_SWEPT = 1000
 # The largest number of boxes that are all compared with each other instead.
 _MAX_COMPARED = 128
+# Whether the row is before the column.
+_IS_FIRST = ~np.tri(_MAX_COMPARED, dtype=bool)
 # The number of candidates that are compared at a time.
 _CANDIDATES_AT_ONCE = 250_000
 # The number of pairs of boxes of two sets that are compared at a time; up to twice as many result.
@@ -98,9 +100,10 @@ def _compared_pairs(low: Array, high: Array) -> Pairs:
     is_box = begins_before.diagonal()
     if not is_box.all():
         overlaps &= is_box & is_box[:, None]
-    first, second = np.divmod(overlaps.ravel().nonzero()[0], len(overlaps))
-    is_first = (first < second).nonzero()[0]
-    return first.take(is_first), second.take(is_first)
+    count = len(overlaps)
+    overlaps &= _IS_FIRST[:count, :count]
+    first, second = np.divmod(overlaps.ravel().nonzero()[0], count)
+    return first, second
 
 
 def _pairs_of_unbounded(

@@ -182,7 +182,7 @@ class NarrowPhase:
         """Returns the shapes in arrays; the table has their other properties."""
         if table not in self._ticks:
             known = of_known_entities(table, self._tick.are_finite & table.is_known)
-            poses = self._tick.positions, self._tick.matrices
+            poses = self._tick.positions, self._tick.rotations
             self._ticks[table] = TickShapes(table, known, self._tick.boxes.T, *poses)
         return self._ticks[table]
 

@@ -26,7 +26,12 @@ def rotation_matrices(orientations: Array) -> Array:
     >>> rotation_matrices(np.array([[1.0, 0.0, 0.0, 0.0]]))[0].tolist()
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
-    return np.ascontiguousarray(flat_rotation_matrices(orientations).T).reshape(-1, 3, 3)
+    return stacked_matrices(flat_rotation_matrices(orientations))
+
+
+def stacked_matrices(rotations: Array) -> Array:
+    """Returns matrices (n, 3, 3), of (9, n), one row for each entry."""
+    return np.ascontiguousarray(rotations.T).reshape(-1, 3, 3)
 
 
 def flat_rotation_matrices(orientations: Array) -> Array:
@@ -142,11 +147,14 @@ _TERMS_OF_SECOND = np.array([0, 1, 2, 3, 1, 0, 0, 0, 2, 3, 1, 2, 3, 2, 3, 1])
 
 def unit_quaternions(orientations: Array) -> Array:
     """Returns quaternions (n, 4) scaled to length 1; NaN for a quaternion of length 0."""
-    squares = orientations * orientations
-    length = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2] + squares[:, 3])
+    columns = np.ascontiguousarray(orientations.T)  # operations on its rows cost less
+    squares = columns * columns
+    length = squares[0] + squares[1]
+    length += squares[2]
+    length += squares[3]
     with np.errstate(invalid="ignore", divide="ignore"):
-        unit: Array = orientations / length[:, None]
-    return unit
+        unit: Array = columns / np.sqrt(length, out=length)
+    return unit.T
 
 
 def compose(

@@ -428,7 +428,7 @@ class ShapeQueries:
     @property
     def reaches(self) -> Array:
         """The largest distances of the points of shapes from the origins of their frames, m."""
-        centres = np.sqrt((self._table.centre**2).sum(axis=1))
+        centres = np.sqrt((self._table.centres**2).sum(axis=0))
         reaches: Array = centres + self._table.bounding_radius
         return reaches
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.broad_phase import Pairs, overlapping_pairs
-from ssduck.geometry.poses import rotate
+from ssduck.geometry.poses import stacked_matrices
 from ssduck.geometry.proofs.cores import ConvexCores, PlacedCores
 from ssduck.geometry.proofs.kept_parts import KeptParts
 from ssduck.geometry.proofs.kept_verdicts import KeptVerdicts, ShapePoses
@@ -112,13 +112,20 @@ class ShapeTable:
         ]
         self.has_planes = bool(self.is_plane.any())
         self.is_box = np.array([solid.type == "box" for solid in solids], dtype=bool)[solid_indices]
+        self.are_all_boxes = bool(self.is_box.all())
         self.is_convex = np.array([solid.is_convex for solid in solids], dtype=bool)[solid_indices]
         self.are_all_convex = bool(self.is_convex.all())
         self.bounding_radius = np.array([solid.bounding_radius for solid in solids])[solid_indices]
-        self.centre = np.array([solid.centre for solid in solids]).reshape(-1, 3)[solid_indices]
-        self.inscribed_centre = np.array([solid.inscribed_centre for solid in solids]).reshape(
-            -1, 3
-        )[solid_indices]
+        # In the frames of the shapes, (3, n).
+        self.centres = (
+            np.array([solid.centre for solid in solids]).reshape(-1, 3).T[:, solid_indices]
+        )
+        self.inscribed_centres = (
+            np.array([solid.inscribed_centre for solid in solids])
+            .reshape(-1, 3)
+            .T[:, solid_indices]
+        )
+        self.are_off_centre = bool(self.centres.any() or self.inscribed_centres.any())
         self.inscribed_radius = np.array([solid.inscribed_radius for solid in solids])[
             solid_indices
         ]
@@ -192,32 +199,38 @@ class TickShapes:
         is_known: (n,), whether all poses and shapes of the entity are known.
         boxes: (6, n), lower corners, upper corners.
         positions: (n, 3).
-        matrices: (n, 3, 3).
+        rotations: (9, n), the rotation matrices, row by row.
     """
 
     table: ShapeTable
     is_known: Flags
     boxes: Array
     positions: Array
-    matrices: Array
+    rotations: Array
 
-    def to_world(self, points: Array) -> Array:
-        """Returns a point (n, 3) of each shape, transformed to the world."""
-        if not points.any():
-            return self.positions
-        with np.errstate(invalid="ignore"):
-            moved: Array = self.positions + rotate(self.matrices, points)
+    @cached_property
+    def matrices(self) -> Array:
+        """The rotation matrices, (n, 3, 3)."""
+        return stacked_matrices(self.rotations)
+
+    def _to_world(self, points: Array) -> Array:
+        """Returns a point (3, n) of each shape, transformed to the world."""
+        with np.errstate(invalid="ignore"):  # the terms of `rotate`, in its order
+            moved: Array = self.rotations[0::3] * points[0]
+            moved += self.rotations[1::3] * points[1]
+            moved += self.rotations[2::3] * points[2]
+            moved += self.positions.T
         return moved
 
     @cached_property
     def centres(self) -> Array:
         """The centres of the spheres around the shapes, (n, 3)."""
-        return self.to_world(self.table.centre)
+        return np.ascontiguousarray(self.placed_cores.centres.T)
 
     @cached_property
     def inscribed_centres(self) -> Array:
         """The centres of the spheres in the shapes, (n, 3)."""
-        return self.to_world(self.table.inscribed_centre)
+        return np.ascontiguousarray(self.placed_cores.inscribed_centres.T)
 
     @cached_property
     def poses(self) -> ShapePoses:
@@ -228,9 +241,12 @@ class TickShapes:
     @cached_property
     def placed_cores(self) -> PlacedCores:
         """The cores of the shapes."""
-        rotations = np.ascontiguousarray(self.matrices.transpose(1, 2, 0)).reshape(9, -1)
-        centres, inscribed = map(np.ascontiguousarray, (self.centres.T, self.inscribed_centres.T))
-        return PlacedCores(self.table.cores, rotations, centres, inscribed)
+        table = self.table
+        centres = inscribed = np.ascontiguousarray(self.positions.T)
+        if table.are_off_centre:
+            centres = self._to_world(table.centres)
+            inscribed = self._to_world(table.inscribed_centres)
+        return PlacedCores(table.cores, self.rotations, centres, inscribed)
 
     def owners(self, first: Indices, second: Indices) -> Indices:
         """Returns the pairs of entities that own pairs of shapes, as numbers; see `pair_number`."""

@@ -12,7 +12,13 @@ import numpy as np
 
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.placed_solid import PlacedSolid, Point, Quaternion
-from ssduck.geometry.poses import placed_point, rotate, rotation_matrices, unit_quaternions
+from ssduck.geometry.poses import (
+    flat_rotation_matrices,
+    placed_point,
+    rotate,
+    stacked_matrices,
+    unit_quaternions,
+)
 from ssduck.geometry.solids import Solid
 
 T = TypeVar("T")
@@ -99,23 +105,44 @@ class TickSolids:
 
     Attributes:
         places: see above.
-        are_known: whether the pose and the solid of each shape are known.
-        corners: the box of each shape: lower corner, upper corner.
-        centres: the centre of the sphere around each shape.
-        inscribed_centres: the centre of the sphere in each shape.
     """
 
     def __init__(self, shapes: ShapeSolids, places: ShapePlaces) -> None:
         self._shapes, self.places = shapes, places
         self._placed: dict[int, PlacedSolid] = {}
         self._ranks: dict[int, tuple[str | float, ...]] = {}
-        own, most = weakref.ref(self), max(MAX_SINGLE, len(self._shapes.indices) // SINGLE_IN)
-        self._poses = _OfShapes(own, most, TickSolids._pose, TickSolids._all_poses)
-        self.are_known = _OfShapes(own, most, TickSolids._is_known, TickSolids._all_known)
-        self.corners = _OfShapes(own, most, TickSolids._corners_of, TickSolids._all_corners)
-        self.centres = _OfShapes(own, most, TickSolids._centre, TickSolids._all_centres)
-        inscribed = TickSolids._inscribed_centre, TickSolids._all_inscribed_centres
-        self.inscribed_centres = _OfShapes(own, most, *inscribed)
+
+    # All pairs of a tick at once need none of these.
+
+    @cached_property
+    def are_known(self) -> _OfShapes[bool]:
+        """Whether the pose and the solid of each shape are known."""
+        return self._of_shapes(TickSolids._is_known, TickSolids._all_known)
+
+    @cached_property
+    def corners(self) -> _OfShapes[list[float]]:
+        """The box of each shape: lower corner, upper corner."""
+        return self._of_shapes(TickSolids._corners_of, TickSolids._all_corners)
+
+    @cached_property
+    def centres(self) -> _OfShapes[list[float]]:
+        """The centre of the sphere around each shape."""
+        return self._of_shapes(TickSolids._centre, TickSolids._all_centres)
+
+    @cached_property
+    def inscribed_centres(self) -> _OfShapes[list[float]]:
+        """The centre of the sphere in each shape."""
+        return self._of_shapes(TickSolids._inscribed_centre, TickSolids._all_inscribed_centres)
+
+    @cached_property
+    def _poses(self) -> _OfShapes[tuple[Point, Quaternion]]:
+        return self._of_shapes(TickSolids._pose, TickSolids._all_poses)
+
+    def _of_shapes(
+        self, of_one: Callable[[TickSolids, int], T], of_all: Callable[[TickSolids], Sequence[T]]
+    ) -> _OfShapes[T]:
+        most = max(MAX_SINGLE, len(self._shapes.indices) // SINGLE_IN)
+        return _OfShapes(weakref.ref(self), most, of_one, of_all)
 
     def placed(self, shape: int) -> PlacedSolid:
         """Returns a shape in the world."""
@@ -202,7 +229,7 @@ class TickSolids:
         """Whether the pose of each shape is finite."""
         positions, orientations = self.positions, self._unit_orientations
         with np.errstate(over="ignore", invalid="ignore"):
-            total = float(positions.sum()) + float(orientations.sum())
+            total = np.add.reduce(positions, axis=None) + np.add.reduce(orientations, axis=None)
         if math.isfinite(total):  # then all of them are
             return np.ones(len(positions), dtype=bool)
         poses = np.concatenate((positions, orientations), axis=1)
@@ -244,10 +271,15 @@ class TickSolids:
         return moved
 
     @cached_property
+    def rotations(self) -> Array:
+        """The rotation matrices, (9, n), row by row."""
+        with np.errstate(invalid="ignore"):
+            return flat_rotation_matrices(self._unit_orientations)
+
+    @cached_property
     def matrices(self) -> Array:
         """The rotation matrices, (n, 3, 3)."""
-        with np.errstate(invalid="ignore"):
-            return rotation_matrices(self._unit_orientations)
+        return stacked_matrices(self.rotations)
 
 
 class _OfShapes(dict[int, T]):

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from ssduck.geometry.proofs import kept_columns, proposals
-from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals
+from ssduck.geometry.proofs.gjk import tolerances
+from ssduck.geometry.proofs.kept_proposals import KeptProposals, proved_again
 from ssduck.geometry.proofs.pair_proofs import PlacedInterior, pair_proof
-from ssduck.geometry.proofs.proposals import Proof, Proposer, proposals_of
-from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED
+from ssduck.geometry.proofs.proposals import Proof, Proposals, Proposer, proposals_of
+from ssduck.geometry.proofs.verdicts import ABOVE, BELOW, UNDECIDED, Decisions
 from ssduck.geometry.solids import solid_of
 from tests.support import pairs
 from tests.support.pairs import gap
@@ -52,7 +53,8 @@ def decisions(two, bound, spoil=lambda proposals: proposals):
     scene = Scene(two)
     proposed = spoil(proposals_of(scene.proposer.ask(scene.poses, *scene.pairs)))
     proof = Proof(scene.cores, scene.proposer.interiors, proposed, *scene.pairs)
-    return proof.decisions(np.full(len(scene.first), bound)), scene.gaps()
+    bounds, error = np.full(len(scene.first), bound), tolerances(scene.cores, *scene.pairs)
+    return Decisions.of_interval(proof.least, proof.greatest, bounds, error), scene.gaps()
 
 
 def check(found, gaps, bound):
@@ -86,6 +88,37 @@ def test_wrong_proposals_give_no_wrong_verdict(bound, size):
         return Proposals(points, directions, one.meet ^ (random.random(len(one.meet)) < 0.5))
 
     check(*decisions(random_pairs(6, 3), bound, spoil), bound)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-3, 0.1, 10.0])
+def test_whatever_is_kept_of_pairs_bounds_their_signed_distances(size):
+    scene, random = Scene(random_pairs(12, 4)), np.random.default_rng(13)
+    proposed = proposals_of(scene.proposer.ask(scene.poses, *scene.pairs))
+    interiors, gaps = scene.proposer.interiors, scene.gaps()
+    columns = Proof(scene.cores, interiors, proposed, *scene.pairs).columns
+    columns += random.normal(size=columns.shape) * size
+    columns[:3] /= np.linalg.norm(columns[:3], axis=0)
+    least, greatest = proved_again(scene.cores, interiors, *scene.pairs, columns)
+    error = tolerances(scene.cores, *scene.pairs)
+    assert (least - error <= gaps).all()
+    assert (gaps <= greatest + error).all()
+    if size < 0.1:  # and closely
+        assert (least > gaps - size - 1e-6)[gaps > 0.0].mean() > 0.7
+        assert (np.isfinite(greatest) & (greatest < 0.0))[gaps < -0.02].mean() > 0.7
+
+
+def test_points_without_a_direction_between_them_are_kept_with_some_direction():
+    scene = Scene(random_pairs(14, 2))
+    centres = np.array([scene.cores.centres[:, side] for side in scene.pairs])
+    nowhere, apart = np.zeros_like(centres[0]), np.zeros(len(scene.first), dtype=bool)
+    interiors, gaps = scene.proposer.interiors, scene.gaps()
+    proof = Proof(scene.cores, interiors, Proposals(centres, nowhere, apart), *scene.pairs)
+    assert np.linalg.norm(proof.columns[:3], axis=0) == pytest.approx(np.ones(len(gaps)))
+    again = proved_again(scene.cores, interiors, *scene.pairs, proof.columns)
+    error = tolerances(scene.cores, *scene.pairs)
+    for least, greatest in ((proof.least, proof.greatest), again):
+        assert (least - error <= gaps).all()
+        assert (gaps <= greatest + error).all()
 
 
 def moved(shapes, random, far):
@@ -201,7 +234,7 @@ def test_the_number_of_pairs_whose_proposals_are_kept_is_bounded(monkeypatch):
     for start in (0, 6, 12):
         keys = np.arange(start, start + 6)
         directions = np.full((3, 6), float(start))
-        kept.keep(keys, np.concatenate((directions, np.zeros((7, 6)))))
+        kept.keep(keys, np.concatenate((directions, np.zeros((6, 6)))))
         places, columns = kept.find(np.arange(20))
         assert places.tolist() == keys.tolist()
         assert (columns[0] == start).all()

@@ -220,11 +220,7 @@ def _hull_support_points(hulls: Array, rows: Indices, directions: Array) -> Arra
         starts = range(0, len(rows), step)
         batches = [(rows[i : i + step], directions[:, i : i + step]) for i in starts]
         return np.concatenate([_hull_support_points(hulls, *b) for b in batches], axis=1)
-    products = hulls.take(rows, axis=1)
-    products *= directions[:, :, None]
-    heights = products[0]
-    heights += products[1]
-    heights += products[2]
+    heights = np.einsum("cmk,cm->mk", hulls.take(rows, axis=1), directions)
     farthest = heights.argmax(axis=1)
     farthest += rows * size
     support_points: Array = hulls.reshape(3, -1).take(farthest, axis=1)

@@ -10,7 +10,7 @@ import numpy as np
 from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.columns import column_lengths, padded_columns
 from ssduck.geometry.proofs.cores import corners_from_centre
-from ssduck.geometry.proofs.pair_proofs import Interior
+from ssduck.geometry.proofs.pair_proofs import Interior, ball_margin
 from ssduck.geometry.solids import Solid
 
 
@@ -27,12 +27,14 @@ class ConvexInteriors:
 
     Attributes:
         are_known: (n,), whether the shape has a formula.
+        are_all_known: whether all have.
     """
 
     def __init__(self, solids: Sequence[Solid], solid_indices: Indices) -> None:
         self.are_known: Flags = np.array([_has_inside(s) for s in solids], dtype=bool)[
             solid_indices
         ]
+        self.are_all_known = bool(self.are_known.all())
         # One array: to take some of its columns takes one call.
         numbers = np.array([_numbers(solid) for solid in solids]).reshape(-1, _ROWS).T
         self._numbers = numbers[:, solid_indices]
@@ -84,13 +86,13 @@ class SomeInteriors:
         planes: (hulls, 4, l), the normals and the offsets of hulls.
 
     Attributes:
-        bounding_radii: (m,), metres.
         inscribed_offsets: (3, m), the centres of the balls in the solids.
+        margins: (m,), by how much the radii of balls in the solids are less than depths, metres.
     """
 
     def __init__(self, numbers: Array, hull_rows: Indices, corners: Array, planes: Array) -> None:
         self._numbers = numbers
-        self.inscribed_offsets, self.bounding_radii = numbers[16:19], numbers[20]
+        self.inscribed_offsets, self.margins = numbers[16:19], numbers[20]
         self._hulls = np.flatnonzero(hull_rows >= 0)
         if len(self._hulls):
             rows = hull_rows.take(self._hulls)
@@ -145,15 +147,14 @@ def _numbers(solid: Solid) -> list[float]:
 
     0 half the sides of the box and 3 the axes of the ellipsoid whose sum it is, with the ball of
     radius 19 around. 6 the distances of planes, 9 half the sides of the core, 12 the scales around
-    it, 15 the radius at which these are 1. 16 the centre of the ball in it; 20 the radius of that
-    around it.
+    it, 15 the radius at which these are 1. 16 the centre of the ball in it; 20 see `ball_margin`.
     """
     if not _has_inside(solid):
         return [0.0] * _ROWS
     half = solid.core[-1].tolist() if solid.type in ("box", "capsule", "cylinder") else [0.0] * 3
     inside = np.subtract(solid.inscribed_centre, solid.centre).tolist()
-    radii = solid.radius, solid.bounding_radius
-    return [*half, *solid.semi_axes, *_scaled_numbers(solid), *inside, *radii]
+    last = solid.radius, ball_margin(solid.bounding_radius)
+    return [*half, *solid.semi_axes, *_scaled_numbers(solid), *inside, *last]
 
 
 def _scaled_numbers(solid: Solid) -> list[float]:

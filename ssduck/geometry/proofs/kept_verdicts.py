@@ -109,9 +109,8 @@ class KeptVerdicts:
     def find(self, poses: ShapePoses, first: Indices, second: Indices) -> Decisions:
         """Returns the verdicts on pairs of shapes that still hold, with the room that is left."""
         kept = self._kept
-        found = Decisions.none(len(first))
         if kept is None or not len(kept.keys):
-            return found
+            return Decisions.none(len(first))
         keys = pair_keys(first, second)
         places = kept.keys.searchsorted(keys)
         room = kept.decisions.room.take(places, mode="clip")
@@ -122,9 +121,10 @@ class KeptVerdicts:
             holds |= are_still.take(first) & are_still.take(second)
         holds &= kept.keys.take(places, mode="clip") == keys
         verdicts = kept.decisions.verdicts.take(places, mode="clip")
-        np.copyto(found.verdicts, verdicts, where=holds)
-        np.copyto(found.room, np.maximum(room, 0.0), where=holds)
-        return found
+        verdicts *= holds
+        room = np.maximum(room, 0.0, out=room)
+        room[~holds] = 0.0
+        return Decisions(verdicts, room)
 
     def keep(
         self, poses: ShapePoses, first: Indices, second: Indices, decisions: Decisions

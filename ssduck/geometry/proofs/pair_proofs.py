@@ -17,6 +17,17 @@ Vector: TypeAlias = Sequence[float]
 SHRINK = 1e-8
 
 
+def ball_margin(bounding_radius: float) -> float:
+    """Returns by how much the radius of a ball in a solid is less than the depth of its centre.
+
+    It is far more than the rounding errors of depths.
+
+    Args:
+        bounding_radius: the radius of the ball around the solid, metres.
+    """
+    return 2.0 * SHRINK * bounding_radius
+
+
 class Interior:
     """The interior of a convex solid with an inside, in its frame from the solid's centre.
 
@@ -27,7 +38,7 @@ class Interior:
 
     Attributes:
         middle: the centre of the ball in it, metres.
-        bounding_radius: the radius of the ball around it, metres.
+        margin: see `ball_margin`, metres.
     """
 
     def __init__(
@@ -37,7 +48,7 @@ class Interior:
         self._half, self._axes, self._radius = numbers[0:3], numbers[3:6], numbers[19]
         self._walls, self._core = numbers[6:9], numbers[9:12]
         self._scales, self._scaled_radius = numbers[12:15], numbers[15]
-        self.middle, self.bounding_radius = numbers[16:19], numbers[20]
+        self.middle, self.margin = numbers[16:19], numbers[20]
 
     def height(self, direction: Vector) -> float:
         """Returns the extent from the centre in a unit direction, metres."""
@@ -95,7 +106,7 @@ class PlacedInterior:
         Minus infinity for a point that may be outside.
         """
         depth = self.interior.depth(point)
-        return depth - 2.0 * SHRINK * self.interior.bounding_radius if depth >= 0.0 else -math.inf
+        return depth - self.interior.margin if depth >= 0.0 else -math.inf
 
 
 @dataclass(frozen=True)
@@ -129,14 +140,13 @@ def pair_proof(
     apart, meet = math.hypot(*between), any(towards)
     x, y, z = towards if meet else between
     length = math.hypot(x, y, z)
-    unit = (x / length, y / length, z / length) if length > 0.0 else (x, y, z)
+    # Any direction of length 1 gives a bound.
+    unit = (x / length, y / length, z / length) if length > 0.0 else (0.0, 0.0, 1.0)
     x, y, z = one.to_local(unit)
     outward = (-x, -y, -z), other.to_local(unit)
-    least = -math.inf
-    if length > 0.0:
-        (x, y, z), (a, b, c), (d, e, f) = unit, one.centre, other.centre
-        least = x * (a - d) + y * (b - e) + z * (c - f)
-        least -= one.interior.height(outward[0]) + other.interior.height(outward[1])
+    (x, y, z), (a, b, c), (d, e, f) = unit, one.centre, other.centre
+    least = x * (a - d) + y * (b - e) + z * (c - f)
+    least -= one.interior.height(outward[0]) + other.interior.height(outward[1])
     if meet := meet or least < 0.0:
         points, apart = (_moved(points[0], -0.5, between),) * 2, 0.0
     first, second = one.from_centre(points[0]), other.from_centre(points[1])
@@ -145,7 +155,8 @@ def pair_proof(
         first, second = _moved(first, step, outward[0]), _moved(second, -step, outward[1])
     first, second = one.shrunk(first), other.shrunk(second)
     greatest = apart - one.radius(first) - other.radius(second)
-    return PairProof(least, greatest, (*unit, *first, *second, float(meet)))
+    (x, y, z), (a, b, c) = first, second
+    return PairProof(least, greatest, (*unit, x, a, y, b, z, c))
 
 
 def _moved(point: Vector, by: float, along: Vector) -> Vector:

@@ -17,18 +17,19 @@ counts:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.proofs.columns import column_lengths
 from ssduck.geometry.proofs.cores import PlacedCores
 from ssduck.geometry.proofs.gjk import tolerances
 from ssduck.geometry.proofs.interiors import ConvexInteriors, SomeInteriors
-from ssduck.geometry.proofs.kept_proposals import KeptProposals, Proposals, placed_proposals
-from ssduck.geometry.proofs.kept_verdicts import pair_keys
+from ssduck.geometry.proofs.kept_proposals import KeptProposals, proved_again
+from ssduck.geometry.proofs.kept_verdicts import Keys, pair_keys
 from ssduck.geometry.proofs.pair_proofs import SHRINK, PlacedInterior, pair_proof
 from ssduck.geometry.proofs.verdicts import UNDECIDED, Decisions
 from ssduck.geometry.solids import Solid
@@ -42,6 +43,21 @@ _MAX_APART = 4096
 
 # The positions (n, 3) and the rotations (n, 3, 3) of shapes.
 Poses: TypeAlias = tuple[Array, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """Directions and points that may prove verdicts on n pairs of shapes.
+
+    Attributes:
+        points: (2, 3, n), on or in the first shapes, and the second ones, in the world.
+        directions: (3, n), from the second to the first, of any length.
+        meet: (n,), whether the shapes are thought to overlap, around the points.
+    """
+
+    points: Array
+    directions: Array
+    meet: Flags
 
 
 class Proposer:
@@ -76,40 +92,51 @@ class Proposer:
             second: (n,), the same.
             bounds: (n,), metres.
         """
+        error = tolerances(bodies, first, second)
         if len(first) < _MIN_KEPT:
-            return self._prove_singly(bodies, poses, first, second, bounds)[0]
-        decisions, keys = Decisions.none(len(first)), pair_keys(first, second)
-
-        def prove(places: Indices, proposals: Proposals, *, is_new: bool) -> Proof:
-            pairs = first.take(places), second.take(places)
-            proof = Proof(bodies, self.interiors, proposals, *pairs, balances=is_new)
-            found = proof.decisions(bounds.take(places))
-            decisions.decide(places, found.verdicts, found.room)
-            return proof
-
-        places, columns = self._kept.find(keys)
-        if len(places):
-            pairs = first.take(places), second.take(places)
-            prove(places, placed_proposals(bodies, *pairs, columns), is_new=False)
+            least, greatest, _ = self._proved_singly(bodies, poses, first, second)
+            return Decisions.of_interval(least, greatest, bounds, error)
+        keys = pair_keys(first, second)
+        least, greatest = self._proved_again(bodies, first, second, keys)
+        decisions = Decisions.of_interval(least, greatest, bounds, error)
         left = np.flatnonzero(decisions.verdicts == UNDECIDED)
         if len(left):
-            if len(left) <= _MAX_SINGLE:
-                pairs = first.take(left), second.take(left)
-                found, columns = self._prove_singly(bodies, poses, *pairs, bounds.take(left))
-                decisions.decide(left, found.verdicts, found.room)
-            else:
-                proposals = proposals_of(self.ask(poses, first.take(left), second.take(left)))
-                columns = prove(left, proposals, is_new=True).columns
+            prove = self._proved_singly if len(left) <= _MAX_SINGLE else self._proved_together
+            least, greatest, columns = prove(bodies, poses, first.take(left), second.take(left))
+            found = Decisions.of_interval(least, greatest, bounds.take(left), error.take(left))
+            decisions.decide(left, found.verdicts, found.room)
             self._kept.keep(keys.take(left), columns)
         return decisions
 
-    def _prove_singly(
-        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices, bounds: Array
-    ) -> tuple[Decisions, Array]:
-        """Decides pairs by what FCL proposes, one after another; see `decide`.
+    def _proved_again(
+        self, bodies: PlacedCores, first: Indices, second: Indices, keys: Keys
+    ) -> tuple[Array, Array]:
+        """Returns bounds of the signed distances of pairs by what is kept of them; see `decide`."""
+        places, columns = self._kept.find(keys)
+        if len(places) == len(keys):
+            return proved_again(bodies, self.interiors, first, second, columns)
+        least, greatest = np.full(len(keys), -np.inf), np.full(len(keys), np.inf)
+        if len(places):
+            pairs = first.take(places), second.take(places)
+            found = proved_again(bodies, self.interiors, *pairs, columns)
+            least[places], greatest[places] = found
+        return least, greatest
+
+    def _proved_together(
+        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices
+    ) -> tuple[Array, Array, Array]:
+        """Bounds signed distances by what FCL proposes, all at once; see `_proved_singly`."""
+        proposals = proposals_of(self.ask(poses, first, second))
+        proof = Proof(bodies, self.interiors, proposals, first, second)
+        return proof.least, proof.greatest, proof.columns
+
+    def _proved_singly(
+        self, bodies: PlacedCores, poses: Poses, first: Indices, second: Indices
+    ) -> tuple[Array, Array, Array]:
+        """Bounds signed distances by what FCL proposes, one pair after another; see `decide`.
 
         Returns:
-            The decisions, and the columns to keep.
+            What they are at least and at most, and the columns to keep.
         """
         both = np.concatenate((first, second))
         rotations = bodies.rotations.take(both, axis=1).T.tolist()
@@ -128,10 +155,7 @@ class Proposer:
             )
         ]
         numbers = np.array([(*proof.column, proof.least, proof.greatest) for proof in proofs]).T
-        decisions = Decisions.of_interval(
-            numbers[10], numbers[11], bounds, tolerances(bodies, first, second)
-        )
-        return decisions, numbers[:10]
+        return numbers[9], numbers[10], numbers[:9]
 
     @cached_property
     def _objects(self) -> list[Any]:
@@ -232,8 +256,6 @@ class Proof:
         proposals: points and directions.
         first: (n,), shapes with known interiors.
         second: (n,), the same.
-        balances: whether points of shapes that meet are moved to where they are about equally deep
-            in both; kept ones were when they were proposed.
 
     Attributes:
         least: (n,), what the signed distances are at least, metres.
@@ -251,24 +273,22 @@ class Proof:
         proposals: Proposals,
         first: Indices,
         second: Indices,
-        *,
-        balances: bool = True,
     ) -> None:
-        self._error = tolerances(bodies, first, second)
         both = np.concatenate((first, second))
         inner, centres = interiors.of(both), bodies.centres.take(both, axis=1)
         lengths = column_lengths(proposals.directions)
-        self.directions = proposals.directions / np.where(lengths > 0.0, lengths, 1.0)
+        is_long = lengths > 0.0
+        self.directions = proposals.directions / np.where(is_long, lengths, 1.0)
+        self.directions[2] += ~is_long  # any direction of length 1 gives a bound
         between_points = proposals.points[0] - proposals.points[1]
         on_shapes = np.concatenate(proposals.points, axis=1) - centres
         vectors = on_shapes, _outward(self.directions), _outward(0.5 * between_points)
         local, outward, halves = bodies.to_local(both, np.array(vectors))
         self.least = self._least(inner, outward, centres)
-        self.least[lengths == 0.0] = -np.inf
         self.meet = proposals.meet | (self.least < 0.0)
         halves *= np.concatenate((self.meet, self.meet))
         local += halves
-        self.local = self._balanced(inner, outward, local) if balances else local
+        self.local = self._balanced(inner, outward, local)
         self.local += SHRINK * (inner.inscribed_offsets - self.local)
         self.greatest = self._greatest(inner, column_lengths(between_points) * ~self.meet)
 
@@ -298,21 +318,15 @@ class Proof:
             apart: (n,), the distances of the points.
         """
         depths, count = inner.depths(self.local), len(apart)
-        radii = depths - 2.0 * SHRINK * inner.bounding_radii
+        radii = depths - inner.margins
         greatest: Array = apart - radii[:count] - radii[count:]
         greatest[(depths[:count] < 0.0) | (depths[count:] < 0.0)] = np.inf
         return greatest
 
     @property
     def columns(self) -> Array:
-        """What is kept of the pairs, (10, n); see `KeptProposals`."""
-        count = len(self.meet)
-        points = self.local[:, :count], self.local[:, count:]
-        return np.concatenate((self.directions, *points, self.meet[None]))
-
-    def decisions(self, bounds: Array) -> Decisions:
-        """Returns the verdicts on the signed distances that the bounds (n,), metres, prove."""
-        return Decisions.of_interval(self.least, self.greatest, bounds, self._error)
+        """What is kept of the pairs, (9, n); see `KeptProposals`."""
+        return np.concatenate((self.directions, self.local.reshape(6, -1)))
 
 
 def _outward(vectors: Array) -> Array:

@@ -11,8 +11,9 @@ from ssduck.geometry.proofs.cores import PlacedCores
 
 # The cross product of edges that are more parallel is no separating axis.
 _MIN_SINE = 1e-6
-# The other two axes of each axis.
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+# The axes, and the first two again. Behind each are the other two; of all axes, these are views.
+_AROUND = np.array([0, 1, 2, 0, 1])
+_NEXT, _LAST = slice(1, 4), slice(2, 5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,6 @@ class _BoxPairs:
         matrices_a: (3, 3, n), the rotation matrices of the first.
         matrices_b: (3, 3, n), those of the second.
         rotations: (3, 3, n), of the second in the frame of the first.
-        magnitudes: the same without signs.
         offsets: (3, n), of the second along the axes of the first.
         offsets_b: (3, n), the same along the axes of the second.
         sines: (3, 3, n), of the angles of the edges.
@@ -61,15 +61,17 @@ class _BoxPairs:
         self.matrices_a = matrices_a = rotations.take(first, axis=1).reshape(3, 3, -1)
         self.matrices_b = matrices_b = rotations.take(second, axis=1).reshape(3, 3, -1)
         between = centres.take(second, axis=1) - centres.take(first, axis=1)
-        self.rotations = _sum_of_products(matrices_a[:, :, None], matrices_b[:, None])
-        self.offsets = _sum_of_products(matrices_a, between[:, None])
+        around = matrices_a.take(_AROUND, axis=1)
+        self._rotations = _sum_of_products(around[:, :, None], matrices_b[:, None])
+        self._offsets = _sum_of_products(around, between[:, None])
+        self.rotations, self.offsets = self._rotations[:3], self._offsets[:3]
         self.offsets_b = _sum_of_products(self.rotations, self.offsets[:, None])
-        self.magnitudes = np.abs(self.rotations)
         self.sines = np.sqrt(np.maximum(1.0 - self.rotations * self.rotations, 0.0))
 
     def overlaps(self) -> Array:
         """Returns the overlaps along all axes, (15, n)."""
-        a, b, magnitudes = self.a, self.b, self.magnitudes
+        a, b, magnitudes = self.a, self.b, np.abs(self._rotations)
+        rows_next, rows_last, magnitudes = magnitudes[_NEXT], magnitudes[_LAST], magnitudes[:3]
         count = a.shape[1]
         overlaps = np.zeros((15, count))
         overlaps[:3] = a + _sum_of_products(magnitudes.swapaxes(0, 1), b[:, None])
@@ -77,12 +79,11 @@ class _BoxPairs:
         overlaps[3:6] = b + _sum_of_products(magnitudes, a[:, None])
         overlaps[3:6] -= np.abs(self.offsets_b)
         edges = overlaps[6:].reshape(3, 3, count)
-        rows_next, rows_last = magnitudes.take(_NEXT, axis=0), magnitudes.take(_LAST, axis=0)
-        np.multiply(a.take(_NEXT, axis=0)[:, None], rows_last, out=edges)
-        edges += a.take(_LAST, axis=0)[:, None] * rows_next
-        edges += b.take(_NEXT, axis=0) * magnitudes.take(_LAST, axis=1) + b.take(
-            _LAST, axis=0
-        ) * magnitudes.take(_NEXT, axis=1)
+        a, b = a.take(_AROUND, axis=0), b.take(_AROUND, axis=0)
+        columns = magnitudes.take(_AROUND, axis=1)
+        np.multiply(a[_NEXT, None], rows_last, out=edges)
+        edges += a[_LAST, None] * rows_next
+        edges += b[_NEXT] * columns[:, _LAST] + b[_LAST] * columns[:, _NEXT]
         edges -= np.abs(self.edge_distances())
         is_parallel = self.sines < _MIN_SINE
         edges /= np.where(is_parallel, 1.0, self.sines)
@@ -91,10 +92,8 @@ class _BoxPairs:
 
     def edge_distances(self) -> Array:
         """Returns the offsets along the cross products of edges, times their sines, (3, 3, n)."""
-        distances: Array = self.offsets.take(_LAST, axis=0)[:, None] * self.rotations.take(
-            _NEXT, axis=0
-        )
-        distances -= self.offsets.take(_NEXT, axis=0)[:, None] * self.rotations.take(_LAST, axis=0)
+        distances: Array = self._offsets[_LAST, None] * self._rotations[_NEXT]
+        distances -= self._offsets[_NEXT, None] * self._rotations[_LAST]
         return distances
 
 

@@ -44,9 +44,8 @@ class Decisions:
             error: the tolerances, within which a pair stays undecided.
         """
         above, below = least - bounds - error, bounds - error - greatest
-        verdicts = np.zeros(len(bounds), np.int8)
-        verdicts[above > 0.0] = ABOVE
-        verdicts[below > 0.0] = BELOW
+        is_below, is_above = below > 0.0, above > 0.0
+        verdicts: Verdicts = is_below.view(np.int8) - is_above.view(np.int8)
         return cls(verdicts, np.maximum(np.maximum(above, below), 0.0))
 
     def part(self, pairs: slice) -> Decisions:

@@ -483,6 +483,6 @@ def _tick_shapes(table: ShapeTable, positions: Array, orientations: Array) -> Ti
     unit = unit_quaternions(orientations)
     with np.errstate(invalid="ignore"):
         finite = np.isfinite(positions).all(axis=1) & np.isfinite(unit).all(axis=1)
-        matrices = flat_rotation_matrices(unit).reshape(3, 3, -1).transpose(2, 0, 1)
+        rotations = flat_rotation_matrices(unit)
     known = of_known_entities(table, finite & table.is_known)
-    return TickShapes(table, known, np.zeros((6, 0)), positions, matrices)
+    return TickShapes(table, known, np.zeros((6, 0)), positions, rotations)
