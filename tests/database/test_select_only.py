@@ -218,6 +218,15 @@ REFUSED = [
         "approx_quantile takes",
     ),
     ("SELECT z.quantile_cont(0.5) FROM entities", "quantile_cont is written as"),
+    ("SELECT fill(z) OVER (ORDER BY id) FROM entities", "fill is no function"),
+    ("SELECT entropy(z) OVER (ORDER BY id) FROM entities", "entropy has no OVER here"),
+    ("SELECT histogram(z) OVER w FROM entities WINDOW w AS (ORDER BY id)", "histogram has no OVER"),
+    (
+        "SELECT count(DISTINCT z) OVER (ORDER BY id ROWS BETWEEN 9 PRECEDING AND CURRENT ROW "
+        "EXCLUDE TIES) FROM entities",
+        "DISTINCT and EXCLUDE are not together in OVER",
+    ),
+    ("SELECT COLUMNS('(id|name){40}') FROM entities", "COLUMNS takes a text of at most 200"),
     (f"SELECT name LIKE '{'%a' * 100}%' FROM entities", "the pattern of LIKE is a text of at most"),
     ("SELECT name FROM entities WHERE name NOT LIKE kind || '%'", "the pattern of NOT LIKE is"),
     ("SELECT name ILIKE kind ESCAPE '!' FROM entities", "the pattern of ILIKE is"),

@@ -51,7 +51,12 @@ def grouped(*counts, word="ROLLUP"):
     return f"SELECT count(*) FROM range(3) t(n) GROUP BY {', '.join(sets)}"
 
 
+EXPRESSION = "(\\pL\\pN\\PL){3}"
 TOO_LARGE = [
+    f"SELECT {', '.join(f'name ~ {chr(39)}{EXPRESSION}{n}{chr(39)}' for n in range(120))} FROM entities",
+    f"SELECT name ~ '{EXPRESSION}' AS a, [{', '.join('a' * 60)}] AS b, [b, b] FROM entities",
+    f"SELECT {', '.join([f'max(COLUMNS({chr(39)}id|{EXPRESSION}{chr(39)}))'] * 200)} FROM entities",
+    f"SELECT * SIMILAR TO '{EXPRESSION}' FROM (SELECT *, * , *, * FROM entities)",
     f"SELECT count(*) FROM {pivot(46, 46, 46)}",
     f"SELECT count(*) FROM {pivot(120, 120, aggregates='count(*), max(c0), min(c0)')}",
     f"SELECT 1 WHERE EXISTS (FROM {pivot(200, 200)})",
@@ -127,6 +132,14 @@ def test_names_that_are_equal_to_python_only_are_told_apart(strict):
 
 
 HARMLESS = [
+    (
+        "SELECT "
+        + " OR ".join(f"bool_or(name ~ '^box_{n}$')" for n in range(300))
+        + " FROM entities",
+        False,
+    ),
+    ("SELECT count(DISTINCT kind) OVER () FROM entities LIMIT 1", None),
+    ("SELECT max(z) OVER (ORDER BY id ROWS 3 PRECEDING EXCLUDE TIES) FROM entities LIMIT 1", None),
     (f"SELECT count(*) FROM {pivot(50, 50)}", 1),
     (f"SELECT count(*) FROM {pivot(3, 4, aggregates='count(*), max(c0)')}", 1),
     (f"SELECT count(*) FROM ({grouped(8, word='CUBE')})", 1 + 3 * 255),

@@ -4,12 +4,12 @@ They compute a value from their arguments. Left out are functions that read or c
 (files, settings, sequences, memory addresses, the catalog, the clock of the thread), that run a
 text as SQL, and, because no limit stops them, that make a long text or list of a short one (as
 `list_reduce` can), or whose time grows with the product of the lengths of two texts (as that of
-`levenshtein` and of `json_merge_patch`) or with the square of one (as that of a regular expression
-that is looked for again and again), or that hash each element of a list, which takes seconds for a
-million (as `list_distinct` does). None knows time zones: DuckDB compares an unknown name with those
-of all zones, in a time that grows with its length, and hears nothing meanwhile. `json_contains` is
-left out, too: DuckDB walks through nested JSON by recursion there, and 50,000 brackets end the
-process.
+`levenshtein` and of `json_merge_patch`), with the square of one (as that of a regular expression
+that is looked for again and again) or with that of the number of rows (as that of `fill`), or that
+hash each element of a list, which takes seconds for a million (as `list_distinct` does). None knows
+time zones: DuckDB compares an unknown name with those of all zones, in a time that grows with its
+length, and hears nothing meanwhile. `json_contains` is left out, too: DuckDB walks through nested
+JSON by recursion there, and 50,000 brackets end the process.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ current_localtime current_localtimestamp date_add date_diff date_part date_sub
 date_trunc datediff datepart datesub datetrunc day dayname dayofmonth dayofweek dayofyear
 days_in_month decade decimal_average decimal_division decode degrees dense_rank divide
 element_at encode ends_with entropy epoch epoch_ms epoch_ns epoch_us era even exp factorial favg
-fdiv fill filter first first_value flatten floor fmod formatReadableDecimalSize formatReadableSize
+fdiv filter first first_value flatten floor fmod formatReadableDecimalSize formatReadableSize
 format_bytes from_base64 from_binary from_hex fsum gamma gcd gen_random_uuid geomean geometric_mean
 get_bit grade_up greatest greatest_common_divisor
 group_concat hamming hash hex histogram hour if ilike_escape instr isfinite isinf isnan isodow
@@ -92,7 +92,7 @@ AGGREGATING = frozenset(
 # of them are computed in one step.
 QUANTILES = frozenset(("approx_quantile", "quantile", "quantile_cont", "quantile_disc"))
 MAX_FRACTIONS = 100
-# Aggregates that hash each element: of the elements of a list, in one step.
+# Aggregates that hash each element, of a list or of the frame of a row, in one step.
 HASHING = frozenset(("entropy", "histogram", "mode"))
 # Functions that hash each element of the shorter of two lists.
 HASHING_SHORTER = frozenset(("&&", "array_has_any", "list_has_any"))

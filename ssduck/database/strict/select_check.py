@@ -83,6 +83,8 @@ _CLASSES = frozenset(("BETWEEN", "CASE", "CAST", "COLLATE", "COLUMN_REF", "COMPA
     ("CONJUNCTION", "CONSTANT", "DEFAULT", "FUNCTION", "LAMBDA", "OPERATOR", "PARAMETER"),
     ("POSITIONAL_REFERENCE", "STAR", "SUBQUERY", "TYPE", "WINDOW"),
 )
+# So much of an expression is measured; it is too long then.
+_LONGER = 2 * MAX_EXPRESSION
 # DuckDB's place of a part that the text does not have.
 _NOWHERE = 2**64 - 1
 
@@ -242,11 +244,8 @@ class _Walk:
         text = (expression.get("literal") or {}).get("text")
         # A list of names, or what a function finds of all names.
         is_list = expression.get("function_name") in ("list_value", "list_filter")
-        if (
-            expression
-            and not is_list
-            and not (isinstance(text, str) and len(text) <= MAX_EXPRESSION)
-        ):
+        is_short = isinstance(text, str) and expression_size(text[:_LONGER]) <= MAX_EXPRESSION
+        if expression and not is_list and not is_short:
             what = f"a text of at most {MAX_EXPRESSION} letters"
             self._refuse(node, f"COLUMNS takes {what}, a list or a function here")
 
@@ -301,6 +300,8 @@ class _Walk:
         name = folded(node["function_name"])
         if name not in OPERATORS and name not in _SCALARS:
             self._refuse(node, f"{name} is no function that SQL may call", name, _SCALARS)
+        if node.get("class") == "WINDOW":
+            self._check_window(node, name)
         if name in _WITH_CHECKED_ARGUMENTS:
             self._check_order_of_arguments(node, name)
         if name in REGULAR:
@@ -327,6 +328,13 @@ class _Walk:
             self._refuse(node, "map takes lists that are written out here: MAP {'a': 1}")
         if name in HASHING_SHORTER and not any(map(_is_written_out, node["arguments"])):
             self._refuse(node, f"one of the lists of {name} is written out here: ['a', 'b']")
+
+    def _check_window(self, node: Node, name: str) -> None:
+        """Checks that DuckDB computes an aggregate of each row's frame by those of other frames."""
+        if name in HASHING:
+            self._refuse(node, f"{name} has no OVER here")
+        if node.get("distinct") and node.get("exclude_clause") != "NO_OTHER":
+            self._refuse(node, "DISTINCT and EXCLUDE are not together in OVER here")
 
     def _check_order_of_arguments(self, node: Node, name: str) -> None:
         """Checks that the arguments stand where they are looked for: `v.f(x)` may be `f(v, x)`."""

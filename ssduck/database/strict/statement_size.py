@@ -15,6 +15,8 @@ from math import prod
 from typing import Any, TypeAlias
 
 from ssduck.database.folding import folded
+from ssduck.database.strict.expression_size import expression_size
+from ssduck.database.strict.permitted_functions import REGULAR
 from ssduck.errors import LimitError
 
 Node: TypeAlias = Mapping[str, Any]
@@ -38,6 +40,8 @@ _FACTORS = {"bin": 8, "to_binary": 8} | dict.fromkeys(
 _JSON_FACTOR, _CAST_FACTOR = 2, 2
 # DuckDB binds a lambda twice, and those in it four times, as copies.
 _LAMBDA_FACTOR = 3
+# A letter of a regular expression is compiled in the time of so many parts.
+_REGULAR_FACTOR = 10
 # Types whose values do not grow with those that they are made of.
 _FIXED_TYPES = frozenset(
     ("bigint", "boolean", "date", "decimal", "double", "float", "hugeint", "integer", "interval")
@@ -272,7 +276,8 @@ class _Expressions:
             case "COLUMN_REF":
                 return self._names.get(folded(_last_name(part)), 1)
             case "STAR":
-                return self._total + self._size_of_parts(part)
+                expression = _expression_size(part.get("expr") or {})
+                return self._total + self._size_of_parts(part) + expression
             case "CONSTANT":
                 return 1 + len(str((part.get("literal") or {}).get("text"))) // _LETTERS
             case "SUBQUERY":
@@ -303,6 +308,9 @@ class _Expressions:
         name = folded(call["function_name"])
         is_json = "json" in name
         factor = _JSON_FACTOR if is_json else _FACTORS.get(name, 1)
+        if name in REGULAR:  # it is compiled for each column that a star stands for
+            copies = self._total if any(map(_has_star, values)) else 1
+            size += copies * sum(map(_expression_size, values[1:2]))
         return factor * size + self.size(rest) + (not call.get("is_operator"))
 
     def _count(self, tables: int, joined: int) -> None:
@@ -313,6 +321,20 @@ class _Expressions:
     def _checked(size: int) -> int:
         _checked(_Columns(total=size))
         return size
+
+
+def _expression_size(node: Node) -> int:
+    """Returns the size of a regular expression that is written out; 0 for another node."""
+    text = (node.get("literal") or {}).get("text")
+    return _REGULAR_FACTOR * expression_size(text) if isinstance(text, str) else 0
+
+
+def _has_star(part: Any) -> bool:
+    if isinstance(part, list):
+        return any(map(_has_star, part))
+    return isinstance(part, dict) and (
+        part.get("class") == "STAR" or any(map(_has_star, part.values()))
+    )
 
 
 def _parameters(left: Node) -> list[str]:
