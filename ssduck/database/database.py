@@ -36,6 +36,7 @@ from ssduck.database.referenced_tables import (
 )
 from ssduck.database.schemas import Schemas, TickRanges
 from ssduck.database.statement import PreparedPlans, Statement
+from ssduck.database.strict.bounded_texts import bounding_statements, has_expressions
 from ssduck.database.strict.select_check import SelectCheck
 from ssduck.database.values import Converter
 from ssduck.database.worlds import WorldRegistry
@@ -96,6 +97,7 @@ class Database:
         # The folders of records, which ssduck's own views read.
         self._record_folders: list[Path] = []
         self._is_sealed = False
+        self._has_bounded_texts = False
         self._select_check = SelectCheck(self.connection, self._worlds.by_schema)
         offer_geometry_functions(self.connection, self._worlds.by_schema)
         # Those that Python calls itself, where it computes what a statement would.
@@ -174,6 +176,10 @@ class Database:
             self._is_sealed = True
         if limits.select_only:
             self._select_check.check(sql)
+            if not self._has_bounded_texts and has_expressions(sql):
+                for statement in bounding_statements():
+                    self.connection.define(statement)
+                self._has_bounded_texts = True
 
     def allow_record(self, folder: Path) -> None:
         """Lets ssduck's views read the folder of a record when files are switched off."""

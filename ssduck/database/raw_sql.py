@@ -45,10 +45,10 @@ _ATTACHES = re.compile(r"\bATTACH\b", re.IGNORECASE)
 _MERGE_JOINS = re.compile(r"merge_join|\bRESET\b", re.IGNORECASE)
 # Statements that show tables, without those in which ssduck keeps ticks.
 _SHOW = re.compile(r"\s*SHOW\s+(ALL\s+)?TABLES\s*;?\s*", re.IGNORECASE)
-_IS_SHOWN = r"NOT regexp_matches(name, '^world \d+: ')"
+_IS_SHOWN = r"NOT system.main.regexp_matches(name, '^world \d+: ')"
 _SHOWN = f"FROM (SHOW TABLES) WHERE {_IS_SHOWN} ORDER BY name"
 _ALL_SHOWN = (
-    rf"FROM (SHOW ALL TABLES) WHERE NOT regexp_matches(schema, '{RUN_SCHEMA}\d+$') "
+    rf"FROM (SHOW ALL TABLES) WHERE NOT system.main.regexp_matches(schema, '{RUN_SCHEMA}\d+$') "
     f"AND (database <> 'temp' OR {_IS_SHOWN}) ORDER BY database, schema, name"
 )
 # The names of what users have defined in the schema that comes before that of the first world.

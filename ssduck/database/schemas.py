@@ -268,7 +268,7 @@ class Schemas:
             return
         stale = self._connection.internal_rows(
             "SELECT schema_name, view_name FROM duckdb_views() WHERE NOT internal AND NOT "  # noqa: S608
-            f"temporary AND regexp_matches(sql, {_STALE_BUFFER})"
+            f"temporary AND system.main.regexp_matches(sql, {_STALE_BUFFER})"
         )
         for schema, name in stale:
             view = exp.table_(name, db=schema, quoted=True).sql("duckdb")

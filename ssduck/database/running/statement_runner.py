@@ -21,6 +21,7 @@ from ssduck.database.limited_fetch import (
 )
 from ssduck.database.running import interrupts as ctrl_c
 from ssduck.database.running.deadlines import DEADLINES
+from ssduck.database.strict.bounded_texts import MARK
 from ssduck.errors import (
     EvaluationError,
     LimitError,
@@ -149,8 +150,10 @@ class StatementRunner(ABC):
             unreadable = self._opened.reading_error(str(error))
             if unreadable is not None:
                 raise unreadable from error
+        if (text := str(error).strip()).endswith(MARK):
+            raise LimitError(text.partition(": ")[2]) from error
         refused = isinstance(error, _REFUSAL_ERRORS)
-        raise SqlError(str(error).strip() + hint_of(error), is_refused=refused) from error
+        raise SqlError(text + hint_of(error), is_refused=refused) from error
 
 
 def _end(listener: ctrl_c.InterruptListener, *, is_timed: bool) -> None:

@@ -40,6 +40,8 @@ _FACTORS = {"bin": 8, "to_binary": 8} | dict.fromkeys(
 _JSON_FACTOR, _CAST_FACTOR = 2, 2
 # DuckDB binds a lambda twice, and those in it four times, as copies.
 _LAMBDA_FACTOR = 3
+# A macro measures the text in which a regular expression is looked for, which is there twice then.
+_BOUNDED_FACTOR = 2
 # A letter of a regular expression is compiled in the time of so many parts.
 _REGULAR_FACTOR = 10
 # Types whose values do not grow with those that they are made of.
@@ -310,7 +312,7 @@ class _Expressions:
         factor = _JSON_FACTOR if is_json else _FACTORS.get(name, 1)
         if name in REGULAR:  # it is compiled for each column that a star stands for
             copies = self._total if any(map(_has_star, values)) else 1
-            size += copies * sum(map(_expression_size, values[1:2]))
+            size = _BOUNDED_FACTOR * size + copies * sum(map(_expression_size, values[1:2]))
         return factor * size + self.size(rest) + (not call.get("is_operator"))
 
     def _count(self, tables: int, joined: int) -> None:
