@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -18,14 +18,13 @@ Handler = Callable[[int, Any], object]
 def deferred() -> Iterator[list[int]]:
     """Yields a list to which the first signal to end is added; the second one acts as usual."""
     received: list[int] = []
-    handlers: dict[int, Any] = {}
+    before = _handlers()
 
     def on_first_signal(number: int, _: object) -> None:
         received.append(number)
-        signal.signal(number, handlers[number])
+        signal.signal(number, before[number])
 
-    with _handled_by(on_first_signal) as before:
-        handlers.update(before)
+    with _handled_by(on_first_signal, before):
         yield received
 
 
@@ -44,7 +43,7 @@ def raised() -> Iterator[None]:
         raise KeyboardInterrupt
 
     try:
-        with _handled_by(on_signal):
+        with _handled_by(on_signal, _handlers()):
             yield
     except BaseException:
         if received:  # a library may make another exception of it
@@ -52,20 +51,23 @@ def raised() -> Iterator[None]:
         raise
 
 
-@contextmanager
-def _handled_by(handler: Handler) -> Iterator[dict[int, Any]]:
-    """Handles the signals that end a process; yields the handlers before."""
+def _handlers() -> dict[int, Any]:
+    """Returns the handlers of the signals that end a process; none in other threads."""
     if threading.current_thread() is not threading.main_thread():
-        yield {}
-        return
+        return {}
     names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    before = {number: signal.getsignal(number) for number in numbers}
+    return {number: signal.getsignal(number) for number in numbers}
+
+
+@contextmanager
+def _handled_by(handler: Handler, before: Mapping[int, Any]) -> Iterator[None]:
+    """Replaces handlers."""
     try:
         for number, old in before.items():
             if number == signal.SIGINT or old != signal.SIG_IGN:  # nohup lets SIGHUP be ignored
                 signal.signal(number, handler)
-        yield before
+        yield
     finally:
         for number, old in before.items():
             signal.signal(number, old)

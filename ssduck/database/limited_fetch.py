@@ -343,7 +343,7 @@ def _exact(relation: duckdb.DuckDBPyRelation, table: pa.Table) -> pa.Table:
         return table
     for name, kind, column in zip(table.column_names, relation.types, table.columns, strict=True):
         kinds = set(_kinds_in(kind))
-        if _UNSIGNED in kinds and any(map(_has_negative, column.chunks)):
+        if _UNSIGNED in kinds and any(_overflows(kind, chunk) for chunk in column.chunks):
             raise SqlError(
                 f"{short_repr(name)} has an integer of 2^127 or more, which Arrow cannot hold: "
                 "cast it to VARCHAR or DOUBLE"
@@ -371,18 +371,27 @@ def _kinds_in(kind: duckdb.sqltypes.DuckDBPyType) -> Iterator[str]:
                 yield from _kinds_in(child)
 
 
-def _has_negative(values: pa.Array) -> bool:
-    """Checks whether a column has a negative decimal, at any depth."""
-    kind = values.type
-    if pa.types.is_decimal(kind):
+def _overflows(kind: duckdb.sqltypes.DuckDBPyType, values: pa.Array) -> bool:
+    """Checks whether a column of a type of DuckDB's has a negative UHUGEINT, at any depth."""
+    if kind.id == _UNSIGNED:
         return bool(pc.any(pc.less(values, 0)).as_py())
+    if kind.id not in _NESTED:
+        return False
+    kinds = [child for _, child in kind.children if isinstance(child, duckdb.sqltypes.DuckDBPyType)]
+    if kind.id == "union":  # the first one is the tag
+        kinds = kinds[1:]
+    return any(map(_overflows, kinds, _parts_of(values)))
+
+
+def _parts_of(values: pa.Array) -> list[pa.Array]:
+    """Returns the columns within one of a nested type."""
+    kind = values.type
     if pa.types.is_map(kind):
-        return _has_negative(values.keys) or _has_negative(values.items)
-    if pa.types.is_struct(kind):
-        return any(map(_has_negative, values.flatten()))
+        return [values.keys, values.items]
     if pa.types.is_union(kind):
-        return any(_has_negative(values.field(i)) for i in range(kind.num_fields))
-    return bool(pa.types.is_nested(kind)) and _has_negative(values.flatten())
+        return [values.field(place) for place in range(kind.num_fields)]
+    parts = values.flatten()
+    return list(parts) if pa.types.is_struct(kind) else [parts]
 
 
 def duckdb_error(message: str) -> duckdb.Error:

@@ -51,6 +51,23 @@ def test_integers_that_arrow_holds(ss):
     assert ss.sql(sql).fetchall() == [(largest, largest, least, None, str(LARGEST), [7])]
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        "{'a': 1::UHUGEINT, 'b': (-1.5)::DECIMAL(5, 2)}",
+        "[{'u': 1::UHUGEINT, 'h': (-1)::HUGEINT}, NULL]",
+        "MAP {1::UHUGEINT: -1.5}",
+        "MAP {-1.5: 1::UHUGEINT}",
+        "(1::UHUGEINT, -1.5, [[-1::HUGEINT]])",
+        "[1::UHUGEINT]::UHUGEINT[1]",
+    ],
+)
+def test_negative_numbers_beside_large_ones(ss, value):
+    assert ss.sql(f"SELECT {value} AS v").fetchall()
+    with pytest.raises(SqlError, match=r"'v' has an integer of 2\^127 or more"):
+        ss.sql(f"SELECT {value.replace('1::UHUGEINT', U)} AS v")
+
+
 def test_times_of_day_with_a_zone():
     """Strict SQL has no such type."""
     ss = ssduck.Interpreter()
