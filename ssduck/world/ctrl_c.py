@@ -114,7 +114,12 @@ def _restore(handlers: dict[int, Any]) -> None:
 
 
 def _deliver(handlers: dict[int, Any]) -> None:
-    """Calls the handlers of the signals that came, as often as they came, whatever one raises."""
+    """Calls the handlers of the signals that came, as often as they came.
+
+    Of what they raise, the first KeyboardInterrupt or SystemExit is raised: who catches another
+    exception goes on.
+    """
+    raised: list[BaseException] = []
     while own := [number for number in _noted if number in handlers]:
         number = own[0]
         _noted.remove(number)
@@ -124,6 +129,7 @@ def _deliver(handlers: dict[int, Any]) -> None:
                 handler(number, inspect.currentframe())
             elif handler == signal.SIG_DFL:  # the first one has switched to it
                 signal.raise_signal(number)
-        except BaseException:
-            _deliver(handlers)
-            raise
+        except BaseException as error:  # noqa: BLE001  # it is raised below
+            raised.append(error)
+    if raised:
+        raise next((one for one in raised if not isinstance(one, Exception)), raised[0])

@@ -133,3 +133,23 @@ def test_a_handler_is_called_as_often_as_its_signal_came():
         assert signal.getsignal(signal.SIGTERM) is second
     finally:
         signal.signal(signal.SIGTERM, kept)
+
+
+def raise_in_a_context(*names):
+    """Raises signals in a context that defers them."""
+    with ctrl_c.deferred():
+        for name in names:
+            signal.raise_signal(getattr(signal, name))
+
+
+@UNIX
+@pytest.mark.parametrize("names", [("SIGINT", "SIGALRM"), ("SIGALRM", "SIGINT")])
+def test_the_signal_that_ends_the_program_wins(names):
+    """Who catches the error of an alarm goes on, and would have missed Ctrl-C."""
+    kept = signal.signal(signal.SIGALRM, time_is_up)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            raise_in_a_context(*names)
+        assert not ctrl_c._noted
+    finally:
+        signal.signal(signal.SIGALRM, kept)
