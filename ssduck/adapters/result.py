@@ -16,6 +16,7 @@ from ssduck import validation
 from ssduck.adapters.display import RowsOfColumns
 from ssduck.errors import EvaluationError
 from ssduck.formatting import count_of
+from ssduck.nested_columns import parts_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +46,10 @@ _TYPES = {
     pa.date32(): "date",
     pa.decimal128(38, 0): "hugeint",
 }
-_NO_SUCH_DATE = "there is {}, which Python cannot hold: cast it to text, with ::VARCHAR"
+_NO_SUCH_TIME = (
+    "there is a date beyond the years 1 to 9999, or the time 24:00, which Python cannot hold: cast "
+    "it to text, with ::VARCHAR"
+)
 # The length of a day, in the units of Arrow's times.
 _DAY = {"us": 86_400 * 10**6, "ns": 86_400 * 10**9}
 _FAMILIES = (
@@ -163,22 +167,29 @@ class Result(RowsOfColumns):
 
         Raises:
             UnsupportedError: pandas is not installed; the message says how to install it.
-            EvaluationError: a date is beyond the years that Python has.
+            EvaluationError: Python cannot hold a date or a time.
         """
         from ssduck.adapters.optional import library
 
         library("pandas", "pandas")
+        self._check_times()
         with _python_dates():
             return self._table.to_pandas()
+
+    def _check_times(self) -> None:
+        if any(_has_day_end(chunk) for column in self._table.columns for chunk in column.chunks):
+            raise EvaluationError(_NO_SUCH_TIME)
 
     def pl(self) -> pl.DataFrame:
         """Returns the rows as a polars data frame.
 
         Raises:
             UnsupportedError: polars is not installed; the message says how to install it.
+            EvaluationError: polars cannot hold the time 24:00.
         """
         from ssduck.adapters.optional import library
 
+        self._check_times()
         return cast("pl.DataFrame", library("polars", "polars").from_arrow(self._table))
 
     def show(self, rows: int | None = None, width: int | None = None) -> None:
@@ -249,15 +260,22 @@ def python_values(column: pa.ChunkedArray | pa.Array) -> list[Any]:
     Raises:
         EvaluationError: Python cannot hold a date or a time.
     """
-    if pa.types.is_time64(column.type):
-        last = pc.max(column.cast(pa.int64())).as_py() or 0
-        if last >= _DAY[column.type.unit]:  # Python would take it for 0:00
-            raise EvaluationError(_NO_SUCH_DATE.format("a time of 24:00"))
+    chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
+    if any(map(_has_day_end, chunks)):  # Python would take it for 0:00
+        raise EvaluationError(_NO_SUCH_TIME)
     with _python_dates():
         values: list[Any] = column.to_pylist()
     if pa.types.is_decimal(column.type) and (column.type.precision, column.type.scale) == (38, 0):
         return [None if value is None else int(value) for value in values]
     return values
+
+
+def _has_day_end(values: pa.Array) -> bool:
+    """Checks whether a column has the time 24:00, at any depth."""
+    kind = values.type
+    if pa.types.is_time64(kind):
+        return bool(pc.any(pc.greater_equal(values.cast(pa.int64()), _DAY[kind.unit])).as_py())
+    return pa.types.is_nested(kind) and any(map(_has_day_end, parts_of(values)))
 
 
 @contextmanager
@@ -268,7 +286,7 @@ def _python_dates() -> Iterator[None]:
     except (OverflowError, ValueError) as error:
         if type(error) not in (OverflowError, ValueError):  # Arrow's errors are ValueErrors, too
             raise
-        raise EvaluationError(_NO_SUCH_DATE.format("a date beyond the years 1 to 9999")) from error
+        raise EvaluationError(_NO_SUCH_TIME) from error
 
 
 def _type_name(type: pa.DataType) -> str:

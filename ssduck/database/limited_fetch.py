@@ -16,6 +16,7 @@ import pyarrow.compute as pc
 from ssduck.database.fetched_rows import ARROW_TYPES, MANY_ROWS, all_rows, are_plain
 from ssduck.errors import LimitError, SqlError
 from ssduck.formatting import short_repr
+from ssduck.nested_columns import parts_of
 
 # Counts the size of values, bytes.
 Charge: TypeAlias = Callable[[int], None]
@@ -380,18 +381,7 @@ def _overflows(kind: duckdb.sqltypes.DuckDBPyType, values: pa.Array) -> bool:
     kinds = [child for _, child in kind.children if isinstance(child, duckdb.sqltypes.DuckDBPyType)]
     if kind.id == "union":  # the first one is the tag
         kinds = kinds[1:]
-    return any(map(_overflows, kinds, _parts_of(values)))
-
-
-def _parts_of(values: pa.Array) -> list[pa.Array]:
-    """Returns the columns within one of a nested type."""
-    kind = values.type
-    if pa.types.is_map(kind):
-        return [values.keys, values.items]
-    if pa.types.is_union(kind):
-        return [values.field(place) for place in range(kind.num_fields)]
-    parts = values.flatten()
-    return list(parts) if pa.types.is_struct(kind) else [parts]
+    return any(map(_overflows, kinds, parts_of(values)))
 
 
 def duckdb_error(message: str) -> duckdb.Error:

@@ -51,7 +51,7 @@ MAX_NAME, MAX_WORDS = 500, 16
 # The greatest size of the files of a scene whose names are read, and of a scene.toml, bytes.
 MAX_READ, MAX_TOML = 128 * 2**20, 4 * 2**20
 # The greatest number of places where files of such names may be.
-MAX_PLACES = 100_000
+MAX_PLACES = 400_000
 # The longest piece of a line of OBJ files and of materials that PyBullet reads at once, bytes.
 PIECE = 1023
 # Where PyBullet looks beside the working directory.

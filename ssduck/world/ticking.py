@@ -301,7 +301,9 @@ class SteppedSimulation(Observable):
                         on_progress(steps)
                 self._check_not_pinned()
                 self._take_first_or_next()
-            except (KeyboardInterrupt, SystemExit):
+            except SelectScriptError:
+                raise
+            except BaseException:  # of a signal, whatever its handler raises
                 if self.snapshot.time != self._simulator.time:
                     self._take_tick()  # the tables must match the simulator
                 raise

@@ -114,6 +114,17 @@ def test_the_last_dates_of_python(ss):
     assert ss.sql(sql).fetchall() == [(dt.date.max, dt.date.min, day, None)]
 
 
+@pytest.mark.parametrize(
+    "value", ["TIME '24:00'", "[TIME '24:00']", "{'t': TIME '24:00'}", "MAP {1: [TIME '24:00']}"]
+)
+def test_the_end_of_a_day(ss, value):
+    result = ss.sql(f"SELECT {value} AS v")
+    for door in (result.fetchall, result.df, result.pl):
+        with pytest.raises(EvaluationError, match=r"or the time 24:00, which Python cannot hold"):
+            door()
+    assert ss.sql(f"SELECT {value.replace('24:00', '23:59')} AS v").fetchall()
+
+
 @pytest.mark.parametrize("ending", ["csv", "json", "md"])
 def test_the_command_line_says_so(ending, tmp_path):
     file = tmp_path / f"x.{ending}"

@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+import ssduck
 from ssduck.world import ctrl_c
 
 
@@ -152,4 +153,23 @@ def test_the_signal_that_ends_the_program_wins(names):
             raise_in_a_context(*names)
         assert not ctrl_c._noted
     finally:
+        signal.signal(signal.SIGALRM, kept)
+
+
+@UNIX
+def test_the_tables_are_those_of_the_simulator_whatever_a_handler_raises():
+    """An alarm that ends a long `step` comes between two steps of the simulator."""
+    kept = signal.signal(signal.SIGALRM, time_is_up)
+    try:
+        with ssduck.load("kitchen") as ss:
+            world = ss.call_variable("kitchen")
+            for place in range(8):
+                signal.setitimer(signal.ITIMER_REAL, 0.02 + 0.0007 * place)
+                with pytest.raises(TimeIsUpError):
+                    world.step(100_000, every=100_000)
+                assert world.snapshot.time == world._simulator.time
+                (time,) = {row[0] for row in ss.sql("SELECT time FROM entities").fetchall()}
+                assert time == world._simulator.time
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, kept)
