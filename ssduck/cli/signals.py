@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, NoReturn
 
@@ -24,7 +24,9 @@ def deferred() -> Iterator[list[int]]:
         received.append(number)
         signal.signal(number, before[number])
 
-    with _handled_by(on_first_signal, before):
+    # In the background of a shell, Ctrl-C is ignored, but `kill -INT` ends a recording.
+    heard = (n for n, old in before.items() if n == signal.SIGINT or old != signal.SIG_IGN)
+    with _handled_by(on_first_signal, heard, before):
         yield received
 
 
@@ -43,7 +45,9 @@ def raised() -> Iterator[None]:
         raise KeyboardInterrupt
 
     try:
-        with _handled_by(on_signal, _handlers()):
+        before = _handlers()
+        heard = (n for n, old in before.items() if old != signal.SIG_IGN)
+        with _handled_by(on_signal, heard, before):
             yield
     except BaseException:
         if received:  # a library may make another exception of it
@@ -61,12 +65,13 @@ def _handlers() -> dict[int, Any]:
 
 
 @contextmanager
-def _handled_by(handler: Handler, before: Mapping[int, Any]) -> Iterator[None]:
-    """Replaces handlers."""
+def _handled_by(
+    handler: Handler, numbers: Iterable[int], before: Mapping[int, Any]
+) -> Iterator[None]:
+    """Has a handler handle some signals, and puts the handlers before back."""
     try:
-        for number, old in before.items():
-            if number == signal.SIGINT or old != signal.SIG_IGN:  # nohup lets SIGHUP be ignored
-                signal.signal(number, handler)
+        for number in numbers:
+            signal.signal(number, handler)
         yield
     finally:
         for number, old in before.items():

@@ -152,6 +152,7 @@ HARMLESS = [
         + " FROM entities",
         False,
     ),
+    ("SELECT mode(kind) OVER (ORDER BY id) = mode(kind) OVER () FROM entities LIMIT 1", None),
     ("SELECT count(DISTINCT kind) OVER () FROM entities LIMIT 1", None),
     ("SELECT max(z) OVER (ORDER BY id ROWS 3 PRECEDING EXCLUDE TIES) FROM entities LIMIT 1", None),
     (f"SELECT count(*) FROM {pivot(50, 50)}", 1),

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import duckdb
+import pybullet
 import pytest
 
 import ssduck
@@ -363,3 +364,24 @@ def test_the_users_own_database_keeps_its_views(tmp_path: Path) -> None:
     with ssduck.load("kitchen", str(path)) as ss:
         assert ss.sql("SELECT * FROM high").fetchall() == expected
         assert ss.sql("SELECT twice(21)").fetchall() == [(42,)]
+
+
+@pytest.fixture
+def client():
+    client = pybullet.connect(pybullet.DIRECT)
+    ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+    pybullet.createMultiBody(1, ball, physicsClientId=client)
+    yield client
+    pybullet.disconnect(client)
+
+
+@pytest.mark.parametrize("name", ["collate", "recollated", "COLLATE", "generated_always"])
+def test_names_of_worlds_are_no_collations(client, tmp_path, name):
+    with ssduck.Interpreter(tmp_path / "record.duckdb") as ss:
+        ss.add_variable(name, ssduck.World.attach(client)).step(3)
+    with ssduck.open(tmp_path / "record.duckdb", limits=ssduck.Limits.strict()) as ss:
+        assert len(ss.sql("SELECT DISTINCT tick FROM entities_history").fetchall()) == 4
+    added = f'ALTER TABLE {name}_record_0."entities 0" ADD COLUMN "a COLLATE b" VARCHAR'
+    run(tmp_path / "record.duckdb", added)
+    with ssduck.open(tmp_path / "record.duckdb") as ss:
+        assert len(ss.sql("SELECT DISTINCT tick FROM entities_history").fetchall()) == 4

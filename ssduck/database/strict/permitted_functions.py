@@ -92,8 +92,9 @@ AGGREGATING = frozenset(
 # of them are computed in one step.
 QUANTILES = frozenset(("approx_quantile", "quantile", "quantile_cont", "quantile_disc"))
 MAX_FRACTIONS = 100
-# Aggregates that hash each element, of a list or of the frame of a row, in one step.
+# Aggregates that hash each element of a list in one step, and those that do so of each frame.
 HASHING = frozenset(("entropy", "histogram", "mode"))
+HASHING_FRAMES = HASHING - {"mode"}
 # Functions that hash each element of the shorter of two lists.
 HASHING_SHORTER = frozenset(("&&", "array_has_any", "list_has_any"))
 # Functions whose second argument is a path in JSON, in which each `*` and `..` may stand for all

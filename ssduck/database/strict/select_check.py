@@ -23,6 +23,7 @@ from ssduck.database.strict.permitted_functions import (
     AGGREGATING,
     FUNCTIONS,
     HASHING,
+    HASHING_FRAMES,
     HASHING_SHORTER,
     JOINING,
     LIKES,
@@ -331,7 +332,7 @@ class _Walk:
 
     def _check_window(self, node: Node, name: str) -> None:
         """Checks that DuckDB computes an aggregate of each row's frame by those of other frames."""
-        if name in HASHING:
+        if name in HASHING_FRAMES:
             self._refuse(node, f"{name} has no OVER here")
         if node.get("distinct") and node.get("exclude_clause") != "NO_OTHER":
             self._refuse(node, "DISTINCT and EXCLUDE are not together in OVER here")

@@ -8,6 +8,7 @@ it is read.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +24,9 @@ from ssduck.recording.stores.stored_columns import MAX_VALUES, check_columns
 from ssduck.schema import SQL_TYPES, ColumnType
 
 # What the text of a table has that computes a column, or has texts compared in another way.
-_OF_STRANGERS = ("GENERATED ALWAYS", "COLLATE")
+_OF_STRANGERS = re.compile(r"\bGENERATED\s+ALWAYS\b|\bCOLLATE\b", re.IGNORECASE)
+# Names and texts in it, which may have any words.
+_QUOTED = re.compile(r'"(?:[^"]|"")*"|\'(?:[^\']|\'\')*\'')
 # The types of columns by DuckDB's names: those of texts are not all compared as texts.
 _TYPES: dict[str, str] = {name: type for type, name in SQL_TYPES.items()}
 # So much of the name of another type is shown: that of an enumeration has all of its values.
@@ -59,7 +62,7 @@ class RecordFile:
         rows = {
             (schema, table): size
             for schema, table, size, text in tables
-            if not any(words in str(text).upper() for words in _OF_STRANGERS)
+            if _OF_STRANGERS.search(_QUOTED.sub("", str(text))) is None
         }
         return cls(path, catalog, rows)
 
