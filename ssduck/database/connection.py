@@ -19,6 +19,7 @@ from sqlglot import exp
 from ssduck.database.fetched_rows import FetchedRows, Header, fetched
 from ssduck.database.file_paths import (
     absolute_path,
+    check_beside,
     open_error_text,
 )
 from ssduck.database.instances import (
@@ -238,15 +239,13 @@ class Connection(StatementRunner):
         """Attaches a DuckDB file to be read, and returns its name.
 
         Raises:
-            RecordError: it is no DuckDB file, or in use by another process.
+            RecordError: it is no DuckDB file, in use by another process, or its log is a link.
         """
         try:
             file = exp.Literal.string(absolute_path(str(path))).sql("duckdb")
+            check_beside(str(path))
         except SqlError as error:
             raise RecordError(error.message) from error
-        log = Path(f"{path}.wal")
-        if os.path.lexists(log) and not log.is_file():  # DuckDB would wait for a pipe
-            raise RecordError(f"{log} is no file, but DuckDB keeps the log of {path} there")
         try:
             # DuckDB would download an extension to read a file of another type.
             self.run(f"ATTACH {file} AS {_ATTACHED_NAME} (READ_ONLY, TYPE duckdb)")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import duckdb
@@ -40,6 +42,76 @@ def absolute_path(path: str, *, is_written: bool = False) -> str:
     return absolute
 
 
+def log_of(path: Path) -> Path:
+    """Returns the log of a DuckDB file, which DuckDB keeps beside the file that a link leads to."""
+    return Path(f"{os.path.realpath(path)}.wal")
+
+
+def spill_of(path: str) -> str:
+    """Returns the folder of what a query on a DuckDB file has no room for in memory."""
+    return f"{os.path.realpath(path)}.tmp"
+
+
+def check_beside(path: str, *, is_written: bool = False) -> None:
+    """Checks what DuckDB reads and writes beside a file: it would follow any link there.
+
+    A link that the path itself is, or has in it, is the user's, and is followed.
+
+    Args:
+        path: the path of the DuckDB file.
+        is_written: whether the file is opened to be written, too.
+
+    Raises:
+        SqlError: there is a link, or a pipe or another file that is no regular one.
+    """
+    log = log_of(Path(path))
+    for name in (log, *(f"{log}{ending}" for ending in _OTHER_LOGS)):
+        _check_kind(name, stat.S_ISREG, f"DuckDB keeps the log of {path} there")
+    if not is_written:
+        return
+    if os.path.islink(path) and not os.path.exists(path):
+        raise SqlError(
+            f"{path} is a symbolic link to what is not there: give the path of the new file itself"
+        )
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise SqlError(f"{path} is no file: give the path of a DuckDB file, or of a new one")
+    spill, use = spill_of(path), f"DuckDB puts there what queries on {path} have no room for"
+    _check_kind(spill, stat.S_ISDIR, use, kind="folder")
+    for name in _names_in(spill):
+        _check_kind(name, stat.S_ISREG, use)
+
+
+# What DuckDB adds to the name of a log while it makes another one of it.
+_OTHER_LOGS = (".checkpoint", ".recovery")
+
+
+def _names_in(folder: str) -> Iterator[str]:
+    """Yields the paths in a folder, if it is there."""
+    try:
+        with os.scandir(folder) as entries:
+            yield from (entry.path for entry in entries)
+    except OSError:  # DuckDB says what is wrong with it, if it needs it
+        return
+
+
+def _check_kind(
+    place: str | Path, is_right: Callable[[int], bool], use: str, kind: str = "file"
+) -> None:
+    """Checks that nothing is at a place, or what DuckDB makes there.
+
+    Raises:
+        SqlError: it is a link, or of another kind.
+    """
+    try:
+        mode = os.lstat(place).st_mode
+    except OSError:  # it is not there, or DuckDB says what is wrong
+        return
+    if stat.S_ISLNK(mode):
+        raise SqlError(f"{place} is a symbolic link, but {use}: remove the link")
+    if not is_right(mode):
+        raise SqlError(f"{place} is no {kind}, but {use}: move it elsewhere")
+
+
 def open_error_text(path: str, error: BaseException) -> str:
     """Returns the message about a file that cannot be opened."""
     if "already attached" in str(error):
@@ -73,7 +145,7 @@ def is_damage(error: BaseException) -> bool:
 
 def damage_text(path: Path, error: BaseException) -> str:
     """Returns the message about a damaged DuckDB file."""
-    log = path.with_name(f"{path.name}.wal")
+    log = log_of(path)
     hint = CHECK_HINT
     if log.exists():
         hint = (

@@ -15,6 +15,7 @@ from pathlib import Path
 import duckdb
 from sqlglot import exp
 
+from ssduck.database.file_paths import check_beside, spill_of
 from ssduck.errors import UnsupportedError
 from ssduck.recording.stores.object_store import file_system
 
@@ -89,7 +90,9 @@ def open_file(path: str) -> duckdb.DuckDBPyConnection:
 
     Raises:
         duckdb.Error: the file cannot be opened.
+        SqlError: there is a link beside it that DuckDB would follow.
     """
+    check_beside(path, is_written=True)
     literal = exp.Literal.string(path).sql("duckdb")
     is_new = True
     with suppress(OSError):  # attaching it says what is wrong
@@ -98,7 +101,7 @@ def open_file(path: str) -> duckdb.DuckDBPyConnection:
     try:
         options = f"TYPE duckdb, {_FORMAT}" if is_new else "TYPE duckdb"
         connection.execute(f"ATTACH {literal} AS {FILE_NAME} ({options})")
-        spill = exp.Literal.string(f"{path}.tmp").sql("duckdb")
+        spill = exp.Literal.string(spill_of(path)).sql("duckdb")
         connection.execute(f"SET temp_directory = {spill}")
     except BaseException:
         connection.close()

@@ -12,7 +12,7 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from ssduck.database.file_paths import damage_text, is_damage
+from ssduck.database.file_paths import damage_text, is_damage, log_of
 from ssduck.database.running.interrupts import translated
 from ssduck.errors import RecordError, SqlError
 from ssduck.recording.opened_record import OpenedRecord
@@ -69,7 +69,7 @@ class WriterConnection:
         """
         if self._file is None:
             return
-        log = self._file.with_name(f"{self._file.name}.wal")
+        log = log_of(self._file)
         with self._lock, _storing_errors(), suppress(OSError, duckdb.TransactionException):
             size = log.stat().st_size
             if size > LONG_LOG and shutil.disk_usage(log.parent).free > 4 * size:

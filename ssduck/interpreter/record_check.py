@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ssduck import validation
 from ssduck.database.database import Database
-from ssduck.database.file_paths import CHECK_HINT
+from ssduck.database.file_paths import CHECK_HINT, log_of
 from ssduck.errors import RecordError, SqlError, record_errors
 from ssduck.interpreter.archives import StoredRun, recorded_runs, replayed_world
 from ssduck.recording.folder_check import DAMAGED, Damage, check_folder, set_aside
@@ -48,7 +48,7 @@ def check(path: str | Path, *, repair: bool = False) -> list[Damage]:
     try:
         return list(_damages_of_file(place)) or list(_wrong_rows(place))
     except RecordError as error:
-        log = place.with_name(f"{place.name}.wal")
+        log = log_of(place)
         if CHECK_HINT in error.message:  # which is this check
             text = error.message.replace(CHECK_HINT, "nothing of it can be read: put a copy back")
             raise RecordError(text) from error
