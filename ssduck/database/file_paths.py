@@ -69,11 +69,12 @@ def check_beside(path: str, *, is_written: bool = False) -> None:
         _check_kind(name, stat.S_ISREG, f"DuckDB keeps the log of {path} there")
     if not is_written:
         return
-    if os.path.islink(path) and not os.path.exists(path):
+    file = Path(path)
+    if file.is_symlink() and not file.exists():
         raise SqlError(
             f"{path} is a symbolic link to what is not there: give the path of the new file itself"
         )
-    if os.path.exists(path) and not os.path.isfile(path):
+    if file.exists() and not file.is_file():
         raise SqlError(f"{path} is no file: give the path of a DuckDB file, or of a new one")
     spill, use = spill_of(path), f"DuckDB puts there what queries on {path} have no room for"
     _check_kind(spill, stat.S_ISDIR, use, kind="folder")

@@ -8,7 +8,7 @@ episodes by one statement.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -79,13 +79,13 @@ def _reads_present(node: Node) -> bool:
 
 
 @contextmanager
-def collected_doubts(interpreter: Interpreter) -> Iterator[list[str]]:
-    """Yields a list that gets the probable mistakes of the programs inside, in place of warnings.
+def collected_doubts(interpreter: Interpreter) -> Iterator[Collection[str]]:
+    """Yields what gets the probable mistakes of the programs inside, in place of warnings.
 
-    It has each as often as it is found, also if an earlier program had it.
+    It has each once, also if an earlier program had it, and at most so many as are shown.
     """
     execution = interpreter._execution  # noqa: SLF001  # one package
-    doubts: list[str] = []
+    doubts: dict[str, None] = {}
     execution.doubts = doubts
     try:
         yield doubts

@@ -52,6 +52,8 @@ from ssduck.world.world import World
 _Reads: TypeAlias = tuple[frozenset[str], list[World] | None]
 # The types of values that are neither worlds nor contain any.
 _PLAIN = frozenset((type(None), bool, int, float, str))
+# The largest number of probable mistakes of a program that are shown.
+MAX_WARNINGS = 20
 # The largest length of lists whose elements are looked at whenever a program runs again.
 _SHORT = 16
 
@@ -108,7 +110,9 @@ class Execution(Namespace):
         super().__init__(database, limits)
         self.strict = strict
         self.is_stopped: Callable[[], bool] | None = None
-        self.doubts: list[str] | None = None
+        self.doubts: dict[str, None] | None = None
+        # The number of probable mistakes of the running program that were not reported before.
+        self._new_doubts = 0
         self._value_of_query = value_of_query
         self.linter = Linter(
             self.variable_or_none,
@@ -151,6 +155,10 @@ class Execution(Namespace):
     def end_transaction(self) -> None:
         """Ends what `begin_transaction` has begun."""
         self._program_texts.pop()
+        more = self._new_doubts - MAX_WARNINGS
+        if more > 0 and not self.is_running:
+            self._new_doubts = 0
+            warn(f"and {more} more such warnings of this program", ProgramWarning)
 
     def begin_program(self) -> None:
         """Prepares for a program while none is running; the caller has the lock."""
@@ -160,6 +168,7 @@ class Execution(Namespace):
 
     def begin_meter(self) -> None:
         """Measures a new program from now on."""
+        self._new_doubts = 0
         self.database.connection.meter = UsageMeter(self._limits, self.is_stopped)
 
     @property
@@ -265,7 +274,7 @@ class Execution(Namespace):
             yield node
 
     def report(self, suspicions: Iterable[SelectScriptError]) -> None:
-        """Warns of probable mistakes, once of each, or collects them in `doubts`.
+        """Warns of probable mistakes, once of each, or collects them in `doubts`: of the first.
 
         Raises:
             SelectScriptError: the first of them, in strict interpreters.
@@ -274,9 +283,12 @@ class Execution(Namespace):
             if self.strict:
                 raise suspicion
             if self.doubts is not None:
-                self.doubts.append(str(suspicion))
+                if len(self.doubts) < MAX_WARNINGS:
+                    self.doubts.setdefault(str(suspicion))
             elif self.linter.is_new(suspicion):
-                warn(str(suspicion), ProgramWarning)
+                self._new_doubts += 1
+                if self._new_doubts <= MAX_WARNINGS:
+                    warn(str(suspicion), ProgramWarning)
 
     def _recorded_names(self, world: World) -> set[str]:
         """Returns the names of all entities in the record of a world."""
@@ -508,8 +520,10 @@ class _Transaction:
                 if isinstance(error, RecursionError):
                     raise EvaluationError("the program is nested too deeply") from error
         finally:
-            execution.end_transaction()
-            execution.lock.release()
+            try:
+                execution.end_transaction()
+            finally:  # a warning may be an error
+                execution.lock.release()
 
     def _undo(self, error: BaseException) -> None:
         self._execution.variables = self._before

@@ -256,7 +256,7 @@ def _answer(answering: Answering, interpreter: Interpreter, entry: EpisodeEntry)
     """
     with collected_doubts(interpreter) as doubts:
         text = to_text(answering(interpreter, entry))
-    return Answer(text, doubts=tuple(dict.fromkeys(doubts)))
+    return Answer(text, doubts=tuple(doubts))
 
 
 def _check_database_file(entry: EpisodeEntry) -> None:

@@ -121,7 +121,9 @@ def test_what_is_no_file_is_not_waited_for(
         _record(file)
 
 
-@pytest.mark.parametrize("place", ["run.duckdb.tmp", "run.duckdb.tmp/duckdb_temp_1_0_storage_DEFAULT-0"])
+@pytest.mark.parametrize(
+    "place", ["run.duckdb.tmp", "run.duckdb.tmp/duckdb_temp_1_0_storage_DEFAULT-0"]
+)
 def test_queries_leave_nothing_where_a_link_leads(file: Path, tmp_path: Path, place: str) -> None:
     link, target = tmp_path / place, tmp_path / "target"
     target.mkdir()
