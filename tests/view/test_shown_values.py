@@ -7,7 +7,6 @@ import pytest
 
 import ssduck
 from ssduck.adapters.display import as_json
-from ssduck.interpreter.execution import MAX_WARNINGS
 from ssduck.view import shown_values
 from ssduck.view.shown_values import MAX_LETTERS, MAX_VALUES, shown_rows
 
@@ -73,12 +72,3 @@ def test_a_page_gets_the_beginning_of_a_nested_list(page, monkeypatch, text):
     assert len(made) <= MAX_VALUES
     assert len(answer["marks"]) == len(answer["rows"]) <= answer["count"]
     assert len(json.dumps(answer)) < 2_000_000
-
-
-def test_a_program_of_many_warnings_has_the_first(page):
-    names = ", ".join(f"'thing {number}'" for number in range(MAX_WARNINGS + 7))
-    program = f"SELECT this FROM kitchen WHERE this IN ({names});"
-    question = {"type": "ask", "text": program, "language": "selectscript"}
-    answer = page.answer(question, StopRequest())
-    assert len(answer["warnings"]) == MAX_WARNINGS + 1
-    assert answer["warnings"][-1].startswith("and 7 more")
