@@ -44,6 +44,7 @@ from ssduck.errors import EvaluationError, LimitError, SqlError
 from ssduck.language.builtins import Function
 from ssduck.limits import Limits
 from ssduck.recording.export import export
+from ssduck.recording.folder_episodes import BegunEpisode
 from ssduck.recording.folder_recording import ParquetRecording
 from ssduck.recording.recorder import Recorder
 from ssduck.recording.replay.record import Record
@@ -393,10 +394,13 @@ class Database:
         path: Path,
         names: tuple[str, ...] | None,
         time_range: tuple[float | None, float | None],
+        begun: list[BegunEpisode],
         tags: Tags | None = None,
         about: Mapping[str, str] | None = None,
     ) -> Path:
         """Writes the record of a world to a folder as a new episode; returns its ticks' folder.
+
+        The caller discards what has `begun` if anything fails, as in `whole_record`.
 
         Raises:
             RecordError: the folder holds other files, or cannot be written; or a row of the record
@@ -412,7 +416,7 @@ class Database:
             assert history is not None
             recording = history.store.recording
             name = self.schema_of(world)
-            return export(record, recording, name, path, names, time_range, tags, about)
+            return export(record, recording, name, path, names, time_range, begun, tags, about)
 
     def flush(self) -> dict[str, int]:
         """Stores waiting ticks; returns the last tick of each world, by its schema."""

@@ -25,6 +25,7 @@ from ssduck.recording.stores.parquet import PART_TICKS, ParquetStore
 from ssduck.recording.tags import Tags, checked_tags
 from ssduck.schema import FRAMES, LINK_FACTOR, RECORDED
 from ssduck.simulators.interface import LinkPoses
+from ssduck.world import ctrl_c
 from ssduck.world.layout import BodyGroup, EntityInfo, TableLayout
 from ssduck.world.snapshot import Snapshot
 
@@ -172,9 +173,10 @@ class RecordWriter:
     @record_errors()
     def begin(self, *, is_export: bool) -> None:
         """Begins the episode; if it is an export, it exists only when it is closed."""
-        self._store = ParquetStore(
-            self._path, self._world, self._recording, is_export=is_export, tags=self._tags
-        )
+        with ctrl_c.deferred():  # so that `discard` has what was begun
+            self._store = ParquetStore(
+                self._path, self._world, self._recording, is_export=is_export, tags=self._tags
+            )
         self._store.add_members(self._entities, Snapshot())
 
     def write(self, batch: PoseBatch) -> None:
@@ -204,9 +206,10 @@ class RecordWriter:
 
     def discard(self) -> None:
         """Removes what was written of the episode."""
-        if self._store is not None:
-            self._store.discard()
-        self._is_closed = True
+        with ctrl_c.deferred():
+            if self._store is not None:
+                self._store.discard()
+            self._is_closed = True
 
     def __enter__(self) -> Self:
         return self

@@ -216,14 +216,15 @@ class RecordingMethods(ABC):
                 raise EvaluationError("no world is recorded here")
             database, folder, added = self._database, expand_path(path), checked_tags(tags)
             folders: dict[str, Path] = {}
-            with whole_record(folder) as runs:
+            with whole_record(folder) as begun:
                 for chosen in worlds:
                     name = database.schema_of(chosen)
-                    ticks = database.export(chosen, folder, names, (start, end), added)
-                    folders[name] = ticks
-                    runs.append(FolderRun(folder, name, episode_number(ticks)))
+                    folders[name] = database.export(
+                        chosen, folder, names, (start, end), begun, added
+                    )
                 if within is not None:
-                    for run in runs:
+                    for name, ticks in folders.items():
+                        run = FolderRun(folder, name, episode_number(ticks))
                         self._write_pairs(run, within)
             return folders
 

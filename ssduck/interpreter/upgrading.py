@@ -9,10 +9,9 @@ from ssduck.interpreter.archives import episodes
 from ssduck.interpreter.opening import open_record
 from ssduck.recording.episode import Episode
 from ssduck.recording.episode_steps import EpisodeSteps, recorded_steps
-from ssduck.recording.folder_episodes import whole_record
+from ssduck.recording.folder_episodes import BegunEpisode, whole_record
 from ssduck.recording.paths import expand_path
 from ssduck.recording.stores.atomic_files import finish_folder, unfinished_folder
-from ssduck.recording.stores.parquet_layout import FolderRun
 from ssduck.recording.stores.part_names import episode_number
 
 
@@ -51,12 +50,12 @@ def upgrade(path: str | Path, output: str | Path) -> list[Episode]:
         raise RecordError(f"{source} has no episode with ticks")
     with_steps = set(recorded_steps(source) if source.is_dir() else ())
     place = unfinished_folder(folder)
-    with whole_record(place, is_private=place != folder) as runs:
+    with whole_record(place, is_private=place != folder) as begun:
         for episode in listed:
             name = episode.world, episode.number
             # Before the episode is written, as the file may be damaged.
             steps = EpisodeSteps.read(source, *name) if name in with_steps else None
-            _upgrade(source, episode, steps, place, runs)
+            _upgrade(source, episode, steps, place, begun)
         finish_folder(place, folder)
     return episodes(folder)
 
@@ -66,17 +65,15 @@ def _upgrade(
     episode: Episode,
     steps: EpisodeSteps | None,
     folder: Path,
-    runs: list[FolderRun],
+    begun: list[BegunEpisode],
 ) -> None:
-    """Writes an episode to the new folder, and adds it to `runs`."""
+    """Writes an episode to the new folder, and adds it to `begun`."""
     about = {"started": episode.started}
     if episode.id is not None:
         about["id"] = episode.id
     with open_record(source, episode.world, episode.number) as ss:
         database = ss._database  # noqa: SLF001  # it reads the record
         (world,) = database.worlds.values()
-        ticks = database.export(world, folder, None, (None, None), about=about)
-    run = FolderRun(folder, episode.world, episode_number(ticks))
-    runs.append(run)
+        ticks = database.export(world, folder, None, (None, None), begun, about=about)
     if steps is not None:
-        steps.write(folder, run.world, run.number)
+        steps.write(folder, episode.world, episode_number(ticks))

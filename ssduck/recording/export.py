@@ -9,12 +9,14 @@ import numpy as np
 import pyarrow as pa
 
 from ssduck.errors import EvaluationError
+from ssduck.recording.folder_episodes import BegunEpisode
 from ssduck.recording.replay.record import Record
 from ssduck.recording.spec import Recording, check_names, chosen_members
 from ssduck.recording.stores.parquet import ParquetStore
 from ssduck.recording.stores.stored_columns import with_nulls
 from ssduck.recording.tags import Tags
 from ssduck.schema import RECORDABLE, RECORDED
+from ssduck.world import ctrl_c
 
 # About so many rows of entities make a part: ten megabytes.
 PART_ROWS = 1 << 18
@@ -27,6 +29,7 @@ def export(
     path: Path,
     names: tuple[str, ...] | None,
     between: tuple[float | None, float | None],
+    begun: list[BegunEpisode],
     tags: Tags | None = None,
     about: Mapping[str, str] | None = None,
 ) -> Path:
@@ -39,6 +42,8 @@ def export(
         path: the folder of episodes.
         names: the names of the exported entities; None for all.
         between: the first and the last simulated time, s; None for no limit.
+        begun: gets the episode as it begins; the caller discards it if anything fails, as a part of
+            an episode would pass for all of it.
         tags: what the user says of the run, added to the tags of the record.
         about: the id of the episode and the time of its start; None for new ones.
 
@@ -58,27 +63,24 @@ def export(
     check_names(Recording(entities=names), members)
     selected = members if names is None else chosen_members(members, names)
     ids = None if names is None else pa.array([member.id for member in selected])
-    store = ParquetStore(
-        path,
-        world,
-        chosen,
-        is_export=True,
-        tags={**record.tags, **(tags or {})},
-        camera=record.world.camera,
-        about=about,
-    )
-    try:
-        store.add_members(selected, record.world.snapshot)
-        for first, last in _parts(numbers, max(len(selected), 1)):
-            fetched = {
-                table: with_nulls(in_order(record.fetch(table, first, last)))
-                for table in store.tables
-            }
-            store.add({table: _rows_of(ids, table, rows) for table, rows in fetched.items()})
-        store.finish()
-    except BaseException:  # a part of an episode would pass for all of it
-        store.discard()
-        raise
+    with ctrl_c.deferred():
+        store = ParquetStore(
+            path,
+            world,
+            chosen,
+            is_export=True,
+            tags={**record.tags, **(tags or {})},
+            camera=record.world.camera,
+            about=about,
+        )
+        begun.append(store)
+    store.add_members(selected, record.world.snapshot)
+    for first, last in _parts(numbers, max(len(selected), 1)):
+        fetched = {
+            table: with_nulls(in_order(record.fetch(table, first, last))) for table in store.tables
+        }
+        store.add({table: _rows_of(ids, table, rows) for table, rows in fetched.items()})
+    store.finish()
     return store.run.place("ticks")
 
 

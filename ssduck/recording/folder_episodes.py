@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
@@ -23,6 +23,7 @@ from ssduck.recording.stores.object_store import ObjectPath, remove_tree
 from ssduck.recording.stores.parquet_layout import LOG, PAIRS, FolderRun
 from ssduck.recording.stores.tick_index import INDEX
 from ssduck.schema import MODELS
+from ssduck.world import ctrl_c
 
 # The maximum length of a file name in bytes, where the system does not report it.
 _NAME_MAX = 255
@@ -41,8 +42,15 @@ def remove_episode(run: FolderRun) -> None:
     run.about_file.unlink(missing_ok=True)
 
 
+class BegunEpisode(Protocol):
+    """An episode that was begun."""
+
+    def discard(self) -> None:
+        """Removes the files of the episode."""
+
+
 @contextmanager
-def whole_record(path: Path, *, is_private: bool = False) -> Iterator[list[FolderRun]]:
+def whole_record(path: Path, *, is_private: bool = False) -> Iterator[list[BegunEpisode]]:
     """Lets episodes be added to a folder, all or none.
 
     Args:
@@ -50,19 +58,20 @@ def whole_record(path: Path, *, is_private: bool = False) -> Iterator[list[Folde
         is_private: whether nobody else knows of the folder, so that all in it goes.
 
     Yields:
-        The episodes, which are appended when they are complete.
+        The episodes, which are appended as they begin, so that Ctrl-C finds each of them.
     """
-    made, runs = missing_folders(path), list[FolderRun]()
+    made, begun = missing_folders(path), list[BegunEpisode]()
     try:
-        yield runs
+        yield begun
     except BaseException:
-        if is_private:
-            remove_tree(path)
-        else:
-            for run in runs:
-                remove_episode(run)
-        if made is not None and (is_private or path.exists()):
-            remove_empty(path, made)
+        with ctrl_c.deferred():
+            if is_private:
+                remove_tree(path)
+            else:
+                for episode in begun:
+                    episode.discard()
+            if made is not None and (is_private or path.exists()):
+                remove_empty(path, made)
         raise
 
 

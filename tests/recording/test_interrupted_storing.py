@@ -19,44 +19,12 @@ from ssduck.recording.background_writer import BufferedRows
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.parquet import ParquetStore
+from tests.support.presser import Presser
 from tests.support.timing import HANGS
 
 TICKS = 12
 # How often Ctrl-C is pressed, at lines that are spread over a method.
 PRESSES = 6
-PARTS = f"{Path(ssduck.__file__).parent}/"
-
-
-class Presser:
-    """Presses Ctrl-C before a line of ssduck's that comes after so many others.
-
-    Args:
-        line: the number of the line.
-        number: another signal that comes there.
-
-    Attributes:
-        count: the number of lines so far.
-    """
-
-    def __init__(self, line: float, number: int = signal.SIGINT) -> None:
-        self._line, self._number = line, number
-        self.count = 0
-
-    def __enter__(self):
-        sys.settrace(self._trace)
-        return self
-
-    def __exit__(self, *_):
-        sys.settrace(None)
-
-    def _trace(self, frame, event, _):
-        if not frame.f_code.co_filename.startswith(PARTS):
-            return None
-        if event == "line":
-            self.count += 1
-            if self.count == self._line:
-                signal.raise_signal(self._number)
-        return self._trace
 
 
 class InDatabase:
