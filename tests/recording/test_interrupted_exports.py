@@ -13,23 +13,18 @@ from typing import Any
 import pytest
 
 import ssduck
+from ssduck.database import database
 from ssduck.interchange import record_writer
 from ssduck.interpreter import recording, upgrading
 from ssduck.recording import export as exporting
-from ssduck.recording import folder_episodes
 from ssduck.recording.stores import parquet
 from tests.support.presser import Presser
 
 POSES = {"cup": [[0, 0, 1], [0, 0, 2]]}
-# The modules at each line of which Ctrl-C is pressed.
-MODULES: tuple[ModuleType, ...] = (
-    exporting,
-    folder_episodes,
-    parquet,
-    record_writer,
-    recording,
-    upgrading,
-)
+# The modules at lines of which Ctrl-C is pressed: those that begin and end an episode.
+MODULES: tuple[ModuleType, ...] = (exporting, record_writer, recording, upgrading)
+# At so many lines, spread over a call, and at the last ones.
+SPREAD, LAST = 6, 8
 PLACES = tuple(inspect.getfile(module) for module in MODULES)
 
 
@@ -56,7 +51,7 @@ def files_in(place: Path) -> dict[Path, bytes]:
 
 def _export(record: Path, folder: Path) -> None:
     with ssduck.open(record) as ss:
-        ss.export(folder, pairs=0.1)
+        ss.export(folder)
 
 
 def _upgrade(record: Path, folder: Path) -> None:
@@ -92,7 +87,8 @@ def test_nothing_is_left_or_the_whole(
     count = pressed(call, record, tmp_path / "whole", math.inf)
     whole = ssduck.episodes(tmp_path / "whole")
     assert count > 50
-    for line in range(1, count + 1):
+    last = range(count - LAST, count + 1)
+    for line in (*range(1, last.start, count // SPREAD), *last):
         folder = tmp_path / "a" / str(line)
         if has_others:
             write(folder, world="other")
@@ -106,3 +102,43 @@ def test_nothing_is_left_or_the_whole(
             assert ssduck.check(folder) == []
             assert not [place for place in folder.rglob("*") if place.name.startswith(".")]
         assert not list(folder.parent.glob(".*"))
+
+
+def then_pressed(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Returns the function, after which Ctrl-C comes before its caller has the value."""
+
+    def called(*arguments: Any, **options: Any) -> Any:
+        value = function(*arguments, **options)
+        signal.raise_signal(signal.SIGINT)
+        return value
+
+    return called
+
+
+@pytest.mark.parametrize("call", [_export, _upgrade, _write])
+def test_an_episode_that_has_just_begun_is_removed(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: Call
+) -> None:
+    monkeypatch.setattr(parquet, "begin_episode", then_pressed(parquet.begin_episode))
+    before = files_in(tmp_path)
+    for folder in (tmp_path / "new", tmp_path / "record"):
+        if call is _upgrade and folder.exists():
+            continue
+        with pytest.raises(KeyboardInterrupt):
+            call(record, folder)
+        assert files_in(tmp_path) == before
+        assert {place.name for place in tmp_path.iterdir()} == {"record"}
+
+
+def test_an_episode_is_not_left_without_its_pairs(
+    record: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nor the first one of several worlds."""
+    monkeypatch.setattr(database, "export", then_pressed(database.export))
+    before = files_in(record)
+    with ssduck.open(record) as ss:
+        for folder in (tmp_path / "new", record):
+            with pytest.raises(KeyboardInterrupt):
+                ss.export(folder, pairs=0.1)
+    assert files_in(record) == before
+    assert not (tmp_path / "new").exists()
