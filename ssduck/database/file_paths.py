@@ -65,8 +65,8 @@ def check_beside(path: str, *, is_written: bool = False) -> None:
         SqlError: there is a link, or a pipe or another file that is no regular one.
     """
     log = log_of(Path(path))
-    for name in (log, *(f"{log}{ending}" for ending in _OTHER_LOGS)):
-        _check_kind(name, stat.S_ISREG, f"DuckDB keeps the log of {path} there")
+    for ending in ("", *_OTHER_LOGS):
+        _check_kind(f"{log}{ending}", stat.S_ISREG, f"DuckDB keeps the log of {path} there")
     if not is_written:
         return
     file = Path(path)
@@ -95,9 +95,7 @@ def _names_in(folder: str) -> Iterator[str]:
         return
 
 
-def _check_kind(
-    place: str | Path, is_right: Callable[[int], bool], use: str, kind: str = "file"
-) -> None:
+def _check_kind(place: str, is_right: Callable[[int], bool], use: str, kind: str = "file") -> None:
     """Checks that nothing is at a place, or what DuckDB makes there.
 
     Raises:
