@@ -16,7 +16,7 @@ from ssduck import validation
 from ssduck.adapters.display import RowsOfColumns
 from ssduck.errors import EvaluationError
 from ssduck.formatting import count_of
-from ssduck.nested_columns import parts_of
+from ssduck.recording.stores.stored_columns import parts_of
 
 if TYPE_CHECKING:
     import pandas as pd

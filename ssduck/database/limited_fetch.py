@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 from ssduck.database.fetched_rows import ARROW_TYPES, MANY_ROWS, all_rows, are_plain
 from ssduck.errors import LimitError, SqlError
 from ssduck.formatting import short_repr
-from ssduck.nested_columns import parts_of
+from ssduck.recording.stores.stored_columns import parts_of
 
 # Counts the size of values, bytes.
 Charge: TypeAlias = Callable[[int], None]

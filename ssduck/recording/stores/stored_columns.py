@@ -231,6 +231,25 @@ def _is_list(type: pa.DataType) -> bool:
     )
 
 
+def parts_of(values: pa.Array) -> list[pa.Array]:
+    """Returns the columns within one of a nested type; the elements of lists are one after another.
+
+    Args:
+        values: the column.
+
+    Returns:
+        The columns; none for another type.
+    """
+    kind = values.type
+    if pa.types.is_map(kind):
+        return [values.keys, values.items]
+    if pa.types.is_union(kind):
+        return [values.field(place) for place in range(kind.num_fields)]
+    if pa.types.is_struct(kind):
+        return list(values.flatten())
+    return [values.flatten()] if pa.types.is_nested(kind) else []
+
+
 def with_nulls(rows: pa.Table) -> pa.Table:
     """Returns rows with NULL for unknown numbers, which may be NaN: SQL takes that for a number."""
     for place, column in enumerate(rows.columns):
