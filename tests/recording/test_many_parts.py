@@ -15,7 +15,7 @@ import pytest
 import ssduck
 from ssduck import Recording
 from ssduck.database import recorders
-from ssduck.errors import RecordError, SqlError
+from ssduck.errors import RecordError
 from ssduck.recording.stores import parquet, parquet_archive, parquet_layout, tick_index
 from ssduck.recording.stores.checksums import write_json, write_parquet
 from ssduck.recording.stores.descriptions import read_description
@@ -322,7 +322,7 @@ def test_parts_of_other_ticks_are_not_read(run: Path, checks: list[str]) -> None
             ss.add_variable("T", time)
             assert ss.eval("SELECT tick FROM lab{T} AS value;") == tick
         assert len(times) > 5
-        with pytest.raises(SqlError, match=other.name):
+        with pytest.raises(RecordError, match=other.name):
             ss.eval("SELECT tick FROM lab{} AS list;")
 
 
