@@ -227,6 +227,10 @@ REFUSED = [
         "DISTINCT and EXCLUDE are not together in OVER",
     ),
     ("SELECT COLUMNS('(id|name){40}') FROM entities", "COLUMNS takes a text of at most 200"),
+    (
+        f"SELECT COLUMNS('[{'a' * 390}]id{'x' * 500}') FROM entities",
+        "COLUMNS takes a text of at most 200",
+    ),
     (f"SELECT name LIKE '{'%a' * 100}%' FROM entities", "the pattern of LIKE is a text of at most"),
     ("SELECT name FROM entities WHERE name NOT LIKE kind || '%'", "the pattern of NOT LIKE is"),
     ("SELECT name ILIKE kind ESCAPE '!' FROM entities", "the pattern of ILIKE is"),

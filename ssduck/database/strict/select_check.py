@@ -84,8 +84,6 @@ _CLASSES = frozenset(("BETWEEN", "CASE", "CAST", "COLLATE", "COLUMN_REF", "COMPA
     ("CONJUNCTION", "CONSTANT", "DEFAULT", "FUNCTION", "LAMBDA", "OPERATOR", "PARAMETER"),
     ("POSITIONAL_REFERENCE", "STAR", "SUBQUERY", "TYPE", "WINDOW"),
 )
-# So much of an expression is measured; it is too long then.
-_LONGER = 2 * MAX_EXPRESSION
 # DuckDB's place of a part that the text does not have.
 _NOWHERE = 2**64 - 1
 
@@ -245,7 +243,11 @@ class _Walk:
         text = (expression.get("literal") or {}).get("text")
         # A list of names, or what a function finds of all names.
         is_list = expression.get("function_name") in ("list_value", "list_filter")
-        is_short = isinstance(text, str) and expression_size(text[:_LONGER]) <= MAX_EXPRESSION
+        is_short = (
+            isinstance(text, str)
+            and len(text) <= MAX_EXPRESSION
+            and expression_size(text) <= MAX_EXPRESSION
+        )
         if expression and not is_list and not is_short:
             what = f"a text of at most {MAX_EXPRESSION} letters"
             self._refuse(node, f"COLUMNS takes {what}, a list or a function here")
