@@ -2,7 +2,7 @@
 PYTHON ?= .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help setup test check lint bench docs scenes
+.PHONY: help setup test check times long lint bench docs scenes
 
 help: ## list the tasks
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/' | expand -t 10
@@ -12,13 +12,19 @@ setup: ## make .venv with everything that development needs
 	$(PYTHON) -m pip install --quiet -e '.[dev]'
 
 # What pytest makes of the tests' assertions is kept for the next run: 15 s in each process.
-test check: export PYTHONDONTWRITEBYTECODE =
+test check times long: export PYTHONDONTWRITEBYTECODE =
 
-test: ## run the tests but for the slow ones
-	$(PYTHON) -m pytest -m "not slow"
+test: ## run the fast tests
+	$(PYTHON) -m pytest -m "not slow and not long"
 
-check: ## run all tests
+check: ## run all tests but for the long ones
 	$(PYTHON) -m pytest
+
+times: check ## run them, and report the dearest cases and fixtures
+	$(PYTHON) -m tools.times
+
+long: ## run the long tests and checks, with many generated cases: an hour, for the night
+	$(PYTHON) -m tools.long
 
 lint: ## check style, types and layers, and that what is generated is up to date
 	$(PYTHON) -m ruff check .

@@ -1,11 +1,10 @@
 """Fixtures of all tests: a PyBullet client, files written on the spot, the kitchen's facts.
 
 The folders follow the packages of `ssduck`; `end_to_end` tests the whole, `support` holds what several
-files use. `python -m pytest` runs everything, in a process for each core; `-n 0` runs in one process,
-for a debugger or `-s`. `-m "not slow"`, which is `make test`, leaves out the tests and cases that are
-marked `slow`: those that take long or draw many random cases. Of a test that is parametrized by
-`sampled` it runs a sample. A test may run beside any other, in any order: it keeps its files in
-`tmp_path` and closes what it opens.
+files use. `python -m pytest` runs all but the `long` cases, in a process for each core; `-n 0` runs in
+one process, for a debugger or `-s`. `make test` leaves out those that are marked `slow`, too; `make
+long` runs the `long` ones, and those that generate their cases with more of them. A test may run beside
+any other, in any order: it keeps its files in `tmp_path` and closes what it opens.
 """
 
 from __future__ import annotations
@@ -21,18 +20,24 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.support.cases import factor, generated
+from tests.support.times import Times
+
 DATA = Path(__file__).parent / "data"
 # A file system in memory, and the free bytes that tests may need in it.
 MEMORY = Path("/dev/shm")  # noqa: S108
 NEEDED = 4 << 30
 
 # The machines that run the tests are slow and shared; a failing example is found again.
-settings.register_profile("ssduck", deadline=None, derandomize=True)
-settings.load_profile("ssduck")
+settings.register_profile("few", deadline=None, derandomize=True, max_examples=generated(25))
+# Each night draws other examples.
+settings.register_profile("many", deadline=None, print_blob=True, max_examples=generated(100))
+settings.load_profile("many" if factor() > 1 else "few")
 
 
-def pytest_configure():
+def pytest_configure(config):
     """Let signals reach the processes of tests that a background job or nohup would ignore."""
+    config.pluginmanager.register(Times(config))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
@@ -60,6 +65,14 @@ def pytest_collection():
         return (yield)
     finally:
         gc.enable()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Let `make long` find the modules that generate cases."""
+    for item in items:
+        if hasattr(item, "module") and hasattr(item.module, "generated"):
+            item.add_marker(pytest.mark.generated)
 
 
 def pytest_collection_finish():
