@@ -20,7 +20,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.support.cases import factor, generated
+from tests.support.cases import factor, generated, mark_all_but_pairs
 from tests.support.times import Times
 
 DATA = Path(__file__).parent / "data"
@@ -69,7 +69,8 @@ def pytest_collection():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Let `make long` find the modules that generate cases."""
+    """Let `make long` find the modules that generate cases, and those that few others stand for."""
+    mark_all_but_pairs(items)
     for item in items:
         if hasattr(item, "module") and hasattr(item.module, "generated"):
             item.add_marker(pytest.mark.generated)

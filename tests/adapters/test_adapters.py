@@ -212,6 +212,7 @@ def test_errors_say_where_and_leave_variables(kitchen, registry, program, error,
         kitchen.call_variable("kept")
 
 
+@pytest.mark.slow
 def test_time_is_up_for_forms_too(kitchen, registry):
     made = []
 

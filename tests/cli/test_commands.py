@@ -35,6 +35,7 @@ def test_functions():
         assert answer("functions", "distance") == ss.help("distance") + "\n"
 
 
+@pytest.mark.slow
 def test_help():
     assert answer() == answer("--help") == answer("-h")
     group = typer.main.get_command(app)
@@ -129,6 +130,7 @@ EXAMPLES = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("line", "shown"), EXAMPLES, every=3, ids=[line for line, _ in EXAMPLES])
 def test_examples_of_the_manual(tmp_path, monkeypatch, line, shown):
     monkeypatch.chdir(tmp_path)

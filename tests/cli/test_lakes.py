@@ -43,6 +43,7 @@ def test_lake_ask_and_tag(runs):
     assert rows[0]["answer"] == pytest.approx(1.55, abs=0.1)
 
 
+@pytest.mark.slow
 def test_ask_writes_sql(runs, tmp_path):
     program = "SELECT id FROM kitchen WHERE z(this) > 1;"
     told = answer("ask", runs, program, "-w", "episode = 1", "--sql", "duckdb")

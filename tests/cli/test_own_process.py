@@ -16,6 +16,7 @@ from ssduck.cli.worker import Source, WorkerAnswers
 from ssduck.errors import LimitError
 from ssduck.limits import Limits
 from ssduck.mcp.answers import WorkerError
+from tests.support.cases import sampled
 from tests.support.command_line import LINUX
 from tests.support.timing import HANGS
 
@@ -55,7 +56,7 @@ def test_a_picture_comes_from_the_worker(worker):
     assert picture.startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @LINUX
 def test_a_worker_that_is_stuck_is_ended_and_started_again(worker):
     rows(worker, "kept = 1;")
@@ -69,6 +70,7 @@ def test_a_worker_that_is_stuck_is_ended_and_started_again(worker):
         rows(worker, "kept;")
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_worker_that_is_gone_is_started_again(worker):
     worker._process.kill()
@@ -83,6 +85,7 @@ def test_a_worker_takes_no_more_memory_than_it_may(worker):
     assert rows(worker, "4;") == 4
 
 
+@pytest.mark.slow
 def test_a_worker_tells_why_it_does_not_start():
     with pytest.raises(WorkerError, match="did you mean 'kitchen'"):
         WorkerAnswers(Source("kitchn", None, None, Limits.strict()))
@@ -136,8 +139,9 @@ except LimitError as error:
 """
 
 
+@pytest.mark.slow
 @LINUX
-@pytest.mark.parametrize(
+@sampled(
     ("code", "output", "status"),
     [
         ("pass", "result\n", 3),
@@ -149,7 +153,7 @@ except LimitError as error:
         ("bytearray(10**11)", "error: the program needs too much memory\n", 0),
         ("raise LimitError('a limit')", "error: a limit\n", 0),
     ],
-)  # fmt: skip
+every=4)  # fmt: skip
 def test_the_parent_ends_as_its_child(code, output, status):
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM.format(code)],

@@ -81,6 +81,7 @@ SLOW = [
 ]
 
 
+@pytest.mark.slow
 @LINUX
 @sampled("arguments", SLOW, every=2)
 def test_interrupted(here, arguments):

@@ -82,6 +82,7 @@ def test_a_table_is_folded_on_a_terminal_and_whole_elsewhere(here):
     assert "small" in folded
 
 
+@pytest.mark.slow
 @sampled("width", [20, 80, 120], every=3)
 @pytest.mark.parametrize("question", [["--sql", "SELECT * FROM entities"], [WIDE]])
 def test_columns_that_do_not_fit_are_marked_and_counted(here, width, question):
@@ -342,6 +343,7 @@ def test_a_file_without_rows_has_its_columns(here):
     assert pq.read_table("none.parquet").num_rows == 0
 
 
+@pytest.mark.slow
 def test_a_plan_of_duckdb_is_readable(here):
     plan = answer("query", "two.toml", "--sql", "EXPLAIN SELECT id FROM entities")
     first, *_, last = plan.splitlines()
@@ -354,6 +356,7 @@ def test_a_plan_of_duckdb_is_readable(here):
 PICTURES = ["occupancygrid(0.5, 0.1)", "voxelgrid(0.5)", "points(0.2)", "mesh", "graph", "image"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", PICTURES)
 def test_a_picture_goes_to_a_file(here, form):
     program = f"SELECT {'touching(a.this, b.this)' if form == 'graph' else 'a.obj'} FROM a=two"

@@ -42,6 +42,7 @@ def test_a_record_of_one_tick(here):
     assert written == "1 tick of 'two', at 0 s: episode 0 in run\n"
 
 
+@pytest.mark.slow
 def test_a_record_is_exported(here):
     answer("record", "two.toml", "--seconds", "0.5", "-o", "run.duckdb")
     written = answer("export", "run.duckdb", "-o", "all")

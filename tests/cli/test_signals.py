@@ -69,6 +69,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", ENDING)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_export_that_a_signal_ends_leaves_nothing(tmp_path, name, number):

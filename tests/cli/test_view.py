@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip("websockets", reason="the extra view is not installed")
 
 
+@pytest.mark.slow
 def test_the_first_line_is_the_address():
     command = [sys.executable, "-m", "ssduck", "view", "kitchen", "--no-browser"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -23,6 +24,7 @@ def test_the_first_line_is_the_address():
     assert process.returncode == 130
 
 
+@pytest.mark.slow
 def test_an_episode_is_for_records():
     command = [sys.executable, "-m", "ssduck", "view", "kitchen", "--episode", "1", "--no-browser"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)

@@ -63,6 +63,7 @@ def test_the_size_of_other_texts_is_not_known(column):
 TEXTS = st.lists(st.none() | st.text(max_size=9), max_size=5)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(TEXTS, TEXTS, st.sampled_from(["", " WHERE a.id <= b.id", " GROUP BY ALL", " LIMIT 3"]))
 def test_no_answer_is_larger(first, second, rest):
@@ -90,6 +91,7 @@ PAIRS = "SELECT a.id, b.id, a.z FROM a=kitchen, b=kitchen AS list;"
 JOINED = "SELECT a.id + b.id FROM a=kitchen, b=kitchen AS list;"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "limits", "runs"),
     [

@@ -158,6 +158,7 @@ def test_a_world_in_two_interpreters(sim):
     assert len(first.eval("SELECT obj FROM sim AS list;")) == 3
 
 
+@pytest.mark.slow
 def test_interpreters_with_the_same_worlds_do_not_wait_for_each_other(sim):
     one, _, _ = sim
     with ssduck.load("kitchen") as two:
@@ -195,6 +196,7 @@ def test_a_world_that_takes_anothers_name(sim):
 # -- plans and statements -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_nine_pairs_are_a_range_join_without_python(ss):
     plan = ss.sql(f"EXPLAIN {NINE_PAIRS}").fetchall()[0][1].upper()
     assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
@@ -386,6 +388,7 @@ def test_a_function_may_look_at_links_and_joints():
         assert ss.eval("SELECT axes FROM kitchen WHERE id(this) == 'barrett_4918' AS value;") > 10
 
 
+@pytest.mark.slow
 def test_threads_may_step_and_ask(sim):
     """Every answer is of one tick: all bodies fall alike, so all heights in it are equal."""
     interpreter, client, _ = sim

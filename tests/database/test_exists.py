@@ -142,6 +142,7 @@ def statement(choices):
     return choices.choice(OUTER).format(e=exists)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_are_those_of_plain_duckdb(ss, plain, seed):
     choices, uncorrelated = Random(seed), 0  # noqa: S311

@@ -13,6 +13,7 @@ from ssduck.database import kept_plans
 from ssduck.database.statement import RUNS_BEFORE_PLAN
 from ssduck.schema import TABLES
 from ssduck.world.layout import BodyGroup
+from tests.support.cases import sampled
 
 RUNS = RUNS_BEFORE_PLAN + 3
 # Statements, and whether their plans are kept.
@@ -130,7 +131,8 @@ def is_kept(ss):
     return '"Function"' not in plan
 
 
-@pytest.mark.parametrize(("sql", "kept"), CASES, ids=[case[0] for case in CASES])
+@pytest.mark.slow
+@sampled(("sql", "kept"), CASES, ids=[case[0] for case in CASES], every=4)
 def test_results_are_those_of_copied_tables(traced, sql, kept):
     ss, client, _ = traced
     seen = set()
@@ -182,6 +184,7 @@ def test_columns_of_one_name_keep_it(traced, sql):
     assert len(set(names[0])) < len(names[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sql",
     [
@@ -221,6 +224,7 @@ MACROS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("macro", "call"), MACROS)
 def test_no_plan_is_kept_of_joined_rows_that_a_macro_may_list(traced, macro, call):
     """Another plan may join them in another order."""
@@ -265,6 +269,7 @@ def functions(ss):
     return count
 
 
+@pytest.mark.slow
 def test_a_new_body_drops_the_plan_and_its_functions(traced):
     ss, client, _ = traced
     sql = "SELECT a.name FROM entities a, entities b WHERE a.z > b.z"
@@ -301,8 +306,9 @@ BOXES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [0, kept_plans.MAX_ROWS], ids=["scanned", "kept"])
-@pytest.mark.parametrize(("sql", "reads"), BOXES)
+@sampled(("sql", "reads"), BOXES, every=3)
 def test_boxes_are_written_for_statements_that_read_them(traced, monkeypatch, sql, reads, most):
     ss, client, statements = traced
     monkeypatch.setattr(kept_plans, "MAX_ROWS", most)
@@ -365,6 +371,7 @@ MODEL = """<mujoco><worldbody>
   </worldbody></mujoco>"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sql",
     [

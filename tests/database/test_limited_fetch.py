@@ -56,6 +56,7 @@ def test_long_rows_are_fetched_in_small_batches():
 PAIRS = "SELECT a.id, b.id, a.z FROM a=kitchen, b=kitchen AS list;"
 
 
+@pytest.mark.slow
 def test_the_types_of_a_kept_statement_are_read_once():
     limits = ssduck.Limits.strict(progress=False)
     with ssduck.load("kitchen", limits=limits) as ss, ssduck.load("kitchen") as free:
@@ -181,6 +182,7 @@ def test_statements_that_ran_long_ago_are_forgotten():
     assert len(statements._known) == limited_fetch._MOST_KNOWN
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("select", ["n", "DATE '2026-01-01' + n::INTEGER"])
 def test_tables_of_one_width_come_in_large_batches(select):
     sizes = []
@@ -194,6 +196,7 @@ def test_tables_of_one_width_come_in_large_batches(select):
     assert max(sizes) < 100_000_000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("limits", [None, ssduck.Limits.strict(progress=False)])
 @pytest.mark.parametrize(
     "program",
@@ -231,6 +234,7 @@ def test_statements_that_run_again_read_what_is_there_now(sql):
             assert statements.rows(plain, sql, None, 10**6, lambda _: None) == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [None, ssduck.Limits.strict(progress=False)])
 def test_pairs_of_a_world_that_moves_are_those_of_now(limits):
     with ssduck.load("kitchen", limits=limits) as ss:

@@ -154,6 +154,7 @@ def test_a_query_of_a_file_makes_what_it_names(file: Path) -> None:
         assert _macros(ss) == {("main", "above"), ("main", "tick")}  # relations, both
 
 
+@pytest.mark.slow
 def test_views_in_a_file_find_everything(file: Path) -> None:
     names = ("mine", "contacts_history")  # the second is a name of ssduck's own
     with ssduck.Interpreter(file) as ss:
@@ -177,6 +178,7 @@ CATALOG = [
 ]
 
 
+@pytest.mark.slow
 @sampled("sql", CATALOG, every=3)
 def test_the_catalog_has_everything(run: Path, sql: str) -> None:
     with ssduck.open(run) as ss:
@@ -187,6 +189,7 @@ def test_the_catalog_has_everything(run: Path, sql: str) -> None:
         assert _macros(ss) >= {("main", "above"), ("lab", "clearance"), ("main", "intervals")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sql", "suggested"),
     [
@@ -315,6 +318,7 @@ def test_limits_end_with_their_interpreter(run: Path, pool: InstancePool) -> Non
     assert not pool._waiting
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changed", [False, True])
 def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: bool) -> None:
     pybullet.createMultiBody(1, physicsClientId=client)
@@ -357,6 +361,7 @@ def test_few_databases_wait(run: Path, pool: InstancePool) -> None:
     pool.close()
 
 
+@pytest.mark.slow
 def test_a_file_is_let_go(tmp_path: Path, pool: InstancePool, client: int) -> None:
     path = tmp_path / "run.duckdb"
     for _ in range(2):
@@ -389,6 +394,7 @@ def test_what_is_left_out_is_made_for_another_statement() -> None:
     assert not on_demand.leaves_out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_late", [False, True])
 def test_a_refused_statement_is_told_also_if_its_time_ends_meanwhile(
     run: Path, monkeypatch: pytest.MonkeyPatch, is_late: bool

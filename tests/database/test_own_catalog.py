@@ -121,6 +121,7 @@ def lasting():
         yield ss, answers(ss)
 
 
+@pytest.mark.slow
 @sampled(("text", "words"), MISTAKES, every=4)
 def test_a_mistake_is_an_error_and_all_else_goes_on(lasting, text, words):
     ss, before = lasting
@@ -132,6 +133,7 @@ def test_a_mistake_is_an_error_and_all_else_goes_on(lasting, text, words):
     ss.sql("DROP TABLE IF EXISTS mine")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["SET schema = DEFAULT", "RESET schema", "RESET search_path"])
 def test_the_schemas_of_duckdb_change_nothing_of_worlds(ss, text):
     """Only the schema that may be left out is another one, until `USE` names it again."""
@@ -185,6 +187,7 @@ def test_a_text_that_looks_like_a_change_is_a_text(lasting, text):
     assert len(ss.sql(text).fetchall()) == 1
 
 
+@pytest.mark.slow
 def test_the_schemas_that_may_be_omitted(ss):
     ss.sql("CREATE SCHEMA other; CREATE TABLE other.mine AS SELECT 7 AS a")
     for text in ("SET schema = other", "SET search_path TO 'room,other'", "SET SCHEMA 'other';"):
@@ -221,6 +224,7 @@ def test_a_file_keeps_its_record(tmp_path):
         assert answers(ss) == before
 
 
+@pytest.mark.slow
 def test_a_query_that_changes_rows_runs_once(ss):
     ss.sql("CREATE TABLE mine (a INTEGER)")
     for count in range(1, 8):

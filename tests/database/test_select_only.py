@@ -280,6 +280,7 @@ def test_other_texts_are_refused_and_change_nothing(strict, text, words):
     assert strict.eval("SELECT id(this) FROM kitchen WHERE isRobot(this) AS list;")
 
 
+@pytest.mark.slow
 def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
     with ssduck.load("kitchen") as ss:
         ss.call_variable("kitchen").step()
@@ -344,6 +345,7 @@ ENDED = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("text", "words"), ENDED, every=6)
 def test_a_statement_ends_in_time_and_memory(text, words):
     limits = ssduck.Limits.strict(seconds=0.5, memory=MEMORY)
@@ -403,6 +405,7 @@ def test_the_tree_is_checked_once_a_text():
     assert sum("json_serialize_sql" in statement for statement in statements) == 1
 
 
+@pytest.mark.slow
 def test_records_open_under_limits(tmp_path):
     with ssduck.load("kitchen") as ss:
         ss.call_variable("kitchen").step(5)

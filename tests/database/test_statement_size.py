@@ -211,6 +211,7 @@ JOINS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", JOINS.values(), ids=JOINS)
 def test_the_bound_of_a_join(strict, text):
     """DuckDB looks for the order of 600 tables for half a minute, and nothing interrupts it."""
@@ -231,6 +232,7 @@ EDGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", EDGES.values(), ids=EDGES)
 def test_a_select_joins_as_many_tables_as_the_message_says(strict, text):
     assert strict.sql(text(100)).fetchall()
@@ -238,6 +240,7 @@ def test_a_select_joins_as_many_tables_as_the_message_says(strict, text):
         strict.sql(text(101))
 
 
+@pytest.mark.slow
 def test_many_relations_are_not_rewritten():
     """The time to rewrite them grew with the square of their number, and was not limited."""
     count = 25

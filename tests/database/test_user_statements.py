@@ -181,6 +181,7 @@ def test_positions_in_a_range_are_searched_at_once(ss, relation, condition, is_s
     assert ("ssduck pairs" in query(ss, sql)) is is_searched
 
 
+@pytest.mark.slow
 @sampled(("relation", "spelling"), SPELLED, every=7)
 def test_every_spelling_has_the_rows_of_the_macro(ss, relation, spelling):
     comparison = OTHERS.get(relation, "")
@@ -219,6 +220,7 @@ JOINS = (
 )
 
 
+@pytest.mark.slow
 @sampled("join", JOINS, every=2)
 @pytest.mark.parametrize("relation", ["collides", "near", "supports", "onTop", "above"])
 def test_outer_and_semi_joins_take_the_pairs_of_the_tick(ss, relation, join):
@@ -238,6 +240,7 @@ def test_outer_and_semi_joins_take_the_pairs_of_the_tick(ss, relation, join):
     assert "ssduck pairs" in query(ss, sql)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relation", ["collides", "onTop", "supports"])
 def test_a_semi_join_has_the_rows_of_the_join(ss, relation):
     # DuckDB 2.0.0 drops rows of a range join that is a semi join, or runs prepared once only.
@@ -295,6 +298,7 @@ def with_values(sql, style):
     return sql, lambda values: [values[name] for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sql", "style", "relation"),
     [
@@ -497,6 +501,7 @@ def test_a_second_world_requires_its_name(traced):
             ss.sql(mixed)
 
 
+@pytest.mark.slow
 def test_what_users_define_comes_first(traced):
     ss, _, _ = traced
     for _ in range(RUNS):
@@ -530,6 +535,7 @@ def test_what_a_simulator_is_asked_for(traced):
             assert rows(ss.sql(sql)) == rows(row_by_row(ss, sql))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("setting", ["SET merge_join_threshold = 1", "RESET merge_join_threshold"])
 def test_merge_joins_which_crash_prepared_statements_stay_off(traced, setting):
     ss, _, _ = traced
@@ -601,6 +607,7 @@ def test_limits_of_many_texts_hold_at_each_run_and_are_measured_by_batch(monkeyp
                     ss.sql(text, {"size": size})
 
 
+@pytest.mark.slow
 @sampled(
     "sql",
     [
@@ -626,6 +633,7 @@ def test_a_query_of_all_pairs_is_looked_up_without_a_statement(traced, sql):
     assert statements == []
 
 
+@pytest.mark.slow
 @sampled(
     "sql",
     [

@@ -125,6 +125,7 @@ def test_the_end_of_a_day(ss, value):
     assert ss.sql(f"SELECT {value.replace('24:00', '23:59')} AS v").fetchall()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["csv", "json", "md"])
 def test_the_command_line_says_so(ending, tmp_path):
     file = tmp_path / f"x.{ending}"

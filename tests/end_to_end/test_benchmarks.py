@@ -42,6 +42,7 @@ def test_the_tables(capsys):
     assert "DISAGREEMENT" not in printed
 
 
+@pytest.mark.long
 def test_the_tables_of_relations(capsys):
     arguments = ["--sizes", "20", "--forms", "cube", "--rounds", "1"]
     assert pair_relations.main(arguments) == 0
@@ -101,6 +102,7 @@ def test_the_referee(one, other, apart, depth):
     assert not may_touch(three, 0, 2, 0.1)
 
 
+@pytest.mark.long
 def test_the_tables_of_recorded_time(capsys):
     small = "--sizes 5 --ticks 8 --long 200 --near 20 --window 8 --gigabytes 0.0005 --rounds 1"
     assert recorded.main(small.split()) == 0

@@ -259,6 +259,7 @@ def test_wrapped(angle, same):
 # -- the demo ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_cup_is_taken_to_the_sink(tmp_path):
     said = []
     with ssduck.Interpreter() as ss:

@@ -228,6 +228,7 @@ def test_a_drive_through_a_pillar_is_noticed():
 # -- robots ----------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_robots(tmp_path):
     said = []
     assert robots.run(tmp_path, said.append, seed=3, trips=1)

@@ -114,6 +114,7 @@ MISSING = [
 ]
 
 
+@pytest.mark.slow
 def test_a_library_that_is_missing_is_named(tmp_path):
     told = run_bare(
         f"""
@@ -149,6 +150,7 @@ def examples(text):
     ]
 
 
+@pytest.mark.slow
 @sampled(("page", "texts"), blocks("selectscript").items(), every=2)
 def test_selectscript_examples_run(page, texts):
     with ssduck.load("kitchen") as ss:
@@ -199,6 +201,7 @@ def test_toml_examples_parse(text):
     assert tomllib.loads(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tool", ["write_reference.py", "build_kitchen.py"])
 def test_what_is_generated_is_up_to_date(tool):
     done = subprocess.run(

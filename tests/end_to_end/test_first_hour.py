@@ -160,6 +160,7 @@ def test_the_finger_is_found_by_its_name(hour: tuple[Loop, ssduck.Interpreter]) 
     assert greatest == max(max(forces) for forces in loop.finger.values())
 
 
+@pytest.mark.slow
 def test_questions_about_the_finger_as_a_value(hour: tuple[Loop, ssduck.Interpreter]) -> None:
     """In SelectScript and in raw SQL: when, with what force, and where it was."""
     loop, ss = hour

@@ -129,6 +129,7 @@ def depth(first, second):
     return max((contact.penetration_depth for contact in result.contacts), default=0.0)
 
 
+@pytest.mark.slow
 def test_nothing_starts_in_penetration(loaded):
     """No two shapes of different bodies are deeper than 1e-6 in each other."""
     objects = list(collision_objects(loaded))

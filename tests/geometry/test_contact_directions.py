@@ -150,6 +150,7 @@ def entity(random, kinds):
     return [(s.geometry, s.position * scale, s.quaternion) for s in made]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_entities_of_several_shapes_are_on_each_other_as_one_by_one(seed):
     random = np.random.default_rng(seed)

@@ -72,6 +72,7 @@ def test_cross(first, second):
     assert cross(first[None], second[None])[0] == pytest.approx(np.cross(first, second), abs=1e-11)
 
 
+@pytest.mark.slow
 @given(vectors, quaternions, vectors, quaternions, vectors)
 def test_compose_is_one_pose_after_the_other(position, orientation, inner, turn, point):
     outer_position, outer_turn = compose(position[None], orientation[None], inner[None], turn[None])

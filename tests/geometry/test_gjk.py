@@ -116,6 +116,7 @@ def test_deep_pairs_take_no_step(monkeypatch):
     assert all((found == BELOW).all() for found in pairs.verdicts(two, -MIN_DEPTH))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_sizes_from_a_millimetre_to_a_kilometre(seed):
     random = np.random.default_rng(seed)
@@ -362,6 +363,7 @@ def test_pairs_count_once_a_tick():
     assert tick.calls.pairs == len(near) + 1
 
 
+@pytest.mark.slow
 def test_many_questions_are_answered_together():
     entities = [*convex_crowd(150), [(box(), (math.nan, 0, 0))], [(box(), (0, 0, 0))]]
     tick, alone = narrow(*entities), narrow(*entities)

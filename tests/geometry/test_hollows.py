@@ -65,6 +65,7 @@ def asked_alone(shapes, pair, gap):
         assert tick_of(shapes).on(i, j) is False
 
 
+@pytest.mark.slow
 @sampled("seed", SEEDS, every=7)
 def test_all_forms_agree_on_what_is_in_holes(seed):
     shapes = hollows.scene(seed)

@@ -38,6 +38,7 @@ def moved(two, random, far):
     return [(a, b.at(b.position + way)) for (a, b), way in zip(two, ways, strict=True)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("decide", [decide_upward, decide_upward_round])
 @pytest.mark.parametrize("min_height", HEIGHTS)
 def test_a_verdict_holds_within_its_room(decide, min_height):
@@ -69,6 +70,7 @@ def test_rooms_are_not_much_smaller_than_needed():
     assert 0.1 * aside < room < aside
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("min_height", HEIGHTS)
 def test_kept_parts_change_no_verdict(min_height, monkeypatch):
     """They are used where shapes have moved since."""

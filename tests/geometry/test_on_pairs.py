@@ -51,6 +51,7 @@ def box(client, place, half, turn=(0, 0, 0, 1)):
     pybullet.createMultiBody(1, shape, -1, place, turn, physicsClientId=client)
 
 
+@pytest.mark.slow
 @sampled("seed", range(12), every=4)
 @pytest.mark.parametrize("kinds", [("box",), ("hull",), KINDS, ("plane", *KINDS)], ids=str)
 def test_at_once_is_one_by_one(client, kinds, seed):

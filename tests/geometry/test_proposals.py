@@ -69,6 +69,7 @@ def random_pairs(seed, each):
     return [pairs.pair(kinds, int(random.integers(1 << 31))) for kinds in both]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bound", BOUNDS)
 def test_verdicts_and_rooms_are_what_gaps_say(bound):
     found, gaps = decisions(random_pairs(5, 6), bound)
@@ -131,6 +132,7 @@ def moved(shapes, random, far):
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", [1e-4, 2e-3, 0.05])
 def test_what_is_kept_gives_no_wrong_verdict_and_fcl_is_asked_about_the_rest(far, monkeypatch):
     scene, random = Scene(random_pairs(7, 4)), np.random.default_rng(8)

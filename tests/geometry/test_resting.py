@@ -285,7 +285,7 @@ def doors(ss, condition, *, raw):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("slow", [False, True])
+@sampled("slow", [False, True], every=2)
 def test_at_the_bounds_of_margins_and_depths(hulls, slow):
     with ssduck.Interpreter(row_by_row=slow) as ss:
         for gap in sorted({gap for _, gap, _ in SIDE_BY_SIDE}):
@@ -299,6 +299,7 @@ def test_at_the_bounds_of_margins_and_depths(hulls, slow):
                     assert found == [expected] * len(found), (condition, gap)
 
 
+@pytest.mark.slow
 @sampled("slow", [False, True], every=2)
 def test_a_depth_below_0_is_an_error(hulls, slow):
     """Also where no boxes meet, so that no shapes are compared."""

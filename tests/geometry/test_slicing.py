@@ -253,6 +253,7 @@ def windings(triangles, points):
     return np.arctan2(over, under).sum(axis=1) / (2 * np.pi)
 
 
+@pytest.mark.slow
 @sampled("turn", ["upright", "lying", "tilted"], every=3)
 @pytest.mark.parametrize("height", [0.0, 0.11])
 def test_a_torus(turn, height):

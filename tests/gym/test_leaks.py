@@ -9,6 +9,7 @@ import pytest
 
 from ssduck.gym import QueryWrapper
 from ssduck.world.world import World
+from tests.support.cases import sampled
 from tests.support.gym_environments import Drop, Push
 
 RESETS = 100
@@ -45,7 +46,7 @@ def resets(env, action, number):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
+@sampled(
     ("environment", "options", "success", "action"),
     [
         (Push, {}, "x(sim.ball) > 0.02", [1.0]),
@@ -53,6 +54,7 @@ def resets(env, action, number):
         (Drop, {}, "z(sim.body_1) < 0.2", 0),
         (Drop, {"reconnects": True}, "z(sim.body_1) < 0.2", 0),
     ],
+    every=2,
 )
 def test_resets_leave_nothing(environment, options, success, action):
     with QueryWrapper(environment(**options), success=success) as first:

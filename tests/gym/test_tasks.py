@@ -54,6 +54,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_task_runs(folder):
     env = make_task(folder / "task.toml")
     assert env.task.seeds == (1, 2)
@@ -75,6 +76,7 @@ def test_a_task_runs(folder):
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "after", "message"),
     [
@@ -216,6 +218,7 @@ def test_a_scene_with_numbers_beyond_bounds_is_refused(folder, part, message):
         make_task(folder / "task.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", ["10^400", "-(10^400)"])
 @pytest.mark.parametrize(
     ("before", "key"), [('"x(sim.ball)"', "ball"), ('"10 * int(success)"', "done")]

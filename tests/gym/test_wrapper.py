@@ -64,6 +64,7 @@ def test_agrees_with_the_environment(wrap):
     assert {True, False} == set(successes)
 
 
+@pytest.mark.slow
 def test_parts_are_summed_and_named(wrap):
     parts = {"far": "-distance(sim.pusher, sim.ball)", "done": "10 * int(success)"}
     env = wrap(Push(), success="x(sim.ball) > 0.001", reward=parts)
@@ -87,6 +88,7 @@ def test_an_episode_ends_when_a_condition_holds(wrap):
 
 
 # Python computes what has one correct result; DuckDB computes a sine, and all terms with it.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("near", "count"),
     [("-distance(sim.pusher, sim.ball)", 0), ("sin(x(sim.ball))", 1)],
@@ -113,6 +115,7 @@ def test_one_statement_a_step_at_most(wrap, near, count):
     assert counts[RUNS_BEFORE_PLAN + 1 :] == [count] * 9
 
 
+@pytest.mark.slow
 def test_history_begins_at_a_reset(wrap):
     env = wrap(Push(), success="heldFor(on(sim.table, sim.ball)) >= 0.1")
     for seed in range(2):
@@ -123,6 +126,7 @@ def test_history_begins_at_a_reset(wrap):
         assert seen == [False] * first + [True] * (15 - first)
 
 
+@pytest.mark.slow
 def test_the_past_has_the_tables_that_terms_read(wrap):
     near = "joint(sim.pusher, 'push') < 0.01"
     env = wrap(
@@ -151,6 +155,7 @@ def test_a_reset_without_steps_begins_an_episode(wrap, tmp_path):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reconnects", [False, True])
 def test_pybullet(wrap, reconnects):
     env = wrap(
@@ -300,6 +305,7 @@ def make_push(most=5):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["SyncVectorEnv", "AsyncVectorEnv"])
 def test_vector_environments(kind):
     envs = getattr(gymnasium.vector, kind)([make_push, make_push])

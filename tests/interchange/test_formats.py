@@ -427,6 +427,7 @@ def test_a_forged_mcap_file_is_an_error(
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*tells of poses")
 def test_a_damaged_mcap_file_has_its_poses_or_is_an_error(
     record: Path, mcap_file: Path, tmp_path: Path

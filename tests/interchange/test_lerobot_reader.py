@@ -92,6 +92,7 @@ def test_valid_datasets_are_read(tmp_path: Path, name: str) -> None:
     assert imported(written(tmp_path / "d", **VALID[name])) == RIGHT
 
 
+@pytest.mark.slow
 def test_timestamps_of_a_long_episode_agree_although_they_have_32_bits(tmp_path: Path) -> None:
     count = 40_001  # at 30 frames per second, 22 minutes: their rounding is 6e-5 s
     rows = {
@@ -210,6 +211,7 @@ def test_a_small_file_of_very_many_rows_is_not_read(tmp_path: Path, place: str) 
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 def test_a_list_of_very_many_numbers_is_not_read(tmp_path: Path) -> None:
     dataset = written(tmp_path / "d", rows={"p": [*ROWS["p"][1:], [0.0] * 20_000_000]})
     (file,) = (dataset / "data").glob("*/*.parquet")

@@ -205,6 +205,7 @@ def test_frames_of_pandas_and_polars_are_asked_by_duckdb(record: Path) -> None:
 # -- pairs --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> None:
     file, within = pairs_of(folder_run(record, None, None))
     assert within == WITHIN
@@ -260,6 +261,7 @@ def test_what_the_table_of_pairs_cannot_tell_is_an_error(
 # -- the command --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_script(record: Path, tmp_path: Path) -> None:
     copy = str(tmp_path / "copy")
     answer("export", str(record), "-o", copy, "--pairs", "0.1")

@@ -52,6 +52,7 @@ def test_poses_in_chunks_are_read(tmp_path: Path, compression: str) -> None:
     assert episode.ticks == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", COMPRESSIONS[:2])
 def test_a_chunk_that_is_far_larger_than_its_file_is_not_read(
     tmp_path: Path, compression: str

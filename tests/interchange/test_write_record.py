@@ -59,6 +59,7 @@ QUESTIONS = [
 ]
 
 
+@pytest.mark.slow
 def test_the_rows_and_answers_are_those_of_a_live_record(live: Path, tmp_path: Path) -> None:
     with ssduck.open(live) as ss:
         rows = ss.sql(
@@ -109,6 +110,7 @@ GIVEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", GIVEN)
 def test_each_form_of_poses_gives_the_same_record(tmp_path: Path, kind: str) -> None:
     poses, times = GIVEN[kind]
@@ -290,6 +292,7 @@ def test_a_folder_with_something_else_stays_as_it_is(tmp_path: Path) -> None:
 # -- in batches ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_batches_give_the_rows_of_one_call(tmp_path: Path) -> None:
     times, poses = falling(5000)
     ssduck.write_record(tmp_path / "one", TWO, poses, times)

@@ -299,7 +299,8 @@ REFUSED = [
 ]
 
 
-@sampled(("program", "kind", "words"), REFUSED, every=2)
+@pytest.mark.slow
+@sampled(("program", "kind", "words"), REFUSED, every=6)
 def test_a_program_is_refused_in_time(patient, program, kind, words):
     fails(patient, program, kind, words)
 
@@ -342,11 +343,12 @@ LATE = [
 ]
 
 
-@pytest.mark.parametrize("program", LATE)
+@sampled("program", LATE, every=3)
 def test_a_program_that_python_prepares_is_ended_in_time(hasty, program):
     fails(hasty, program, LimitError, "took more than|memory|values of more than")
 
 
+@pytest.mark.slow
 @sampled("program", ENDLESS, every=3)
 def test_a_program_is_ended_in_time(hasty, program):
     fails(hasty, program, LimitError, "took more than|memory|values of more than|more than 1000000")

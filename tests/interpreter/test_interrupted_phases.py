@@ -12,6 +12,7 @@ import pytest
 
 import ssduck
 from ssduck.lazy import import_whole
+from tests.support.cases import sampled
 
 pytestmark = [
     pytest.mark.slow,
@@ -81,7 +82,7 @@ def is_interrupted(ss, call, question="SELECT id, z FROM kitchen AS list;") -> N
     assert ss.eval(question) == before
 
 
-@pytest.mark.parametrize("name", PROGRAMS)
+@sampled("name", PROGRAMS, every=3)
 def test_programs(kitchen, name):
     def again_and_again():
         while True:

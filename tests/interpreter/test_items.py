@@ -102,6 +102,7 @@ def test_a_world_is_no_table(ss):
         ss.sql("SELECT name FROM rooms")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sql", "hint"),
     [

@@ -60,6 +60,7 @@ def statements(ss):
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cone", ["", 'cone="elliptic"'])
 def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
     lab = Lab(cone)
@@ -80,6 +81,7 @@ def test_contacts_of_two_entities_are_those_of_all_pairs(cone):
     lab.ss.close()
 
 
+@pytest.mark.slow
 def test_contacts_of_links_are_those_of_all_pairs():
     lab = Lab()
     expected = set()

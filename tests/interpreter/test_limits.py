@@ -91,6 +91,7 @@ LARGE = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", LARGE)
 def test_results_without_measure_are_refused(patient, program):
     fails(patient, lambda: patient.eval(program), SelectScriptError, "large|digits|memory")
@@ -174,6 +175,7 @@ LONG_BUT_FLAT = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", LONG_BUT_FLAT, ids=lambda text: text[:15])
 def test_brackets_in_texts_and_comments_do_not_count(text):
     with ssduck.Interpreter(limits=ssduck.Limits.strict(seconds=60.0)) as ss:
@@ -184,6 +186,7 @@ def test_what_is_no_text_is_an_error_under_limits_too(patient):
     fails(patient, lambda: patient.sql("SELECT '\ud800'"), SqlError, "surrogate")
 
 
+@pytest.mark.slow
 def test_a_limit_within_a_function_that_sql_calls():
     limits = ssduck.Limits(seconds=0.5)
     with ssduck.Interpreter(limits=limits) as interpreter:
@@ -201,6 +204,7 @@ def test_a_limit_within_a_function_that_sql_calls():
         assert interpreter.eval("SELECT this FROM [0, 1] WHERE this < 1 AS list;") == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row_by_row", [False, True])
 def test_the_clock_is_looked_at_between_slow_functions(row_by_row):
     calls = []
@@ -306,6 +310,7 @@ LONG = [
 ]
 
 
+@pytest.mark.slow
 @sampled("statements", [[LONG[0], LONG[5]], [*LONG[1:5], *LONG[6:]]], every=2)
 def test_ctrl_c_stops_a_query_and_the_session_goes_on(statements):
     process = subprocess.Popen(

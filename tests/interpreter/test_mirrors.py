@@ -92,6 +92,7 @@ def test_the_steps_of_the_world_do_not_change_a_mirror():
         mirror.close()
 
 
+@pytest.mark.slow
 def test_dropped_and_moved_parts_are_followed():
     with ssduck.load("kitchen", recording=Recording(tables=("entities",), ticks=40)) as ss:
         mirror = Mirror(ss, ss["kitchen"], "kitchen", Limits())
@@ -128,6 +129,7 @@ def test_a_recording_that_began_anew_is_another_one():
         mirror.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recording", [None, "file"])
 def test_the_past_of_a_file_or_of_nothing_is_not_mirrored(tmp_path, recording):
     database = tmp_path / "run.duckdb" if recording else ":memory:"

@@ -398,6 +398,7 @@ OPTIONS = [
 ]
 
 
+@pytest.mark.slow
 @sampled("arguments", OPTIONS, every=4, ids=" ".join)
 def test_a_number_on_the_command_line(things, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)

@@ -163,6 +163,7 @@ def test_errors_are_those_of_the_sql(ways, depth):
     assert "depth" in results["looked up"][1]
 
 
+@pytest.mark.slow
 def test_a_parameter_may_change_its_value_and_its_type(ways):
     query = "SELECT id(b) FROM a=w, b=w WHERE near(a, b, far_away) AND id(a) <= id(b) AS list;"
     for value, count in ((0.0, None), (0.25, None), (100, 28), (math.inf, None), (None, None)):

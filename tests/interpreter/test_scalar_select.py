@@ -101,6 +101,7 @@ def set_variables(ss, a, b, c, n, text):
     ss.add_variable("text", text)
 
 
+@pytest.mark.slow
 @settings(max_examples=generated(20))
 @given(NUMBERS, NUMBERS, NUMBERS, st.integers(-5, 5), st.sampled_from(["cup", "Cup", ""]))
 @example(0.1, 0.2, 0.3, 3, "cup")

@@ -17,6 +17,7 @@ def ss(request):
         yield ss
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.001, 0.3])
 def test_a_statement_is_stopped_whenever_that_is_asked(ss, delay):
     stop = StopRequest()

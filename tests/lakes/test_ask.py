@@ -38,6 +38,7 @@ def opened(recorded):
         record.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", [*PROGRAMS.values(), *FURTHER.values()], ids=str)
 def test_one_answer_for_each_episode(recorded, opened, program):
     entries = ssduck.lake(recorded)._entries
@@ -47,6 +48,7 @@ def test_one_answer_for_each_episode(recorded, opened, program):
     assert any(answer.text is not None for answer in answers) != is_error
 
 
+@pytest.mark.slow
 def test_scores(recorded):
     rows = ssduck.lake(recorded).score(SUCCESS, reward=REWARD, processes=1).to_pylist()
     assert [(row["return"], row["success"]) for row in rows] == scores(recorded)
@@ -54,6 +56,7 @@ def test_scores(recorded):
     assert rows[0]["seed"] == 0
 
 
+@pytest.mark.slow
 def test_processes_stream_and_resume(recorded, tmp_path):
     lake = ssduck.lake(recorded)
     program = PROGRAMS["least clearance"]
@@ -76,6 +79,7 @@ def children():
     return {process.pid for process in multiprocessing.active_children()}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 def test_processes_are_kept_until_one_is_killed(recorded):
     forget_readers()
@@ -157,6 +161,7 @@ def test_kept_answers_are_of_episodes_whatever_batches_they_were_in(
     assert lake.ask(program, processes=1, resume=kept).equals(whole)
 
 
+@pytest.mark.slow
 def test_kept_answers_are_of_the_same_episodes(tmp_path):
     file, program = tmp_path / "lab.duckdb", "SELECT id FROM two{} AS list;"
     scene = write_scene(tmp_path) / "two.toml"
@@ -169,6 +174,7 @@ def test_kept_answers_are_of_the_same_episodes(tmp_path):
         assert kept.equals(lake.ask(program, processes=1))
 
 
+@pytest.mark.slow
 def test_threads_ask_one_after_the_other(recorded):
     lake = ssduck.lake(recorded)
     expected = {text: lake.ask(text, processes=1) for text in PROGRAMS.values()}
@@ -266,7 +272,7 @@ def test_nan_stays():
     assert math.isnan(table["answer"][0].as_py())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sixty_episodes(tmp_path):
     record_episodes(tmp_path / "record", 60, steps=10)
     lake = ssduck.lake(tmp_path / "record")

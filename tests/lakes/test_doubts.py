@@ -28,6 +28,7 @@ def asked(ask, *arguments, **named):
     return result, [str(one.message) for one in caught if one.category is ProgramWarning]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("word", "program", "answer"), DOUBTS.values(), ids=DOUBTS)
 def test_a_doubt_is_told_once(recorded, word, program, answer):
     lake = ssduck.lake(recorded)
@@ -40,6 +41,7 @@ def test_a_doubt_is_told_once(recorded, word, program, answer):
         assert doubt == f"{wanted}\n  first in episode 0 of sim in {recorded}"
 
 
+@pytest.mark.slow
 def test_a_doubt_of_several_processes_is_told_once(recorded):
     lake, (word, program, _) = ssduck.lake(recorded), DOUBTS["kind"]
     _, (doubt,) = asked(lake.ask, program, processes=2, batch=1)
@@ -72,6 +74,7 @@ def test_kept_answers_keep_their_doubts(recorded, tmp_path, monkeypatch):
     assert "first in episode 3 of sim" in doubt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("word", "program", "answer"), DOUBTS.values(), ids=DOUBTS)
 def test_strict_questions_refuse_doubts(recorded, word, program, answer):
     lake = ssduck.lake(recorded)
@@ -92,6 +95,7 @@ def test_many_doubts_are_some_warnings(recorded):
     assert "left out" in doubts[-1]
 
 
+@pytest.mark.slow
 def test_an_interpreter_still_warns(recorded):
     forget_readers()
     _, program, _ = DOUBTS["kind"]

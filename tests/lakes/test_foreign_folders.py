@@ -34,6 +34,7 @@ def foreign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_an_agent_starts_no_file_of_the_folder(foreign: Path) -> None:
     code = "import sys; sys.path.insert(0, ''); import queue"
     subprocess.run([sys.executable, "-c", code], check=False)
@@ -48,6 +49,7 @@ def test_an_agent_starts_no_file_of_the_folder(foreign: Path) -> None:
     assert not (foreign.parent / "run").exists()
 
 
+@pytest.mark.slow
 def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
     rows = ssduck.lake("record").ask("z(lab.cup) > 0.5;", processes=2, batch=1)
     assert rows["error"].to_pylist() == [None] * 3
@@ -107,6 +109,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
 def test_ctrl_c_ends_the_processes_of_a_question(tmp_path: Path) -> None:
     """They are not in the group of a notebook's process that is interrupted."""

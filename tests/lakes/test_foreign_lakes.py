@@ -25,6 +25,7 @@ from ssduck.recording.stores.batched_parts import ReadPart, ReadParts
 from ssduck.recording.stores.checksums import json_text, write_parquet
 from ssduck.recording.stores.parquet_layout import FolderRun
 from tests.lakes.conftest import EPISODES
+from tests.support.cases import sampled
 from tests.support.lake_questions import whole_answer_of
 
 PROGRAM = "count(SELECT id FROM sim AS list);"
@@ -108,6 +109,7 @@ def forged(folder, **values):
     write_parquet(pa.Table.from_pylist(rows, schema=SCHEMA), file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "values",
     [
@@ -166,6 +168,7 @@ def test_a_tag_of_any_name_selects_no_other_episodes(folder, name):
     assert len(lake.select("ticks > 0")) == EPISODES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["(" * 5000 + "true" + ")" * 5000, "NOT " * 5000 + "true"])
 def test_a_condition_nested_too_deeply_is_an_error(recorded, text):
     with pytest.raises(ArgumentError, match="nested too deeply"):
@@ -228,7 +231,8 @@ def by_themselves(entry):
         return [whole_answer_of(ss, program) for program in QUESTIONS]
 
 
-@pytest.mark.parametrize("forgery", FORGERIES)
+@pytest.mark.slow
+@sampled("forgery", FORGERIES, every=3)
 def test_forged_groups_change_no_answer(tmp_path, forgery):
     record(tmp_path / "a")
     record(tmp_path / "b", **FORGERIES[forgery])

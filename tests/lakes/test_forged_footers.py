@@ -34,6 +34,7 @@ def forge(record: Path, table: str) -> None:
     file.write_bytes(data + checksums.with_footer_sums(changed, zlib.crc32(data)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["entities", "ticks"])
 def test_a_statement_tells_of_a_forged_footer(tmp_path: Path, table: str) -> None:
     record = write_rising_cups(tmp_path / "r", EPISODES, TICKS)

@@ -119,6 +119,7 @@ DAMAGES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_known", [False, True], ids=["before the manifest", "after it"])
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_one_row(folder, damage, is_known):

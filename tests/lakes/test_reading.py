@@ -89,6 +89,7 @@ def test_the_files_of_a_batch_are_read_one_kind_after_the_other(record, monkeypa
     assert [table for table, count in runs if count == EPISODES] == kinds
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_episodes_that_are_known_are_asked_with_others(record, program) -> None:
@@ -145,6 +146,7 @@ def changed(record: Path, name: str, value: object) -> None:
     write_parquet(rows, file, **options(rows))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @pytest.mark.parametrize("value", [99.0, float("nan")])
 def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
@@ -160,6 +162,7 @@ def test_a_file_that_changed_is_decoded_anew(record, value) -> None:
     assert asked(record, PROGRAMS[1]) != before[1]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("together")
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_parts_that_are_too_large_to_be_kept_give_the_same_answers(
@@ -188,6 +191,7 @@ def test_the_columns_that_are_kept_are_bounded(record, monkeypatch) -> None:
     assert kept == [set(), set(), {"x", "y", "z"}, {"x", "y", "z"}]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("column", "value", "program"),
     [

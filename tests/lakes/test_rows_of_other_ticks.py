@@ -93,6 +93,7 @@ def alone(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return asked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", FORGERIES)
 def test_a_row_of_another_tick_changes_no_answer(
     tmp_path: Path, forgery: str, alone: list[int]
@@ -111,6 +112,7 @@ def test_a_row_of_another_tick_changes_no_answer(
     assert set(alone) == {FORGED}  # the others are asked together
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [

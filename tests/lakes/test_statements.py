@@ -74,6 +74,7 @@ def lake(recorded):
     return ssduck.lake(recorded)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_duckdb_answers_as_the_episodes(lake, program):
     wanted = asked(lake, program)
@@ -148,6 +149,7 @@ def mixed(tmp_path):
     return top
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "program",
     [
@@ -254,6 +256,7 @@ def test_what_is_refused(lake, program, message, dialect):
         lake.sql(program, dialect=dialect)
 
 
+@pytest.mark.slow
 def test_mistakes(lake, tmp_path):
     with pytest.raises(UnknownNameError, match="no entity 'cop'"):
         lake.sql("z(sim.cop);")

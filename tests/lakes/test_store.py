@@ -28,6 +28,7 @@ def address(recorded):
         yield "s3://runs/of today"
 
 
+@pytest.mark.slow
 def test_the_same_answers(address, recorded, monkeypatch):
     local, remote = ssduck.lake(recorded), ssduck.lake(address)
     assert remote.episodes["path"].to_pylist() == [f"{address}/record"] * EPISODES
@@ -42,6 +43,7 @@ def test_the_same_answers(address, recorded, monkeypatch):
     assert score["return"].equals(local.score(SUCCESS, reward=REWARD, processes=1)["return"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["formula", "least clearance"])
 def test_a_question_asks_the_store_twice_for_each_object(address, monkeypatch, name):
     """A request tells the size of an object, and one has its bytes: DuckDB asks for nothing."""
@@ -80,6 +82,7 @@ def test_tags_of_two_lakes_are_kept(address):
     assert tags_by_two_lakes(address) == [(1, 2), (1, 2)]
 
 
+@pytest.mark.slow
 def test_damage_is_one_row(address):
     lake = ssduck.lake(address)
     place = ObjectPath(f"{address}/record/entities/world=sim/episode=2/part-000000.parquet")
@@ -91,6 +94,7 @@ def test_damage_is_one_row(address):
         assert [row["episode"] for row in rows if row["error"]] == [2]
 
 
+@pytest.mark.slow
 def test_a_closed_episode_has_a_summary_in_the_store(address, recorded, monkeypatch):
     place = "s3://runs/closed"
     with ssduck.open(recorded, "sim", 1) as ss:
@@ -114,6 +118,7 @@ ASKED = [
 ]
 
 
+@pytest.mark.slow
 def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
     """Each record has another episode, so that reading another record is seen."""
     wanted = {}
@@ -136,6 +141,7 @@ def test_names_that_are_patterns_are_names(address, recorded, monkeypatch):
         assert found == {place: (json.loads(t), e) for place, (t, e) in texts.items()}
 
 
+@pytest.mark.slow
 def test_records_below_a_record(address, recorded):
     for number, name in enumerate(("outer", "outer/night")):
         with ssduck.open(recorded, "sim", number) as ss:
@@ -151,6 +157,7 @@ def test_records_below_a_record(address, recorded):
     assert answers == [by_itself(recorded, number, program)[0] for number in range(2)]
 
 
+@pytest.mark.slow
 def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatch):
     from ssduck.recording.stores.duckdb_objects import ArrowFSWrapper
 
@@ -161,6 +168,7 @@ def test_an_address_with_a_pattern_lists_no_others(address, recorded, monkeypatc
         assert ss.sql("SELECT count(*) FROM entities_history").fetchone()[0] > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["/record", "a//record", "./record", "a/../record"])
 def test_objects_that_no_path_names_are_left_out(address, recorded, name):
     place = "s3://runs/slashes " + name.replace("/", "_")

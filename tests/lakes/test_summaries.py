@@ -139,6 +139,7 @@ FORGERIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forgery", FORGERIES)
 def test_a_forged_summary_changes_no_answer(folder, recorded, forgery):
     wanted = ssduck.lake(recorded).ask(QUESTION, processes=1)["answer"].to_pylist()

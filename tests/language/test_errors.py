@@ -315,6 +315,7 @@ SQL_MISTAKES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sql", "words"), SQL_MISTAKES)
 def test_sql_mistakes(ss, sql, words):
     with pytest.raises(SqlError, match=words) as caught:

@@ -287,6 +287,7 @@ def test_entities_of_two_worlds(lab: Any) -> None:
 # -- as SQL -----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_intervals_in_sql_are_those_of_the_language(lab: Any) -> None:
     ss, _, world = lab
     _put(world, HEIGHTS)

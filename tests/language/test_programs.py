@@ -160,6 +160,7 @@ CHAINS = {
 }
 
 
+@pytest.mark.slow
 @sampled("name", CHAINS, every=4)
 def test_chains_are_no_nesting(shared, name):
     text, value = CHAINS[name]
@@ -170,6 +171,7 @@ def test_chains_are_no_nesting(shared, name):
 LENGTHS = [2, 32, 3000, 33, 34, 400, 401]
 
 
+@pytest.mark.slow
 @sampled("length", LENGTHS, every=3)
 def test_chains_in_queries(shared, length):
     """Against Python, on both sides of where they are kept flat and left to Python."""
@@ -193,6 +195,7 @@ def test_chains_in_queries(shared, length):
     assert found == [reduce(lambda x, _, n=n: x + n, range(length), 0.1) for n in every]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [400, 401])
 def test_chains_of_relations(length):
     """As SQL, left to Python, explained."""
@@ -331,6 +334,7 @@ def test_two_interpreters_mean_different_things(ss):
 OF_THE_LANGUAGE = ["on", "above", "id", "volume", "count", "sum", "str", "round"]
 
 
+@pytest.mark.slow
 @sampled("name", OF_THE_LANGUAGE, every=4)
 def test_a_users_function_replaces(kitchen, name):
     table = "table = SELECT obj FROM kitchen WHERE isKinbody(this) LIMIT 1 AS value;"

@@ -577,6 +577,7 @@ def copied(monkeypatch):
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("horizon", [math.inf, 0.0, 1.0, 100.0])
 def test_adding_costs_the_same_however_many_there_are(copied, horizon):
     held, count, longest = None, 100_000, 0

@@ -18,6 +18,7 @@ from ssduck.errors import (
     UnsupportedError,
 )
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, link_id
+from tests.support.cases import sampled
 
 HAND = "sim.panda.panda_hand"
 
@@ -131,6 +132,7 @@ def test_functions_with_type_hints(cell):
     assert ss.eval(query) == ss.eval("SELECT id FROM links(sim) WHERE z > 0.3 AS list;")
 
 
+@pytest.mark.slow
 def test_result_forms_show_names(cell):
     ss = cell.ss
     names = ["panda.panda_hand", "panda.panda_leftfinger"]
@@ -158,7 +160,7 @@ def test_result_forms_show_names(cell):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("door", ["folder", "file"])
+@sampled("door", ["folder", "file"], every=2)
 def test_records(cell, door, tmp_path):
     """A record answers as the live world does; DuckDB reads its views without ssduck."""
     programs = [

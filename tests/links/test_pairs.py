@@ -54,6 +54,7 @@ def calls(monkeypatch):
     return counts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sources", SOURCES, ids=" ".join)
 @pytest.mark.parametrize(("condition", "search"), EXACT, ids=[row[0] for row in EXACT])
 def test_pairs_are_those_of_each_pair(cell, condition, search, sources):
@@ -63,6 +64,7 @@ def test_pairs_are_those_of_each_pair(cell, condition, search, sources):
     assert search in cell.ss.explain(pairs_of(condition, sources)).lower()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sources", SOURCES, ids=" ".join)
 @pytest.mark.parametrize("condition", [*CANDIDATES, "restsOn(a.this, b.this)"])
 def test_candidate_pairs_are_those_of_each_pair(cell, condition, sources):

@@ -16,6 +16,7 @@ def ss():
         yield interpreter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["touching(a.this, b.this)", "on(a.this, b.this)"])
 @pytest.mark.parametrize(("first", "second"), SOURCES)
 def test_at_once_is_one_by_one(ss, first, second, condition):

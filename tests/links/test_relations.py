@@ -99,6 +99,7 @@ def test_of_one_link(cell, relation, name):
         assert same(rows if isinstance(rows, str) else rows[0][0], expected)
 
 
+@pytest.mark.slow
 @sampled("relation", TWO, every=6, ids=lambda r: r.name)
 def test_of_a_link_and_another(cell, relation):
     # Every relation with half of the pairs, and every pair with half of the relations.

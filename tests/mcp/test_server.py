@@ -231,6 +231,7 @@ def unlimited(request):
         yield answers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("question", ENDLESS)
 def test_a_cancelled_question_is_stopped(unlimited, question):
     """The program would never end, and the worker keeps its variables."""

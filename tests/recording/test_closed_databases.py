@@ -11,6 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError, SqlError
+from tests.support.cases import sampled
 from tests.support.command_line import ssduck_
 
 HEADER = 12_288
@@ -57,7 +58,8 @@ def as_nobody():
     os.seteuid(0)
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.slow
+@sampled("door", DOORS, every=4)
 @pytest.mark.parametrize("ending", ["", ".wal"])
 def test_a_file_without_permission(file, door, ending, request):
     ssduck.check(file)  # imports what another user may not read
@@ -108,7 +110,8 @@ USES = (
 )
 
 
-@pytest.mark.parametrize("door", DOORS)
+@pytest.mark.slow
+@sampled("door", DOORS, every=4)
 def test_a_file_in_use(door, recorded, tmp_path):
     """Its log stays where it is, though the path says that it is damaged."""
     (tmp_path / "damaged").mkdir()

@@ -59,6 +59,7 @@ def others_write(
     return lambda: reads[0]
 
 
+@pytest.mark.slow
 def test_tags_of_two_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     run = episode("s3://lake/two")
     reads = others_write(monkeypatch, run, ["a", "b"])
@@ -68,6 +69,7 @@ def test_tags_of_two_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.tags == {"task": "pick", "a": True, "b": True, "own": 1.5}
 
 
+@pytest.mark.slow
 def test_an_object_that_others_change_each_time_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -80,6 +82,7 @@ def test_an_object_that_others_change_each_time_is_an_error(
     assert found.tags == {"task": "pick", "a": True, "b": True, "c": True}
 
 
+@pytest.mark.slow
 def test_two_recordings_begin_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
     # Both find that number 0 is free.
     monkeypatch.setattr(folder_episodes, "_free_number", lambda *_: 0)

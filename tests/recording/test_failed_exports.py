@@ -111,6 +111,7 @@ def test_an_export_that_fails_leaves_nothing(
     assert files_in(other) == before
 
 
+@pytest.mark.slow
 def test_of_several_worlds_all_are_exported_or_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -42,6 +42,7 @@ def _format(path: Path) -> tuple[str, int]:
         return tags["storage_version"], sizes[0][0]
 
 
+@pytest.mark.slow
 def test_a_new_file_has_the_format_of_long_term_support(
     world: ssduck.World, tmp_path: Path
 ) -> None:

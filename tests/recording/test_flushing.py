@@ -231,6 +231,7 @@ def test_a_log_becomes_a_part_when_it_is_long_enough(
         assert copy.past("lab").ticks == list(range(1, 26))
 
 
+@pytest.mark.slow
 def test_flushes_make_no_small_parts(
     world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -270,6 +271,7 @@ class Killed(BaseException):
     """Ends a recorder in the middle of its work."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", range(16))
 def test_a_recorder_that_is_killed_at_any_file(
     world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int

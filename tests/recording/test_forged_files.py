@@ -246,6 +246,7 @@ def test_a_forged_file_is_an_error(file: Path, change: Callable[[Path], None], w
     assert str(file) in str(error.value)
 
 
+@pytest.mark.slow
 def test_the_valid_one_is_none(file: Path) -> None:
     use(file)
 
@@ -301,6 +302,7 @@ def test_a_log_that_is_no_file_is_not_waited_for(file: Path, kind: str) -> None:
         ssduck.open(file)
 
 
+@pytest.mark.slow
 def test_macros_and_tables_of_other_schemas_do_not_change_answers(file: Path) -> None:
     """Those with names of functions and tables that ssduck's own SQL uses."""
     with ssduck.open(file) as ss:
@@ -338,6 +340,7 @@ def test_a_table_that_does_not_fit_is_not_read(file: Path, monkeypatch: pytest.M
         ssduck.open(file)
 
 
+@pytest.mark.slow
 @sampled("until", [10**15, 2**62, -5], every=3)
 def test_rows_that_hold_for_ages(file: Path, until: int) -> None:
     """A row that holds for 10**15 ticks would be repeated as often."""
@@ -375,6 +378,7 @@ def client():
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["collate", "recollated", "COLLATE", "generated_always"])
 def test_names_of_worlds_are_no_collations(client, tmp_path, name):
     with ssduck.Interpreter(tmp_path / "record.duckdb") as ss:

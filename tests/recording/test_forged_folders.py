@@ -214,6 +214,7 @@ def test_a_forged_folder_is_an_error(
     assert str(folder.name) in str(error.value) or "nothing is recorded" in str(error.value)
 
 
+@pytest.mark.slow
 def test_the_valid_one_is_none(folder: Path, made: Path) -> None:
     use(folder)
     use(made / "unfinished")
@@ -247,6 +248,7 @@ def test_a_world_of_a_name_that_no_world_can_have(folder: Path, world: str) -> N
         ssduck.open(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["[a]*?", "a'b", 'a"b', "x" * 200, "a;--", "{0}", "é\U0001f986"])
 def test_any_name_of_a_folder(folder: Path, name: str) -> None:
     """Beside it is a folder that the name as a pattern finds."""

@@ -161,6 +161,7 @@ def test_a_record_can_be_opened_without_its_damaged_parts(run: Path) -> None:
     assert len(ssduck.check(run)) == 1  # it stays as it was
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ssduck.json", "episodes/lab-0.json"])
 @pytest.mark.parametrize("damage", [lambda f: flip_bit(f, 0.5), Path.unlink], ids=["bit", "gone"])
 def test_descriptions_are_written_anew(run: Path, name: str, damage: Callable) -> None:

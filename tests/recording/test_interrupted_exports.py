@@ -77,6 +77,7 @@ def pressed(call: Call, record: Path, folder: Path, line: float) -> int:
     return presser.count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", [_export, _upgrade, _write])
 @pytest.mark.parametrize("has_others", [False, True], ids=["a new folder", "a record"])
 def test_nothing_is_left_or_the_whole(

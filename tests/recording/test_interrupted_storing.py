@@ -19,12 +19,13 @@ from ssduck.recording.background_writer import BufferedRows
 from ssduck.recording.recorder import BUFFERED_TICKS
 from ssduck.recording.stores.duckdb import DuckDBStore
 from ssduck.recording.stores.parquet import ParquetStore
+from tests.support.cases import generated, sampled
 from tests.support.presser import Presser
 from tests.support.timing import HANGS
 
 TICKS = 12
 # How often Ctrl-C is pressed, at lines that are spread over a method.
-PRESSES = 6
+PRESSES = generated(2)
 
 
 class InDatabase:
@@ -93,8 +94,9 @@ def stored_once(path: Path, line: float, form: type[InDatabase | InFolder], meth
     return presser.count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["flush", "close"])
-@pytest.mark.parametrize("form", [InDatabase, InFolder, InRunningFolder])
+@sampled("form", [InDatabase, InFolder, InRunningFolder], every=2)
 def test_all_is_stored_once(form, method, tmp_path):
     count = stored_once(tmp_path / "whole.duckdb", math.inf, form, method)
     assert count > PRESSES
@@ -103,8 +105,9 @@ def test_all_is_stored_once(form, method, tmp_path):
         stored_once(tmp_path / f"{line}.duckdb", line, form, method)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has another SIGTERM")
-@pytest.mark.parametrize("method", ["step", "flush", "close"])
+@sampled("method", ["step", "flush", "close"], every=3)
 @pytest.mark.parametrize("form", [InDatabase, InRunningFolder])
 def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
     """Its handler is one that exits, as many programs have; the record is closed on the way."""
@@ -137,6 +140,7 @@ def test_a_program_that_sigterm_ends_has_stored_all(form, method, tmp_path):
         signal.signal(signal.SIGTERM, kept)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [InDatabase, InRunningFolder])
 def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
     """Ctrl-C comes while a slow disk is written, and once more while it is waited for."""
@@ -170,6 +174,7 @@ def test_close_waits_for_what_is_being_stored(form, tmp_path, monkeypatch):
     assert ssduck.episodes(tmp_path / "run.duckdb")[0].complete
 
 
+@pytest.mark.slow
 def test_another_recording_begins_or_the_one_goes_on(tmp_path):
     def begin(path: Path, line: float) -> int:
         with ssduck.load("kitchen", path) as ss:
@@ -189,6 +194,7 @@ def test_another_recording_begins_or_the_one_goes_on(tmp_path):
         begin(tmp_path / f"{line}.duckdb", line)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_folder", [False, True])
 def test_another_episode_begins_or_the_one_goes_on(is_folder, tmp_path):
     def begin(path: Path, line: float) -> int:
@@ -217,6 +223,7 @@ def test_another_episode_begins_or_the_one_goes_on(is_folder, tmp_path):
         begin(tmp_path / f"{line}.duckdb", line)
 
 
+@pytest.mark.slow
 def test_ticks_that_are_stored_while_a_recording_begins_are_read_once(tmp_path, monkeypatch):
     """The first tick is stored in the background, at the moment at which DuckDB gets it."""
     arrow = BufferedRows.arrow.fget
@@ -241,6 +248,7 @@ def test_ticks_that_are_stored_while_a_recording_begins_are_read_once(tmp_path, 
         assert rows == different > 0
 
 
+@pytest.mark.slow
 def test_rows_that_ctrl_c_kept_from_duckdb_are_there_at_the_next_query(tmp_path, monkeypatch):
     """It is pressed while DuckDB gets tables that replace full ones."""
     register = Connection.register

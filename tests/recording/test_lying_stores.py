@@ -11,6 +11,7 @@ import pytest
 
 import ssduck
 from ssduck.errors import RecordError
+from tests.support.cases import sampled
 from tests.support.lying_store import LyingStore, lying_store
 
 pytest.importorskip("fsspec", reason="the extra s3 is not installed")
@@ -48,6 +49,7 @@ def in_lake(path: str) -> list[str | None]:
 ASKING = [opened, ssduck.episodes, ssduck.check]
 
 
+@pytest.mark.slow
 def test_what_is_right_is_read(store: LyingStore) -> None:
     assert opened(RUN) == [(1, 0.0), (2, 3.0), (3, 6.0), (4, 9.0)]
     assert ssduck.episodes(RUN)[0].ticks == 4
@@ -65,13 +67,15 @@ def messages(ask: Callable[[str], Any]) -> str:
     return "".join(f"{one.file} {one.problem}" if hasattr(one, "file") else one for one in found)
 
 
-@pytest.mark.parametrize(
+@pytest.mark.slow
+@sampled(
     ("ask", "status", "name"),
     [
         *((ask, 403, name) for ask in (*ASKING, in_lake) for name in (".json", ".parquet")),
         (opened, 500, ".json"),  # it is asked for again, after a pause
         (opened, 500, ".parquet"),
     ],
+    every=3,
 )
 def test_a_refusal_names_the_object_and_what_to_do(
     store: LyingStore, ask: Callable[[str], Any], status: int, name: str
@@ -84,6 +88,7 @@ def test_a_refusal_names_the_object_and_what_to_do(
     assert "None" not in message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ask", [opened, in_lake])
 def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -> None:
     store.cut = (".parquet",)
@@ -92,6 +97,8 @@ def test_half_a_body_is_an_error(store: LyingStore, ask: Callable[[str], Any]) -
     assert "None" not in message
 
 
+@pytest.mark.pairwise
+@pytest.mark.slow
 @pytest.mark.parametrize("ask", [opened, ssduck.check, in_lake])
 @pytest.mark.parametrize("size", [1 << 40, (1 << 63) - 1])
 def test_an_object_is_not_read_whose_size_is_impossible(
@@ -101,7 +108,8 @@ def test_an_object_is_not_read_whose_size_is_impossible(
     assert f"it has {size:,} bytes, more than a file of a record" in messages(ask)
 
 
-@pytest.mark.parametrize("size", [1 << 62, -5])
+@pytest.mark.slow
+@sampled("size", [1 << 62, -5], every=2)
 def test_impossible_sizes_in_a_listing_are_an_error_of_their_episode(
     store: LyingStore, size: int
 ) -> None:
@@ -112,6 +120,7 @@ def test_impossible_sizes_in_a_listing_are_an_error_of_their_episode(
     assert lake.episodes["size"].to_pylist() == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ask", ASKING)
 @pytest.mark.parametrize(
     "name",
@@ -132,6 +141,7 @@ def test_what_is_listed_and_not_there_is_missing(
     assert len(store.requests) < 300
 
 
+@pytest.mark.slow
 def test_a_part_that_is_gone_is_missing(store: LyingStore) -> None:
     store.statuses = {TICKS: 404}
     for ask in (opened, ssduck.check, in_lake):
@@ -139,6 +149,7 @@ def test_a_part_that_is_gone_is_missing(store: LyingStore) -> None:
         assert f"{TICKS} is missing" in message
 
 
+@pytest.mark.slow
 def test_episodes_without_rows_are_not_asked_for(store: LyingStore) -> None:
     opened(RUN)
     right = len(store.requests)

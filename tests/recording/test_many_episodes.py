@@ -78,6 +78,7 @@ def test_an_episode_begins_after_a_few_looks(
     assert [e.number for e in ssduck.episodes(run)] == list(range(EPISODES + 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 7, 8, 9])
 def test_the_next_number(tmp_path: Path, client: int, count: int) -> None:
     for _ in range(count + 1):
@@ -102,6 +103,7 @@ def test_the_last_episode_is_opened_at_once(
         ssduck.open(run, episode=5)
 
 
+@pytest.mark.slow
 def test_the_last_episode_of_a_file_is_opened_at_once(
     tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -149,6 +151,7 @@ def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(
     assert [sql for sql in asked if re.search(r"\bsql\b|duckdb_tables", sql)] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dropped", [0, 1, 3])
 def test_views_on_the_worlds_of_a_killed_process_are_dropped(
     tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch, dropped: int

@@ -291,6 +291,7 @@ def _forge(run: Path, part: int, tick: int) -> None:
     without_checksums(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("claimed", "stray"), [(1, 1), (15, 15), (1000, 1000)])
 def test_rows_of_other_ticks_are_in_no_answer(
     run: Path, checks: list[str], claimed: int, stray: int

@@ -15,6 +15,7 @@ from ssduck.errors import RecordError
 from ssduck.interchange.macros import macro_script
 from ssduck.interpreter.archives import folder_run
 from ssduck.recording.stores.checksums import write_parquet
+from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite_log, with_column, without_checksums
 from tests.support.rising_cups import write_rising_cups
 
@@ -72,7 +73,8 @@ CASES = [(kind, table) for kind in KINDS for table in NUMBERS]
 CASES.remove(("unfinished", "contacts"))
 
 
-@pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])
+@pytest.mark.slow
+@sampled(("record", "table"), CASES, indirect=["record"], every=3)
 def test_sql_reads_null(record: Path, table: str) -> None:
     history = f"{table}_history"
     with ssduck.open(record) as ss:
@@ -108,6 +110,7 @@ PROGRAMS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("record", KINDS, indirect=True)
 def test_selectscript_answers_as_for_null(record: Path, tmp_path: Path) -> None:
     """The oracle is the same record with NULL in their place, as ssduck stores them."""
@@ -150,6 +153,7 @@ def _with_null(record: Path) -> None:
         write_parquet(_null_in_entities(pq.ParquetFile(file).read()), file, write_statistics=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
     records = [write_rising_cups(tmp_path / name / "record", 2, 4) for name in ("nan", "null")]
@@ -175,6 +179,7 @@ def test_lakes_answer_as_for_null(tmp_path: Path, program: str) -> None:
 DOORS = ("z > 1e9", "z IS NULL", "z < 1e9", "NOT z > -1e9", "z = 0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("statistics", [False, True])
 def test_all_doors_answer_the_same(tmp_path: Path, statistics: bool) -> None:
     """NaN is NULL, whether a footer says of the column what other values it has, or nothing."""
@@ -205,6 +210,7 @@ def test_all_doors_answer_the_same(tmp_path: Path, statistics: bool) -> None:
                 assert ss.sql(count.format("entities_history")).fetchall() == wanted, condition
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("record", ["folder", "file.duckdb"], indirect=True)
 def test_limits_that_are_nan_are_null(record: Path) -> None:
     if record.suffix:
@@ -239,6 +245,7 @@ def test_a_mass_that_is_nan_is_an_error(record: Path) -> None:
         ssduck.open(record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("record", "table"), CASES, indirect=["record"])
 def test_a_record_that_ssduck_writes_has_null(record: Path, table: str, tmp_path: Path) -> None:
     store_nan(record, table)

@@ -94,6 +94,7 @@ def test_the_same_rows_and_answers(places: tuple[str, Path]) -> None:
     assert ssduck.check(remote) == []
 
 
+@pytest.mark.slow
 def test_a_running_recording_is_read_with_its_log(server) -> None:
     place = "s3://lake/running"
     client = pybullet.connect(pybullet.DIRECT)
@@ -136,6 +137,7 @@ def test_exports_to_the_store_and_from_it(places: tuple[str, Path], tmp_path: Pa
     assert not expand_path("s3://lake/failed").exists()
 
 
+@pytest.mark.slow
 def test_an_export_that_fails_leaves_no_episode(
     places: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,6 +154,7 @@ def test_an_export_that_fails_leaves_no_episode(
     assert runs_in(expand_path("s3://lake/broken")) == []
 
 
+@pytest.mark.slow
 def test_poses_from_anywhere_tags_and_further_episodes(server) -> None:
     place = "s3://lake/written"
     for number in range(3):
@@ -178,6 +181,7 @@ def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -
     assert ssduck.episodes("s3://lake/k")[0].ticks == 3
 
 
+@pytest.mark.slow
 def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> None:
     with ssduck.open(places[1]) as ss:
         ss.export("s3://lake/damaged")
@@ -201,6 +205,7 @@ def test_damaged_and_missing_objects_are_errors(places: tuple[str, Path]) -> Non
         ssduck.write_record("s3://no-such-bucket/r", ["a"], np.zeros((1, 1, 3)), [0])
 
 
+@pytest.mark.slow
 def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]) -> None:
     remote, _ = places
     with ssduck.open(remote, limits=ssduck.Limits.strict()) as ss:
@@ -276,6 +281,7 @@ def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
     assert ssduck_("check", "s3://lake/changing").exit_code == 0
 
 
+@pytest.mark.slow
 def test_a_repair_renames_what_is_damaged(server) -> None:
     place = "s3://lake/torn"
     for height in (1.0, 2.0):

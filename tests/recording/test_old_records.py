@@ -20,6 +20,7 @@ import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import MODELS, RECORDABLE, RECORDED
+from tests.support.cases import sampled
 
 DATA = Path(__file__).parents[1] / "data"
 KINDS = ("run", "run.duckdb", "unfinished")
@@ -35,12 +36,14 @@ def records(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     return place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_old_record_has_the_same_answers(records: Path, kind: str) -> None:
     assert_answers(records, records / kind)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.slow
+@sampled("kind", KINDS, every=3)
 def test_an_upgraded_record_has_them_too_and_is_of_the_present_format(
     records: Path, kind: str, tmp_path: Path
 ) -> None:

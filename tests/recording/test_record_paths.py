@@ -108,7 +108,7 @@ def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeyp
     assert list(here.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @POSIX
 def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> None:
     world = ball(client)

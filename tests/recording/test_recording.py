@@ -58,6 +58,7 @@ def _recorded(world: ssduck.World, store: Any, **given: Any) -> tuple[Recorder, 
     return recorder, first
 
 
+@pytest.mark.slow
 def test_a_tick_waits_while_those_before_it_are_stored(world: ssduck.World) -> None:
     store = Store()
     recorder, first = _recorded(world, store)

@@ -56,6 +56,7 @@ def ask(ss):
     return errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_asked", [False, True])
 def test_a_record_that_is_replaced(run, recorded, is_asked):
     with ssduck.open(run) as ss:
@@ -205,6 +206,7 @@ def test_a_part_without_permission(table, run):
         (run / table).chmod(0o755)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 @pytest.mark.parametrize(
     ("place", "pattern"),

@@ -15,7 +15,7 @@ from ssduck.schema import RECORDABLE
 from tools import replay
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_record_answers_as_the_live_world_did(tmp_path: Path) -> None:
     live = replay.recorded(tmp_path / "run", 0.5, 12, seed=3)
     again = replay.replayed(tmp_path / "run", list(live.results))

@@ -59,6 +59,7 @@ def forged_folder(made: Path, to: Path, table: str, tick: str, time: str) -> Pat
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forge", [forged_file, forged_folder])
 @pytest.mark.parametrize("name", FORGERIES)
 @pytest.mark.parametrize("table", TABLES)
@@ -81,6 +82,7 @@ def test_a_forged_row_is_an_error(
             ss.eval("max(SELECT z(this) FROM lab{} AS list);")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forge", [forged_file, forged_folder])
 @pytest.mark.parametrize("name", FORGERIES)
 def test_no_export_drops_it(
@@ -100,6 +102,7 @@ def test_no_export_drops_it(
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_the_valid_records_are_none(made: Path) -> None:
     for record in (made / "folder", made / "file.duckdb"):
         assert ssduck.check(record) == []

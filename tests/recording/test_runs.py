@@ -131,6 +131,7 @@ def live():
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_rows_that_were_copied_are_answered_from_their_tick(live) -> None:
     live.sql("CREATE OR REPLACE TABLE copied AS SELECT * FROM entities_history")
     told = live.sql(
@@ -211,6 +212,7 @@ def test_a_run_is_the_same_wherever_it_is_kept(tmp_path: Path, client: int) -> N
     assert 0 < run < 2**53
 
 
+@pytest.mark.slow
 def test_a_record_that_does_not_tell_runs_is_opened(folder: Path, tmp_path: Path) -> None:
     """As records were before the column: its rows get a number when they are opened."""
     old = tmp_path / "old"

@@ -16,6 +16,7 @@ from tests.support.recorded import ROOT
 ROOM = ROOT / "tests/data/room.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["room.duckdb", "ROOM", "memory.db"])
 def test_a_file_may_have_the_name_of_its_world(tmp_path, file):
     path = tmp_path / file
@@ -47,6 +48,7 @@ def rooms(tmp_path_factory):
         yield room.call_variable("room"), (in_memory, on_file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["main", "MEMORY", "temp", "system", "information_schema", "pg_catalog"]
 )

@@ -9,6 +9,7 @@ from tools import soak
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("in_file", [False, True], ids=["memory", "file"])
 def test_memory_does_not_grow(tmp_path, in_file, capsys):
     database = str(tmp_path / "soak.duckdb") if in_file else ":memory:"

@@ -389,6 +389,7 @@ def test_an_interpreter_that_is_forgotten_while_it_stores(
         assert _counts(then) == _whole(RING + 3)
 
 
+@pytest.mark.slow
 def test_garbage_is_collected_in_the_thread_that_stores(
     world: ssduck.World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -443,6 +444,7 @@ ENDS = {
 }
 
 
+@pytest.mark.slow
 @POSIX
 @sampled("end", ENDS, every=3)
 def test_a_process_that_ends_while_it_stores(tmp_path: Path, end: str) -> None:

@@ -74,6 +74,7 @@ def tag_many(place: Path, name: str) -> None:
         write_tags(FolderRun(place, "two", 0), {f"{name}_{number}": number})
 
 
+@pytest.mark.slow
 def test_threads_and_processes_tag_an_episode_that_ends(scene: Path, tmp_path: Path) -> None:
     place = tmp_path / "r"
     process = get_context("spawn").Process(target=tag_many, args=(place, "process"))

@@ -15,6 +15,7 @@ import ssduck
 from ssduck.errors import RecordError
 from ssduck.recording.replay import checked_rows
 from ssduck.recording.stores import parquet_archive
+from tests.support.cases import sampled
 from tests.support.forged import make_records, part, rewrite, without_checksums
 
 FIRST = "tick = (SELECT min(tick) FROM rows)"
@@ -96,6 +97,7 @@ def forged_folder(made: Path, to: Path, table: str, select: str) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forge", [forged_file, forged_folder])
 @pytest.mark.parametrize("name", FORGERIES)
 def test_a_check_finds_them(
@@ -193,7 +195,8 @@ def test_links_that_no_replay_reads(made: Path, tmp_path: Path) -> None:
     assert "of the rows of links, a row is twice there" in damage.problem
 
 
-@pytest.mark.parametrize("at_once", [1, 40, 1 << 19])
+@pytest.mark.slow
+@sampled("at_once", [1 << 19, 40, 1], every=3)
 @pytest.mark.parametrize("record", ["folder", "file.duckdb", "unfinished"])
 def test_the_valid_records_are_intact(
     made: Path, record: str, at_once: int, monkeypatch: pytest.MonkeyPatch
@@ -202,6 +205,7 @@ def test_the_valid_records_are_intact(
     assert ssduck.check(made / record) == []
 
 
+@pytest.mark.long
 def test_rows_are_read_some_ticks_at_a_time(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

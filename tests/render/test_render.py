@@ -153,6 +153,7 @@ def is_body(picture):
     return (np.abs(picture - background).sum(axis=2) > 60) & columns
 
 
+@pytest.mark.slow
 def test_speed_and_rate_give_the_number_of_pictures(record, tmp_path):
     seen = []
     for speed, fps, count in [(1.0, 10, 11), (2.0, 10, 6), (0.5, 10, 21), (1.0, 7, 8)]:

@@ -173,6 +173,7 @@ def test_the_last_result_is_written_in_full(session, capsys, tmp_path):
     assert path.read_text() == "i\n" + "".join(f"{i}\n" for i in range(100))
 
 
+@pytest.mark.slow
 def test_the_command_reads_a_pipe(tmp_path):
     result = ssduck_("shell", "hall", "--sql", input=".mode json\nSELECT 1 AS n;\nSELECT m;\n")
     assert result.exit_code == 1
@@ -187,6 +188,7 @@ def test_strict(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_record(tmp_path):
     with ssduck.load("hall") as ss:
         ss.run(0.02)

@@ -62,6 +62,7 @@ def test_a_cloud_is_a_picture(outputs):
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 8  # a colour for each entity
 
 
+@pytest.mark.long
 @pytest.mark.skipif(chromium() is None, reason="there is no Chromium")
 def test_the_manuals_picture_of_a_notebook_is_up_to_date(tmp_path):
     drawn, stored = (

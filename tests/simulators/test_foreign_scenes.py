@@ -126,6 +126,7 @@ def test_the_working_directory_is_another(place: Path, monkeypatch: pytest.Monke
         ssduck.load(place / "s.urdf", limits=Limits.strict())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "text"),
     [
@@ -318,6 +319,7 @@ HIDDEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limits", [None, Limits.strict()])
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_comment_hides_nothing_from_the_check(tmp_path: Path, name: str, limits: Limits) -> None:
@@ -470,6 +472,7 @@ def test_a_damaged_collada_file(tmp_path: Path, old: str, new: str, words: str) 
         ssduck.load(tmp_path / "s.urdf")
 
 
+@pytest.mark.slow
 def test_entities_that_grow(tmp_path: Path) -> None:
     """Ten entities of ten of the one before; PyBullet takes none of them for another text."""
     grown = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 12))

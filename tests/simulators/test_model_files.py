@@ -386,6 +386,7 @@ def test_all_entries_of_the_table_are_tested():
         assert tag.replace("[@", " ").rstrip("]") in tested, path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("format", TEXTS)
 def test_a_file_without_such_parts_is_not_warned_of(load, format, recwarn):
     load(

@@ -151,6 +151,7 @@ INSIDE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", INSIDE)
 def test_files_inside_are_read(folder, outside, form):
     pytest.importorskip("mujoco")
@@ -241,6 +242,7 @@ def test_a_picture_of_collada_is_in_the_folder(folder, outside):
         strict(folder / "t.urdf")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("above", ["scene/../m.obj", "work/m.obj", "data/m.obj"])
 def test_a_file_of_that_name_elsewhere_is_refused(folder, outside, monkeypatch, tmp_path, above):
     """PyBullet looks into the working directory and the folders above first."""
@@ -266,6 +268,7 @@ def test_materials_inside_are_read(folder, outside):
         assert ss.eval("SELECT count(*) AS n FROM t AS value;") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_copies_of_the_shipped_scenes_are_read(tmp_path, name):
     shutil.copytree(shipped_scenes()[name].parent, tmp_path / name)
@@ -379,6 +382,7 @@ def large_scene(folder):
     return folder / "scene.toml"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -396,6 +400,7 @@ def test_files_whose_check_would_take_long_are_refused(tmp_path, make, words, mo
             ssduck.load(scene, limits=ssduck.Limits.strict(trial=trial))
 
 
+@pytest.mark.slow
 def test_the_bounds_of_what_is_checked(tmp_path, monkeypatch):
     scene = find_scene(many_names(tmp_path))
     monkeypatch.setattr(scene_files, "MAX_PLACES", 10**7)

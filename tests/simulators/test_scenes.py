@@ -623,6 +623,7 @@ def test_a_model_by_itself_that_cannot_be_loaded(write, capfd, name):
 # -- the tools of the shipped scenes -------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["kitchen", "hall", "chaos"])
 def test_the_files_of_a_scene_are_what_its_tool_writes(name):
     assert name in shipped_scenes()

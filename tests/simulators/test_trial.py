@@ -22,6 +22,7 @@ from ssduck.mcp.answers import WorkerError
 from ssduck.simulators import trial
 from ssduck.simulators.scene_files import check_files_inside
 from ssduck.simulators.scenes import find_scene
+from tests.support.cases import sampled
 from tests.support.command_line import ssduck_
 from tests.support.timing import HANGS
 from tests.support.urdf import collision, joint, link, robot
@@ -50,6 +51,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_crash_is_an_error_that_names_the_file(folder: Path) -> None:
     for name in ("c.urdf", "scene.toml"):
         with pytest.raises(SceneError, match=CRASH):
@@ -72,6 +74,7 @@ def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) 
         assert found == folder.resolve() / "big.png"
 
 
+@pytest.mark.slow
 def test_a_crash_in_a_task_an_agent_and_a_command(folder: Path) -> None:
     with pytest.raises(SceneError, match=CRASH):
         make_task(folder / "crashing.toml")
@@ -82,6 +85,7 @@ def test_a_crash_in_a_task_an_agent_and_a_command(folder: Path) -> None:
     assert "PyBullet crashes on this file" in done.output
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_loading(folder: Path) -> None:
     model = robot(link("a"), link("b"), joint("door", "revolute", "a", "b"))
     (folder / "door.urdf").write_text(model)
@@ -132,6 +136,7 @@ def tried(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return names
 
 
+@pytest.mark.slow
 def test_limits_say_whether_there_is_a_trial(folder: Path, tried: list[str]) -> None:
     for limits in (None, Limits(), Limits.strict(trial=False), Limits.strict(files=True)):
         ssduck.load(folder / "good.toml", limits=limits).close()
@@ -146,6 +151,7 @@ def test_limits_say_whether_there_is_a_trial(folder: Path, tried: list[str]) -> 
         Limits(trial="yes")
 
 
+@pytest.mark.slow
 def test_a_task_tries_its_scene_again_if_a_file_is_another(folder: Path, tried: list[str]) -> None:
     env = make_task(folder / "task.toml")
     for _ in range(3):
@@ -227,6 +233,7 @@ def test_nothing_that_a_taken_process_tells_is_believed(
         ssduck.load(folder / "b.urdf", limits=Limits.strict(seconds=0.2))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends it with its parent")
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_the_process_ends_with_its_parent(folder: Path, end: signal.Signals) -> None:
@@ -268,6 +275,7 @@ def test_a_process_that_does_not_start(folder: Path, monkeypatch: pytest.MonkeyP
         ssduck.load(folder / "b.urdf", limits=Limits.strict())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited on Linux")
 def test_memory_is_limited(folder: Path) -> None:
     body = '<worldbody><geom size="1"/></worldbody>'
@@ -282,7 +290,7 @@ def test_memory_is_limited(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("format", FORMATS)
+@sampled("format", FORMATS, every=4)
 def test_no_mutated_file_ends_the_process(format: str, tmp_path: Path) -> None:
     """The short form of `python -m tools.fuzz_scenes`."""
     if format == "mujoco":

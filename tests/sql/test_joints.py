@@ -79,6 +79,7 @@ SHARES = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @sampled(("name", "position", "share"), SHARES, every=3)
 def test_shares_are_of_the_range_from_the_closed_end(scene, name, position, share):
     ss, slow, world, closed = scene

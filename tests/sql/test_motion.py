@@ -121,6 +121,7 @@ def squeezed(angle):
     return client, ssduck.World.attach(client, names=names), points
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("call", "told"),
     [
@@ -156,6 +157,7 @@ def test_what_is_less_than_0_is_an_error(lab, call, told):
     assert ss.eval(f"{call.format('lab.cube', '100')};") in (True, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [180, 150, 121, 119, 90])
 def test_a_grasp_is_pressed_from_opposite_sides(angle):
     client, world, points = squeezed(angle)

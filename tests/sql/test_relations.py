@@ -157,6 +157,7 @@ def oracle(relation, a, b):
     return all(lo < value < hi for lo, value, hi in zip(low, b.position, high, strict=True))
 
 
+@pytest.mark.slow
 @sampled("relation", ["above", "below", "within"], every=3)
 def test_random_scenes_agree_with_a_loop(relation):
     random = np.random.default_rng(7)

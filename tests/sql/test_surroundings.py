@@ -147,6 +147,7 @@ def test_the_hull_of_a_table_is_not_its_inside(stage, write):
         assert "enclosed" in ss.eval("help('inside');")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.5, 0.9])
 def test_of_a_cup_in_a_box_only_one_is_in_the_other(stage, write, scale):
     """The larger one's centre is between the walls of the smaller one, too."""
@@ -433,6 +434,7 @@ SCENES = {
 TURNED = [name for name in SCENES if "bound" not in name and "beyond" not in name]
 
 
+@pytest.mark.slow
 @sampled(
     ("name", "degrees"),
     [*((name, 0) for name in SCENES), *((name, 37) for name in TURNED)],

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from itertools import combinations, product
+from collections import defaultdict
+from itertools import combinations
 
 import pytest
 
@@ -26,57 +27,43 @@ def sampled(names, cases, *, every, **options):
 
     The others repeat with other data what it shows: they are marked `long`.
     """
-    cases = list(cases)
-    chosen = range(0, len(cases), every)
-    marked = [_case(names, case, number in chosen) for number, case in enumerate(cases)]
-    return pytest.mark.parametrize(names, marked, **options)
-
-
-def pairwise(names, *values, **options):
-    """Returns `pytest.mark.parametrize` of all combinations of values, of which few are run each time.
-
-    Those few have each pair of values of two parameters; the others are marked `long`.
-
-    Args:
-        names: the parameters, with commas between them.
-        *values: the values of each; a value that `pytest.param` marks gives its marks to all cases
-            that have it.
-    """
-    chosen = _covering([range(len(each)) for each in values])
-    marked = []
-    for indices in product(*(range(len(each)) for each in values)):
-        picked = [_plain(each[index]) for each, index in zip(values, indices, strict=True)]
-        marks = [mark for _, own in picked for mark in own]
-        case = pytest.param(*(value for value, _ in picked), marks=marks)
-        marked.append(_case(names, case, indices in chosen))
-    return pytest.mark.parametrize(names, marked, **options)
-
-
-def _plain(value):
-    is_marked = isinstance(value, type(pytest.param()))
-    return (value.values[0], value.marks) if is_marked else (value, ())
-
-
-def _case(names, case, is_chosen):
-    if is_chosen:
-        return case
-    if isinstance(case, type(pytest.param())):
-        return case._replace(marks=[*case.marks, pytest.mark.long])
     is_single = isinstance(names, str) and "," not in names
-    return pytest.param(*([case] if is_single else case), marks=pytest.mark.long)
+    marked = list(cases)
+    for number, case in enumerate(marked):
+        if number % every:
+            if isinstance(case, type(pytest.param())):
+                marked[number] = case._replace(marks=[*case.marks, pytest.mark.long])
+            else:
+                values = [case] if is_single else case
+                marked[number] = pytest.param(*values, marks=pytest.mark.long)
+    return pytest.mark.parametrize(names, marked, **options)
 
 
-def _covering(axes):
-    """Few combinations with each pair of values of two axes: each next one has the most new pairs."""
+def mark_all_but_pairs(items):
+    """Marks cases of tests that are marked `pairwise` as `long`: all but few.
 
-    def pairs(indices):
-        return set(combinations(enumerate(indices), 2))
+    Those few have each pair of values of two parameters of the test.
+    """
+    tests = defaultdict(dict)
+    for item in items:
+        if item.get_closest_marker("pairwise"):
+            name = item.nodeid.partition("[")[0]
+            tests[name].setdefault(tuple(item.callspec.indices.values()), []).append(item)
+    for cases in tests.values():
+        for indices in cases.keys() - covering(cases):
+            for item in cases[indices]:
+                item.add_marker(pytest.mark.long)
 
-    every = {indices: pairs(indices) for indices in product(*axes)}
-    missing = set().union(*every.values())
-    chosen = set()
+
+def covering(cases):
+    """Returns few of the cases, tuples of indices, that have each pair which any of them has.
+
+    Each next one is the one that has the most new pairs, the first of several.
+    """
+    pairs = {case: set(combinations(enumerate(case), 2)) or {case} for case in cases}
+    missing, chosen = set().union(*pairs.values()), set()
     while missing:
-        best = max(every, key=lambda indices: len(every[indices] & missing))
+        best = max(pairs, key=lambda case: len(pairs[case] & missing))
         chosen.add(best)
-        missing -= every[best]
-    return chosen or set(every)
+        missing -= pairs[best]
+    return chosen

@@ -157,6 +157,7 @@ def test_a_live_world_has_its_past_and_the_firings_of_its_triggers(browser):
         page.close()
 
 
+@pytest.mark.long
 def test_a_scene_plays_and_stops(browser):
     def load():
         from ssduck.simulators.scenes import find_scene

@@ -49,6 +49,7 @@ def press(page, key, number):
         )
 
 
+@pytest.mark.long
 def test_a_page_is_loaded_again_in_the_middle_of_a_query(ss, page):
     answers = page.value("__ss.answers")
     page.value("document.querySelector('[data-language=sql]').click(); 0")
@@ -88,6 +89,7 @@ def test_the_last_of_several_entities_is_shown(page):
     )
 
 
+@pytest.mark.long
 def test_two_pages_ask_for_themselves(page, url, browser):
     other = browser.open(url)
     other.wait("window.__ss && __ss.ready")

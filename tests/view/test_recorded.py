@@ -81,6 +81,7 @@ def test_a_track_ends_with_the_record(ss, first, count, expected):
         assert len(track.poses) == (expected or total - first)
 
 
+@pytest.mark.slow
 def test_a_track_of_another_scene_is_none(tmp_path):
     with ssduck.load("kitchen") as ss:
         kitchen = ss["kitchen"]
@@ -107,6 +108,7 @@ PROGRAMS = [
 ]
 
 
+@pytest.mark.slow
 @sampled("program", PROGRAMS, every=2)
 def test_a_scan_finds_each_change(record, program):
     """The oracle asks at each tick, and compares."""
@@ -214,6 +216,7 @@ def test_a_scan_with_an_error_says_so(socket):
     assert message["error"]["suggestions"] == ["fridge"]
 
 
+@pytest.mark.slow
 def test_intervals_are_bars_over_the_whole_record(socket, ss):
     times = ss.worlds[0].source_record.ticks.times
     program = f"holds(on(kitchen.table, kitchen.{CUP}));"

@@ -103,6 +103,7 @@ def test_a_page_that_asks_nothing_of_sensors_casts_no_rays(ss, page):
     assert world.snapshot.has("sensings")
 
 
+@pytest.mark.slow
 def test_the_past_of_sensors_is_told_or_refused(ss, page):
     world = ss.worlds[0]
     ss.run(0.1)

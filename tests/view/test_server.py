@@ -289,6 +289,7 @@ def told(socket, **expected):
             return state
 
 
+@pytest.mark.slow
 def test_a_page_runs_its_scene():
     loaded = []
 

@@ -57,6 +57,7 @@ def page():
         source.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

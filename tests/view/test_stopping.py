@@ -109,6 +109,7 @@ def test_a_query_ends_when_the_page_is_closed(running):
         assert running.errors == [STOPPED]
 
 
+@pytest.mark.slow
 def test_a_query_goes_on_when_another_page_asks_or_goes(url, running):
     with opened(url) as socket:
         begin(socket, running)

@@ -15,7 +15,9 @@ from ssduck.world import ctrl_c
 @pytest.fixture(autouse=True)
 def handler():
     kept = signal.signal(signal.SIGINT, signal.default_int_handler)
+    gc.freeze()  # what other tests have left is not gone through after each signal
     yield
+    gc.unfreeze()
     signal.signal(signal.SIGINT, kept)
 
 
@@ -47,6 +49,7 @@ def with_ctrl_c_at(event):
     return caught, presser.count
 
 
+@pytest.mark.slow
 def test_the_handler_is_back_wherever_ctrl_c_comes():
     caught, count = with_ctrl_c_at(None)
     assert caught is None
@@ -85,6 +88,7 @@ def with_an_alarm(presser):
         sys.settrace(None)
 
 
+@pytest.mark.slow
 @UNIX
 def test_the_handlers_are_back_whichever_of_two_signals_raises():
     """An alarm comes, and Ctrl-C at any place: one error follows from the other, or is the only."""
@@ -156,6 +160,7 @@ def test_the_signal_that_ends_the_program_wins(names):
         signal.signal(signal.SIGALRM, kept)
 
 
+@pytest.mark.slow
 @UNIX
 def test_the_tables_are_those_of_the_simulator_whatever_a_handler_raises():
     """An alarm that ends a long `step` comes between two steps of the simulator."""

@@ -124,6 +124,7 @@ def contacts_of(model, data, *names):
 COUNT = "SELECT count(*) FROM lab.contacts c JOIN lab.entities e ON c.b = e.id WHERE name = 'ball'"
 
 
+@pytest.mark.slow
 def test_contacts_are_of_the_present_tick(lab):
     _, _, model, data = lab
     seen = []
@@ -289,6 +290,7 @@ SELECT onTop(t, b) FROM lab.entities t, lab.entities b WHERE t.name = 'table' AN
 """
 
 
+@pytest.mark.slow
 def test_shapes_of_two_entities_take_no_boxes_of_others(lab, monkeypatch):
     _, _, model, data = lab
     with ssduck.Interpreter(recording=None) as other:
@@ -334,6 +336,7 @@ def test_shapes_are_where_their_poses_in_links_have_them(pose):
             assert matrices == pytest.approx(data.geom_xmat, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_shapes_of_bodies_that_stay_are_placed_once(monkeypatch):
     groups, boxes = [], BodyGroup.shape_boxes
     monkeypatch.setattr(

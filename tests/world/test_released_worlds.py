@@ -120,6 +120,7 @@ def test_what_somebody_has_stays(lab) -> None:
     assert lab.eval("id(entity);") == "body_0"
 
 
+@pytest.mark.slow
 def test_closing_lets_go_what_programs_have_bound(lab) -> None:
     lab.eval("e = SELECT this FROM lab AS environment; f = e; mine = 1;")
     lab.add_variable("kept", lab.eval("SELECT this FROM lab AS environment;"))

@@ -183,6 +183,7 @@ def test_only_tables_whose_rows_change_are_made_anew(attached):
     assert (resting.arrow is arrow) == (resting.count == count)
 
 
+@pytest.mark.slow
 def test_queries_see_whole_ticks_while_another_thread_steps(spied):
     """All rows of an answer are of one tick, and say what its time makes them."""
     world, _ = spied

@@ -211,6 +211,7 @@ LIBRARY = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*does not give back all shapes")
 @sampled("model", LIBRARY, every=5)
 def test_what_if_of_models_of_the_library(client, write, capfd, model):
@@ -510,6 +511,7 @@ def test_one_name_for_several_worlds(kitchen):
         assert heights == [1.0, 2.0, 3.0]
 
 
+@pytest.mark.slow
 def test_sql_across_two_worlds(kitchen):
     with ssduck.Interpreter() as ss:
         ss.add_variable("kitchen", kitchen)

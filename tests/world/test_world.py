@@ -46,6 +46,7 @@ def test_what_a_handle_tells(kitchen):
     assert repr(cup) == "<kinbody 'cup_905a'>"
 
 
+@pytest.mark.slow
 def test_handles_are_equal_if_they_are_of_the_same_entity(kitchen):
     one, same, other = kitchen["can"], kitchen["can"], kitchen["sink"]
     assert one is not same

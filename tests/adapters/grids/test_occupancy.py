@@ -319,6 +319,7 @@ def test_the_pictures_show_what_they_should(pictures, tmp_path):
     assert len(np.unique(pictures["voxelgrid"].reshape(-1, 3), axis=0)) > 20
 
 
+@pytest.mark.slow
 def test_plot(grid):
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")

@@ -140,6 +140,7 @@ def test_eight_regions_have_48_colourings(program):
     assert found == colourings("abcdefgh", EIGHT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", [COLOUR_MAP_X, COLOUR_MAP_XX])
 def test_five_regions(ss, program):
     ss.addFunction("get", lambda obj, n: obj[n])

@@ -40,6 +40,7 @@ def boxes_apart(a, b):
     return max(np.max(np.subtract(low, higher)), np.max(np.subtract(lower, high)))
 
 
+@pytest.mark.slow
 @sampled("condition", COMPARED + ANYWAY, every=4)
 def test_what_is_compared_with_a_number(row, condition, monkeypatch):
     monkeypatch.setattr(queries, "FEW_ROWS", 0)
@@ -177,6 +178,7 @@ def test_a_question_about_one_world_reads_no_other(stage, client):
     assert other.snapshot.number > before
 
 
+@pytest.mark.slow
 def test_a_world_that_goes_without_its_name_is_read(stage, client):
     stage.box("a")
     ss, _ = stage.interpreters(sim=stage.open())

@@ -174,6 +174,7 @@ def named(name):
     return [thread for thread in threading.enumerate() if thread.name == name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["del_trigger", "close", "del"])
 def test_threads_end(client, way):
     got = []

@@ -179,6 +179,7 @@ def test_the_bar_is_for_terminals(sim, capsys):
     assert sim.time == pytest.approx(0.2)
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_run_at_a_tick(sim):
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()

@@ -229,7 +229,7 @@ def test_together_as_one_by_one(added, actions):
     assert outcome([*added, *actions], together=True) == outcome([*added, *actions], together=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_programs_together_as_one_by_one():
     actions = [("add", program, {}, 0, None) for program in PROGRAMS]
     actions += [
@@ -421,6 +421,7 @@ def moved(world, client, height):
     world.tick(steps=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "program", [NEAR, "SELECT z FROM sim WHERE name == 'b2' AS value;", "SELECT MAX(z) FROM sim;"]
 )

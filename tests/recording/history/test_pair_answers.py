@@ -202,6 +202,7 @@ ASKED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", ASKED)
 def test_a_second_question_about_the_same_ticks_compares_nothing(
     heap: ssduck.Interpreter, asked: str

@@ -354,6 +354,7 @@ def test_a_past_that_is_recorded_anew_is_refused(falling: ssduck.Interpreter) ->
     assert "is kept no longer" in repr(then)
 
 
+@pytest.mark.slow
 def test_a_past_that_was_dropped_is_refused(falling: ssduck.Interpreter) -> None:
     falling.record("lab", Recording(ticks=8))
     _step(falling, 2)

@@ -103,6 +103,7 @@ def test_handles_of_a_record_tell_and_cannot_be_moved(kitchen):
     assert not Path("elsewhere").exists()
 
 
+@pytest.mark.slow
 @sampled("kind", ["folder", "file"], every=2)
 def test_a_record_needs_no_simulator(tmp_path, client, kind):
     path = tmp_path / ("run.duckdb" if kind == "file" else "run")

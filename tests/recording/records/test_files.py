@@ -45,7 +45,7 @@ def recorder(path, end):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @POSIX
 def test_a_file_holds_what_was_flushed_and_the_next_run_is_an_episode(tmp_path):
     path = tmp_path / "run.duckdb"
@@ -131,6 +131,7 @@ def test_files_that_hold_no_record(tmp_path):
     assert not (tmp_path / "missing.duckdb").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("about", "told"),
     [

@@ -17,6 +17,7 @@ def run(tmp_path_factory):
     return kill_work.Run(tuple(kill_work.WORK), tmp_path_factory.mktemp("records"))
 
 
+@pytest.mark.slow
 @POSIX
 # Exports, closing and so on in turn; folders below the number of works, files from it on.
 @sampled("seed", [0, 7, 2, 9, 4, 11], every=5)

@@ -54,6 +54,7 @@ SINGLE = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("source", ["SIM", "links(SIM)"])
 def test_all_relations_of_pairs_agree(worlds, source):
     ss, _, _ = worlds

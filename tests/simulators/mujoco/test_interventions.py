@@ -44,6 +44,7 @@ def ids(world):
 # -- holding ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_is_held_goes_where_the_gripper_goes(yard):
     gripper, ball = yard["gripper"], yard["ball"]
     before, known = np.array(ball.position), ids(yard)

@@ -68,6 +68,7 @@ def lab(request):
     lab.ss.close()
 
 
+@pytest.mark.slow
 def test_it_is_the_list_of_the_simulator_at_every_step(lab, tmp_path):
     """A bowl that is lifted meets the plate for some steps without pressing."""
     pairs = list(itertools.combinations(("floor", "plate", "bowl", "arm"), 2))
@@ -122,6 +123,7 @@ def test_what_moves_apart_has_a_contact_and_does_not_press(lab):
     assert lab.ss.eval(program) == [True, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relation", ["hasContact", "inContact", "grasped"])
 def test_an_entity_is_in_no_contact_with_itself(lab, relation):
     """Contacts of its links are of these, now and in the past."""

@@ -33,6 +33,7 @@ def scene(chance):
     return f"<mujoco><worldbody>{''.join(bodies)}</worldbody></mujoco>"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(generated(4)))
 def test_past_ticks_answer_as_they_did_live(seed):
     """MuJoCo's matrices are not those of its quaternions to the last bit."""

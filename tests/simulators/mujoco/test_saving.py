@@ -289,6 +289,7 @@ def joints_of(entity):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", ["kitchen", "hall", "chaos"])
 def test_shipped_scenes_have_the_same_bodies_in_mujoco(scene, tmp_path):
     pytest.importorskip("pybullet")
@@ -310,6 +311,7 @@ def test_shipped_scenes_have_the_same_bodies_in_mujoco(scene, tmp_path):
                 assert joints_of(copy) == joints_of(one)
 
 
+@pytest.mark.slow
 def test_the_model_loads_by_itself_and_in_mujoco(tmp_path):
     pytest.importorskip("pybullet")
     with ssduck.load("kitchen") as ss:
@@ -359,6 +361,7 @@ to = "other"
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("slide", "turn"), [(0.0, 0.0), (0.02, -0.05), (0.21, -0.8), (0.4, -1.5)])
 def test_drawers_agree(tmp_path, slide, turn):
     """Two bodies of one file: names of parts that both have get that of the body in front."""

@@ -212,6 +212,7 @@ def test_all_pairs_of_ellipsoids_at_once_are_those_one_by_one(eggs, margin):
     assert found(many.all_on().numbers) == [(a, b) for a, b in pairs if single.on(a, b)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lift", "aside", "expected"),
     [

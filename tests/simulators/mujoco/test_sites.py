@@ -10,6 +10,7 @@ import pytest
 import ssduck
 from ssduck.schema import MASSES
 from ssduck.sql.relations.registry import RELATIONS
+from tests.support.cases import sampled
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -120,7 +121,7 @@ OTHERS = {"isSensing", "sensing", "canSee"}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", REGIONS)
+@sampled("form", REGIONS, every=4)
 def test_relations_take_a_region_as_the_shape_of_a_link(form):
     """A link with the same shape, fixed to the same body, has the same answers."""
     inner = f'type="{form}" size="{REGIONS[form]}"'
@@ -152,6 +153,7 @@ def test_relations_take_a_region_as_the_shape_of_a_link(form):
         np.testing.assert_allclose(of_site, of_link, atol=1e-9, err_msg=call)
 
 
+@pytest.mark.slow
 def test_relations_that_hold_of_a_region():
     ss, _, _ = world_of(SITE)
     zone = "lab.holder.zone"

@@ -77,6 +77,7 @@ def rows_of_sql(table, text):
     return [tuple(map(comparable, row)) for row in table.execute(text).fetchall()]
 
 
+@pytest.mark.slow
 def test_random_queries_give_the_same_at_each_run(world, monkeypatch):
     """The first runs are DuckDB's own, the last ones have plans that are kept."""
     monkeypatch.setattr(query_runner, "FEW_ROWS", 0)

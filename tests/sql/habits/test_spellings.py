@@ -347,6 +347,7 @@ def test_forms_in_any_case(ss, keyword, form):
     assert ss.eval(f"{nested};") == 2
 
 
+@pytest.mark.slow
 def test_forms_of_users_in_any_case(ss, monkeypatch):
     from ssduck.adapters import registry as adapters
 

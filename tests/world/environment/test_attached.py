@@ -253,6 +253,7 @@ def test_an_opened_record_makes_a_world_of_what_is_recorded(recorded, tmp_path):
         assert here[name][4:7] == pytest.approx(at_the_end[name][4:7], abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_what_if_world_goes_on(kitchen):
     what = kitchen.what_if({"cup_905a": [1, 0, 0, 0, 0.4, 0.1, 1.5]}, {"barrett_4918": {"j1": 0.2}})
     copy = what.excerpt(what)

@@ -267,7 +267,7 @@ def connected():
     return sum(map(pybullet.isConnected, range(1024)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_closed_worlds_and_forgotten_ones_give_all_back(kitchen):
     chosen = ["kitchen", "table", "cup_905a", "roomba_625x"]
     gc.collect()  # what other tests have left
@@ -286,7 +286,7 @@ def test_closed_worlds_and_forgotten_ones_give_all_back(kitchen):
     assert memory() - first < 100  # a client takes some ten: 50 of them would be more
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_worlds_in_circles_make_room(kitchen, monkeypatch):
     """What waits for the collector holds a client; there are so many only."""
     copy = kitchen.excerpt(["table"])
@@ -330,6 +330,7 @@ def test_a_saved_kitchen_is_the_same(kitchen, tmp_path, steps):
     assert farthest(loaded, again) < 1e-12
 
 
+@pytest.mark.slow
 def test_saved_bodies_of_others(menagerie, tmp_path):
     menagerie.step(100)
     with pytest.warns(UserWarning, match=MOTORS):
@@ -349,6 +350,7 @@ def test_saved_bodies_of_others(menagerie, tmp_path):
         assert first[name] == pytest.approx(second[name], abs=1e-6)
 
 
+@pytest.mark.slow
 def test_saved_names_are_made_fit(client, write, tmp_path):
     """Of links and joints without names, of several of one name, of odd ones."""
     text = robot(
@@ -396,6 +398,7 @@ def test_nothing_is_saved_over(kitchen, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["mine"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["new", "empty", "link"])
 def test_half_a_scene_is_not_left(kitchen, tmp_path, monkeypatch, kind):
     folder = tmp_path / "scene"

@@ -59,6 +59,7 @@ def test_a_camera_sees_a_sphere(mast, radius, place, position, orientation):
     assert seen.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("radius", "distance"), [(0.5, 3.0), (0.3, 1.0), (1.0, 4.0)])
 def test_the_share_of_a_sphere_ahead_is_that_of_its_cone(mast, radius, distance):
     """Its cone cuts a disc of radius tan(asin(r/d)) out of the image, in which pixels are even."""
@@ -211,6 +212,7 @@ def test_looking_through_a_body_is_as_if_it_were_not_there(stage):
 # -- just inside, just outside -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("distance", "there"), [(2 - 1e-3, True), (2 + 1e-3, False), (1e-2, True), (50, False)]
 )

@@ -114,6 +114,7 @@ def standing(stage):
     return stage.open()
 
 
+@pytest.mark.slow
 def test_a_contact_sensor_feels_what_presses(stage):
     world = standing(stage)
     touch = world.add_sensor("contact_sensor", "crate", "touch")

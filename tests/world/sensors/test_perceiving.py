@@ -126,6 +126,7 @@ PROGRAMS = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("program", "expected"), PROGRAMS, every=4)
 @pytest.mark.parametrize("owned", [True, False])
 def test_programs_about_sensors(mast, program, expected, owned):
