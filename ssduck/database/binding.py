@@ -264,6 +264,32 @@ class BoundWorld:
             member.name, joints, columns["position"][columns["entity"] == id].tolist()
         )
 
+    def fastest_link(self, tick: int, id: int, columns: Sequence[str]) -> float | None:
+        """Returns the greatest magnitude of a velocity of an entity's links but its base.
+
+        Args:
+            tick: the number of the tick.
+            id: the id of the entity; 0 is returned for a link, which has no others.
+            columns: the components of the velocity in the table of links.
+
+        Returns:
+            None if a velocity is unknown.
+
+        Raises:
+            UnsupportedError: they are not recorded.
+        """
+        if id >= LINK_FACTOR:
+            return 0.0
+        snapshot = self.world.snapshot
+        is_now = tick == snapshot.number and "links" not in snapshot.unavailable
+        rows: Mapping[str, Any] | LiveTable = (
+            snapshot.tables["links"] if is_now else self._recorded("links", tick)
+        )
+        others = (rows["entity"] == id) & (rows["link"] != 0)
+        squares = sum(rows[name][others] ** 2 for name in columns)
+        greatest = float(np.sqrt(squares).max(initial=0.0))
+        return None if math.isnan(greatest) else greatest
+
     def contacts(self) -> ContactPairs:
         """Returns the contacts of the present tick.
 

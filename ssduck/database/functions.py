@@ -6,7 +6,7 @@ They refer to worlds by the names of their schemas: a reference to the database 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import accumulate, product
 from typing import Any, TypeVar, get_args
@@ -39,6 +39,7 @@ from ssduck.sql.relations.geometry_query import (
     name_over_ticks,
 )
 from ssduck.sql.relations.joints import JOINT_UDFS
+from ssduck.sql.relations.motion import LINK_SPEED_UDFS
 from ssduck.sql.relations.registry import GEOMETRY_UDFS, RELATIONS
 from ssduck.sql.relations.relation import CHECKED_TICK_UDF, LENIENT_PREFIX
 from ssduck.sql.types import Signature, SqlType
@@ -153,6 +154,14 @@ def offer_geometry_functions(connection: Connection, worlds: Mapping[str, BoundW
             "DOUBLE",
             null_handling=FunctionNullHandling.SPECIAL,
         )
+    for name, columns in LINK_SPEED_UDFS.items():
+        connection.offer_function(
+            name,
+            partial(_link_speed, worlds, columns),
+            ("VARCHAR", "BIGINT", "BIGINT"),
+            "DOUBLE",
+            null_handling=FunctionNullHandling.SPECIAL,
+        )
     for kind in get_args(QuestionKind):
         # As Arrow columns: converting lists would take as long as comparing the pairs.
         connection.offer_function(
@@ -185,6 +194,8 @@ def shape_functions(worlds: Mapping[str, BoundWorld]) -> dict[str, Callable[...,
     functions[MARGINS_UDF] = partial(_margins, worlds)
     for name, (function, _) in JOINT_UDFS.items():
         functions[name] = partial(_joint_value, worlds, function)
+    for name, columns in LINK_SPEED_UDFS.items():
+        functions[name] = partial(_link_speed, worlds, columns)
     for relation in RELATIONS.values():
         if relation.of_contacts is not None:
             functions[relation.name] = partial(_contact_value, worlds, relation.of_contacts)
@@ -289,6 +300,17 @@ def _joint_value(
         raise UnknownNameError(f"there is no world {world!r} here any more")
     tick, id, *more = arguments
     return function(worlds[world].joints(tick, id), *more)
+
+
+def _link_speed(
+    worlds: Mapping[str, BoundWorld], columns: Sequence[str], world: str, tick: int, id: int
+) -> float | None:
+    """Returns the greatest magnitude of a velocity of an entity's links but its base."""
+    if None in (tick, id):
+        return None
+    if world not in worlds:
+        raise UnknownNameError(f"there is no world {world!r} here any more")
+    return worlds[world].fastest_link(tick, id, columns)
 
 
 def _contact_value(

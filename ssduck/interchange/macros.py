@@ -23,6 +23,7 @@ from ssduck.recording.stores.history_sql import known
 from ssduck.recording.stores.parquet_layout import PAIRS, FolderRun
 from ssduck.recording.stores.stored_columns import part_columns
 from ssduck.schema import LINK_FACTOR, MAX_LINKS, MODELS, RECORDED, TABLES, Column
+from ssduck.sql.relations.motion import LINK_SPEED_UDFS, link_speed_lookup
 from ssduck.sql.relations.registry import RELATIONS
 from ssduck.sql.relations.relation import Relation, overloads_of_others
 
@@ -148,7 +149,8 @@ class _Source:
     def trees(self, relation: Relation) -> dict[int, exp.Expr]:
         """Returns the formulas of a relation; without the table of links, those of entities."""
         has_links = not self.has_record or "links" in self.tables
-        return relation.link_expressions if has_links else relation.expressions
+        trees = relation.link_expressions if has_links else relation.expressions
+        return {count: tree.transform(_plain, has_links) for count, tree in trees.items()}
 
     def obstacle(self, relation: Relation) -> str | None:
         """Returns why plain DuckDB cannot have a relation; None if it can."""
@@ -175,6 +177,13 @@ class _Source:
             overloads.append(f"({', '.join(names)}) AS ({body.sql('duckdb')})")
         overloads = [*overloads_of_others(relation), *overloads]
         yield f"CREATE OR REPLACE MACRO {_quoted(relation.name)}{', '.join(overloads)}"
+
+
+def _plain(part: exp.Expr, has_links: bool) -> exp.Expr:
+    """Returns a lookup in place of a function of an entity's links."""
+    if not isinstance(part, exp.Anonymous) or part.name not in LINK_SPEED_UDFS:
+        return part
+    return _parsed(link_speed_lookup(part.name) if has_links else "0")
 
 
 def _macros_of_lists(relation: Relation) -> Iterator[str]:
@@ -232,6 +241,8 @@ def _renamed(body: exp.Expr, names: Sequence[str]) -> tuple[exp.Expr, list[str]]
     for column in renamed.find_all(exp.Column):
         if column.table in names:
             column.set("table", exp.to_identifier(_own_parameter(column.table)))
+        elif not column.table and column.name in names:
+            column.set("this", exp.to_identifier(_own_parameter(column.name)))
     return renamed, list(map(_own_parameter, names))
 
 

@@ -85,8 +85,9 @@ def _relation(sql: ExpressionScope, relation: Relation, node: Call) -> SqlValue:
     over_ticks = sql.ticks.over_all_ticks(relation, values, count)
     if over_ticks is not None:
         return over_ticks
-    has_links = any(value.sql_type.table != "entities" for value in values.values())
-    formula = (relation.link_expressions if has_links else relation.expressions)[count]
+    tables = [value.sql_type.table for value in values.values()]
+    has_links = any(table != "entities" for table in tables)
+    formula = relation.formula_of(tables, count)
     if relation.result == "entity":
         (entity,) = values.values()
 

@@ -91,6 +91,39 @@ def test_settled_at_its_boundary(lab, option, linear, angular):
     assert both(ss, expression) is False
 
 
+def test_a_robot_is_settled_when_each_link_is(tmp_path):
+    """Live, row by row, in raw SQL, over the ticks and in a record, against PyBullet's getter."""
+    client = pybullet.connect(pybullet.DIRECT)
+    here = {"physicsClientId": client}
+    box = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.1] * 3, **here)
+    arm = create_linked_body(
+        client, 0, box, linkPositions=[[0.5, 0, 0]], linkJointTypes=[pybullet.JOINT_REVOLUTE]
+    )
+    ss = ssduck.Interpreter()
+    world = ss.add_variable("lab", ssduck.World.attach(client, names={arm: "arm"}))
+    expected = [True]
+    for speed in (1.0, 0.05):
+        pybullet.resetJointState(arm, 0, 0.3, speed, **here)
+        world.tick()
+        turn = pybullet.getLinkState(arm, 0, computeLinkVelocity=1, **here)[7]
+        assert np.linalg.norm(turn) == pytest.approx(speed)
+        expected.append(speed <= 0.1)
+        assert ss.eval("[settled(lab.arm), speed(lab.arm), settled(links(lab.arm)[1])];") == [
+            *(expected[-1], 0.0, expected[-1])
+        ]
+        assert ss.eval("settled(lab.arm, 10, 10) AND NOT settled(lab.arm, 10, 0.01);")
+        assert ss.eval("SELECT settled(this) FROM lab AS list;") == expected[-1:]
+        assert ss.sql("SELECT settled(e) FROM lab.entities e").fetchone() == (expected[-1],)
+    now = "SELECT settled(this) FROM lab{-1e9} AS list;"
+    then = "SELECT settled(e) FROM lab.entities_history e ORDER BY tick"
+    ss.export(str(tmp_path / "run"))
+    with ssduck.open(tmp_path / "run") as opened:
+        for asked in (ss, opened):
+            assert asked.eval(now) == expected
+            assert asked.sql(then).fetchall() == [(one,) for one in expected]
+    pybullet.disconnect(client)
+
+
 # -- grasps ----------------------------------------------------------------------------------------
 
 

@@ -55,6 +55,34 @@ def if_from_0_up(relation: str, formula: str, **parameters: str) -> str:
     return f"CASE {' '.join(checks)} ELSE {formula} END"
 
 
+def in_frame(frame: str, point: str) -> tuple[str, str, str]:
+    """Returns formulas: the coordinates of a row's position in the frame of another row."""
+    w, x, y, z = (f"{frame}.q{part}" for part in "wxyz")
+    away = [f"({point}.{axis} - {frame}.{axis})" for axis in "xyz"]
+    rows = (
+        (
+            f"1 - 2 * ({y} ** 2 + {z} ** 2)",
+            f"2 * ({x} * {y} + {w} * {z})",
+            f"2 * ({x} * {z} - {w} * {y})",
+        ),
+        (
+            f"2 * ({x} * {y} - {w} * {z})",
+            f"1 - 2 * ({x} ** 2 + {z} ** 2)",
+            f"2 * ({y} * {z} + {w} * {x})",
+        ),
+        (
+            f"2 * ({x} * {z} + {w} * {y})",
+            f"2 * ({y} * {z} - {w} * {x})",
+            f"1 - 2 * ({x} ** 2 + {y} ** 2)",
+        ),
+    )
+    first, second, third = (
+        "(" + " + ".join(f"({a}) * {b}" for a, b in zip(row, away, strict=True)) + ")"
+        for row in rows
+    )
+    return first, second, third
+
+
 def link_of(entity: str, link: str) -> str:
     """Returns a formula: the id of a link, from the id of its entity and its number."""
     return f"(({link} + 1) * {LINK_FACTOR} + {entity})"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import A_B, ENTITY, entity_relation
+from ssduck.sql.relations.common import A_B, ENTITY, entity_relation, in_frame
 from ssduck.sql.relations.geometry_query import ABOVE, BELOW, INSIDE, CandidatePairs
 from ssduck.sql.relations.relation import Parameter, Relation
 
@@ -10,7 +10,35 @@ _SLICE = (
     Parameter("start", "integer", "the index of the first element, from 0", optional=True),
     Parameter("stop", "integer", "the index after the last element", optional=True),
 )
+_IN_BOX = (
+    "b.x > a.xmin AND b.x < a.xmax AND b.y > a.ymin AND b.y < a.ymax "
+    "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id"
+)
 _FOOTPRINT = "b.x BETWEEN a.xmin AND a.xmax AND b.y BETWEEN a.ymin AND a.ymax"
+
+
+_SITE_IN_SQL = (
+    "within: raw SQL tests no region of a site; for a row s of sites whose region is a box, write "
+    "inBox(b, {x: -s.region_x / 2, y: -s.region_y / 2, z: -s.region_z / 2}, "
+    "{x: s.region_x / 2, y: s.region_y / 2, z: s.region_z / 2}, s)"
+)
+
+
+def _in_region() -> str:
+    """Returns a formula: whether the position of b is in the region of a, a site."""
+    u, v, w = in_frame("a", "b")
+    sizes = [f"a.region_{axis}" for axis in "xyz"]
+    p, q = sizes[:2]
+    box = " AND ".join(f"2 * abs({c}) < {size}" for c, size in zip((u, v, w), sizes, strict=True))
+    across = f"{u} ** 2 + {v} ** 2"
+    ellipsoid = " + ".join(f"({c} / {size}) ** 2" for c, size in zip((u, v, w), sizes, strict=True))
+    return (
+        f"a.id <> b.id AND CASE a.region WHEN 'box' THEN {box} "
+        f"WHEN 'sphere' THEN {across} + {w} ** 2 < {p} ** 2 "
+        f"WHEN 'cylinder' THEN {across} < {p} ** 2 AND 2 * abs({w}) < {q} "
+        f"WHEN 'capsule' THEN {across} + greatest(abs({w}) - {q} / 2, 0) ** 2 < {p} ** 2 "
+        f"ELSE {ellipsoid} < 1 END"
+    )
 
 
 def _sliced(
@@ -154,8 +182,9 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         A_B,
         "boolean",
         f"{_FOOTPRINT} AND b.z >= a.zmax AND a.id <> b.id",
-        "Checks if the position of b is above the box of a: x and y are within the box, edges "
-        "included, and z is at its top or higher.",
+        "Checks if the position of b, the origin of its frame, is above the box of a: x and y are "
+        "within the box, edges included, and z is at its top or higher. For what stands on a, "
+        "wherever its origin is, write on(a, b).",
         candidate_pairs=CandidatePairs(ABOVE),
     ),
     Relation(
@@ -172,10 +201,14 @@ ENTITY_RELATIONS: tuple[Relation, ...] = (
         "within",
         A_B,
         "boolean",
-        "b.x > a.xmin AND b.x < a.xmax AND b.y > a.ymin AND b.y < a.ymax "
-        "AND b.z > a.zmin AND b.z < a.zmax AND a.id <> b.id",
-        "Checks if the position of b is inside the box of a, edges excluded.",
+        _IN_BOX,
+        "Checks if the position of b is inside the axis-aligned box of a, or in the region of a, a "
+        "site, as it is turned; edges excluded. In raw SQL, a site is an error: write inBox with "
+        "the site as the frame.",
         candidate_pairs=CandidatePairs(INSIDE),
+        link_formula=f"CASE WHEN a.kind = 'site' THEN error('{_SITE_IN_SQL}')::BOOLEAN "
+        f"ELSE {_IN_BOX} END",
+        site_formula=_in_region(),
     ),
     entity_relation(
         "isEnabled", "boolean", "object.enabled", "Checks if the simulator lets the entity collide."

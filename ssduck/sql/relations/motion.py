@@ -15,8 +15,28 @@ _TURN = "sqrt(object.wx ** 2 + object.wy ** 2 + object.wz ** 2)"
 _TILT = "2 * atan2(sqrt(object.qx ** 2 + object.qy ** 2), sqrt(object.qw ** 2 + object.qz ** 2))"
 
 
+# The functions of an entity's links but its base, as SQL calls them: the greatest magnitude of
+# these columns of the table of links, 0 where there are none.
+LINK_SPEED_UDFS = {"links speed": ("vx", "vy", "vz"), "links turn": ("wx", "wy", "wz")}
+
+
+def link_speed_lookup(name: str) -> str:
+    """Returns what one of `LINK_SPEED_UDFS` is as a formula that reads the table of links."""
+    speed = " + ".join(f"links.{column} ** 2" for column in LINK_SPEED_UDFS[name])
+    fastest = (
+        f"SELECT links.entity AS entity, max(sqrt({speed})) AS speed FROM links "  # noqa: S608
+        "WHERE links.link <> 0 GROUP BY ALL"
+    )
+    found = f"(SELECT map(list(entity), list(speed)) FROM ({fastest}) AS fastest)"  # noqa: S608
+    return f"COALESCE(map_extract_value({found}, object.id), 0)"
+
+
 def _is_slow(linear: str, angular: str) -> str:
-    return f"{_SPEED} <= {linear} AND {_TURN} <= {angular}"
+    key = "$world, object.tick, object.id"
+    return (
+        f"{_SPEED} <= {linear} AND {_TURN} <= {angular} "
+        f'AND "links speed"({key}) <= {linear} AND "links turn"({key}) <= {angular}'
+    )
 
 
 MOTION_RELATIONS: tuple[Relation, ...] = (
@@ -60,10 +80,11 @@ MOTION_RELATIONS: tuple[Relation, ...] = (
         ),
         "boolean",
         _is_slow(str(SLOW), str(SLOW_TURN)),
-        f"Checks if the entity's speed is at most {SLOW} m/s and its angular speed at most "
-        f"{SLOW_TURN} rad/s, or at most the given ones. Only the base of an articulated body "
-        "counts. heldFor(settled(object)) >= 0.2 is true if that has held for 0.2 s. A negative "
-        "speed is an error.",
+        f"Checks if the speed of each link of the entity is at most {SLOW} m/s and its angular "
+        f"speed at most {SLOW_TURN} rad/s, or at most the given ones; speed and angularSpeed are "
+        "those of the base alone. heldFor(settled(object)) >= 0.2 is true if that has held for "
+        "0.2 s. A negative speed is an error.",
+        python_table="links",
         formula_with_first_option=if_from_0_up(
             "settled", _is_slow("linear", str(SLOW_TURN)), linear="a speed, m/s"
         ),

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from ssduck.sql.relations.common import A_B, ENTITY, if_from_0_up
+from ssduck.sql.relations.common import A_B, ENTITY, if_from_0_up, in_frame
 from ssduck.sql.relations.relation import Parameter, Relation
 
 _CORNERS = (
     Parameter("min", "place", "the lower corner [x, y, z]"),
     Parameter("max", "place", "the upper corner [x, y, z]"),
 )
+
+
+def _in_box(x: str, y: str, z: str) -> str:
+    return " AND ".join(
+        f"{place} BETWEEN min.{axis} AND max.{axis}"
+        for place, axis in zip((x, y, z), "xyz", strict=True)
+    )
 
 
 def _viewer_relation(name: str, condition: str, about: str) -> Relation:
@@ -50,12 +57,17 @@ REGION_RELATIONS: tuple[Relation, ...] = (
     ),
     Relation(
         "inBox",
-        (*ENTITY, *_CORNERS),
+        (
+            *ENTITY,
+            *_CORNERS,
+            Parameter("frame", "entity", "the entity in whose frame the box is", optional=True),
+        ),
         "boolean",
-        "object.x BETWEEN min.x AND max.x AND object.y BETWEEN min.y AND max.y "
-        "AND object.z BETWEEN min.z AND max.z",
-        "Checks if the position of the entity is in an axis-aligned box, boundary included. "
-        "Nothing is in a box whose lower corner is above its upper one along an axis.",
+        _in_box("object.x", "object.y", "object.z"),
+        "Checks if the position of the entity is in a box, boundary included: one that is aligned "
+        "with the axes of the world, or of the frame of another entity, where its corners are "
+        "then, too. Nothing is in a box whose lower corner is above its upper one along an axis.",
+        formula_with_options=_in_box(*in_frame("frame", "object")),
     ),
     Relation(
         "fitsBox",

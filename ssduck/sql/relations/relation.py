@@ -74,6 +74,7 @@ class Relation:
         recorded_formula: the formula of a macro for rows of a recorded tick, if it looks up what
             differs from tick to tick.
         link_formula: the formula where an entity may be a link, if it is another one.
+        site_formula: the formula where the first entity is a site, whose row has its region.
         link_name: the column of a link that stands for `name`.
         list_formula: the formula for two lists, if it has another meaning for them.
         aliases: other names; a name that raw SQL has to quote has one.
@@ -99,6 +100,7 @@ class Relation:
     candidate_pairs: CandidatePairs | None = None
     recorded_formula: str = ""
     link_formula: str = ""
+    site_formula: str = ""
     link_name: str = "name"
     list_formula: str = ""
     aliases: tuple[str, ...] = ()
@@ -163,6 +165,17 @@ class Relation:
         if self.link_formula:
             trees[self.required_count] = _parsed(self.link_formula)
         return {count: _with_own_links(tree) for count, tree in trees.items()}
+
+    def formula_of(self, tables: Sequence[str], count: int) -> exp.Expr:
+        """Returns the formula as a tree for rows of these tables, of a number of arguments."""
+        if self.site_formula and tables[0] == "sites":
+            return self._site_expression
+        has_links = any(table != "entities" for table in tables)
+        return (self.link_expressions if has_links else self.expressions)[count]
+
+    @cached_property
+    def _site_expression(self) -> exp.Expr:
+        return _parsed(self.site_formula)
 
     def candidate_distance(self, count: int) -> exp.Expr:
         """Returns the largest distance of its candidate pairs, by the number of arguments."""

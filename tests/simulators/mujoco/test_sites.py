@@ -118,6 +118,8 @@ def test_an_entity_does_not_include_its_sites(moved):
 
 # Relations that are not of shapes and poses alone.
 OTHERS = {"isSensing", "sensing", "canSee"}
+# The box of a body is aligned with the world, a region with its site.
+OF_BOXES = {"within"}
 
 
 @pytest.mark.slow
@@ -138,7 +140,7 @@ def test_relations_take_a_region_as_the_shape_of_a_link(form):
             kinds[:2] != ["entity", "entity"]
             or {*kinds[2:]} - {"double"}
             or reads
-            or name in OTHERS
+            or name in OTHERS | OF_BOXES
         ):
             continue
         numbers = ", 0.05" * (len(kinds) - 2)
@@ -151,6 +153,72 @@ def test_relations_take_a_region_as_the_shape_of_a_link(form):
     answers = zip(calls, site.eval(program), link.eval(program), strict=True)
     for call, of_site, of_link in answers:
         np.testing.assert_allclose(of_site, of_link, atol=1e-9, err_msg=call)
+
+
+POINTS = {
+    "sphere": ".1",
+    "capsule": ".05 .1",
+    "cylinder": ".08 .1",
+    "box": ".2 .03 .1",
+    "ellipsoid": ".2 .05 .1",
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", POINTS)
+def test_a_position_in_a_region_that_is_turned(form):
+    """Against NumPy, with the pose that MuJoCo gives a geom of the same form there."""
+    inner = f'type="{form}" size="{POINTS[form]}" pos=".1 .05 .3" euler="10 20 40"'
+    xml = (
+        f"<mujoco><worldbody><geom name='zone' {inner}/><site name='zone' {inner}/>"
+        "<body name='egg'><freejoint/><geom size='.001'/></body></worldbody></mujoco>"
+    )
+    ss, model, data = world_of(xml)
+    zone, rng, answers = model.geom("zone").id, np.random.default_rng(1), []
+    frame, other = data.geom_xmat[zone].reshape(3, 3), np.zeros(3)
+    for place in rng.uniform(-0.1, 0.1, (12, 3)) + [0.1, 0.05, 0.3]:
+        data.qpos[:3] = place
+        mujoco.mj_forward(model, data)
+        ss.call_variable("lab").tick()
+        mujoco.mju_mulMatTVec(other, frame, place - data.geom_xpos[zone])
+        expected = is_inside(form, np.fromstring(POINTS[form], sep=" "), other)
+        found = ss.eval(
+            "[within(lab.world.zone, lab.egg), SELECT id FROM lab "
+            "WHERE within(lab.world.zone, this) AND this = lab.egg AS list];"
+        )
+        assert found == [expected, ["egg"] * expected]
+        answers.append(expected)
+        sides = np.abs(other) <= [0.1, 0.05, 0.02]
+        box = "[-0.1, -0.05, -0.02], [0.1, 0.05, 0.02]"
+        assert ss.eval(f"inBox(lab.egg, {box}, lab.world.zone);") is bool(sides.all())
+    assert 0 < sum(answers) < 12
+
+
+def is_inside(form, size, place):
+    """Whether a place, in the frame of a region, is in it."""
+    x, y, z = place
+    if form == "box":
+        return bool((np.abs(place) < size).all())
+    if form == "ellipsoid":
+        return bool(((place / size) ** 2).sum() < 1)
+    if form == "cylinder":
+        return bool(np.hypot(x, y) < size[0] and abs(z) < size[1])
+    along = 0.0 if form == "sphere" else np.clip(z, -size[1], size[1])
+    return bool(np.linalg.norm([x, y, z - along]) < size[0])
+
+
+def test_raw_sql_says_how_to_ask_for_a_region(moved):
+    ss = moved[0]
+    pairs = "FROM sites s, entities e WHERE s.name = 'zone' AND e.name = 'ball'"
+    with pytest.raises(ssduck.errors.SqlError, match=r"write inBox\(b, \{x: -s.region_x / 2"):
+        ss.sql(f"SELECT within(s, e) {pairs}").fetchall()
+    low, high = (
+        "{" + ", ".join(f"{axis}: {sign}s.region_{axis} / 2" for axis in "xyz") + "}"
+        for sign in ("-", "")
+    )
+    call = f"inBox(e, {low}, {high}, s)"
+    found = ss.sql(f"SELECT {call} {pairs}").fetchone()
+    assert found == (ss.eval("within(lab.holder.zone, lab.ball);"),)
 
 
 @pytest.mark.slow
