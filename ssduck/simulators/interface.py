@@ -16,7 +16,7 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import cross
 from ssduck.geometry.shapes import Geometry, PlacedGeometry
 from ssduck.simulators.clock import Clock
@@ -247,6 +247,10 @@ class ContactPoints:
     def all(self) -> ContactPoints:
         """Returns all of them; see `Contacts`."""
         return self
+
+    def only(self, are_chosen: Flags) -> ContactPoints:
+        """Returns some of them."""
+        return ContactPoints(*(values[are_chosen] for values in vars(self).values()))
 
     def between(self, a: int, b: int, *, pressing: bool) -> tuple[Indices, Indices]:
         """Returns the bodies and links of those of two bodies; see `Contacts`."""

@@ -86,7 +86,8 @@ class Loop:
 
         def points(a: int, b: int) -> list[tuple]:
             found = pybullet.getContactPoints(a, b, physicsClientId=self.client)
-            return [point for point in found if point[8] <= 0]  # separate shapes do not touch
+            # Separate shapes do not touch, unless the solver presses them.
+            return [point for point in found if point[8] <= 0 or point[9] > 0]
 
         step = len(self.height) + 1
         forces = [p[9] for p in points(self.panda, self.cube) if p[3] == LEFT_FINGER]

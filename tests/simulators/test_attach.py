@@ -411,3 +411,50 @@ def test_the_sensors_of_a_removed_body_go_with_it(client, make):
     assert world["eye_1"].position == pytest.approx([0, 0, 1])
     with pytest.raises(RemovedEntityError, match="'eye_0'"):
         eye.position  # noqa: B018
+
+
+def test_bodies_that_the_list_of_the_client_lacks(client):
+    """`batchPositions` makes bodies of which the list gets the last one; holes are filled first."""
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
+
+    def make(places):
+        return pybullet.createMultiBody(1, shape, batchPositions=places, physicsClientId=client)
+
+    def seen():
+        return sorted(entity.position[0] for entity in world.tick(steps=0))
+
+    places = [[n, 0, 0] for n in range(4)]
+    handles = make(places)
+    pybullet.addUserData(handles[0], "mine", "1", physicsClientId=client)
+    world = ssduck.World.attach(client, names={handles[1]: "second"})
+    assert seen() == [0, 1, 2, 3]
+    assert world["second"].position[0] == 1
+    assert pybullet.getUserDataId(handles[0], "mine", physicsClientId=client) >= 0
+    for handle in handles[1:3]:
+        pybullet.removeBody(handle, client)
+    assert seen() == [0, 3]
+    make([[n, 0, 0] for n in range(5, 9)])
+    assert seen() == [0, 3, 5, 6, 7, 8]
+
+
+def test_contacts_of_a_body_that_the_list_still_lacks():
+    """They are of no entity at the tick that meets the body first, and then of this body."""
+    mine = pybullet.connect(pybullet.DIRECT)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=mine)
+    first = pybullet.createMultiBody(1, shape, physicsClientId=mine)
+    world = ssduck.World.attach(mine)
+    pybullet.createMultiBody(
+        1, shape, batchPositions=[[0, 0, 0.15], [0, 0, 9]], physicsClientId=mine
+    )
+    pybullet.removeBody(2, mine)  # what the list has; body 1 remains
+    with ssduck.Interpreter() as ss:
+        ss.add_variable("sim", world)
+        pybullet.stepSimulation(mine)
+        rows = []
+        for _ in range(2):
+            world.tick()
+            rows.append(ss.sql("SELECT a, b FROM sim.contacts").fetchall())
+        ids = sorted(entity.id for entity in world)
+        assert rows == [[], [tuple(ids)]]
+        assert first == 0
+    pybullet.disconnect(mine)

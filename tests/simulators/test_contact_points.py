@@ -29,7 +29,7 @@ def pile():
 
 
 def test_points_equal_those_of_pybullet(pile):
-    expected = [p for p in pybullet.getContactPoints(physicsClientId=pile) if p[8] <= 0]
+    expected = [p for p in pybullet.getContactPoints(physicsClientId=pile) if p[8] <= 0 or p[9] > 0]
     read = contacts.read_contacts(pile)
     assert len(read) == len(expected) >= 2
     assert read.bodies.tolist() == [[p[1], p[2]] for p in expected]
@@ -62,13 +62,13 @@ def test_points_of_another_layout_are_not_read_at_once(pile, odd):
     assert contacts._columns(changed) is None
 
 
-@pytest.mark.parametrize("distances", [(-0.5, 0.5), (0.5, 0.5)])
-def test_points_with_a_large_number_are_read_one_field_at_a_time(pile, distances):
+@pytest.mark.parametrize("pressed", [((-0.5, 0.0), (0.5, 0.0)), ((0.5, 0.0), (0.5, 2.0))])
+def test_points_with_a_large_number_are_read_one_field_at_a_time(pile, pressed):
     first, second, *_ = pybullet.getContactPoints(physicsClientId=pile)
-    points = [(*p[:8], d, *p[9:]) for p, d in zip((first, second), distances, strict=True)]
-    expected = contacts._meeting(points)
-    read = contacts._meeting([(2**40, *point[1:]) for point in points])
-    assert len(read) == sum(distance <= 0 for distance in distances)
+    points = [(*p[:8], *of, *p[10:]) for p, of in zip((first, second), pressed, strict=True)]
+    expected = contacts._found(points)
+    read = contacts._found([(2**40, *point[1:]) for point in points])
+    assert len(read) == 1
     for name, values in vars(expected).items():
         np.testing.assert_array_equal(vars(read)[name], values)
 

@@ -49,15 +49,16 @@ def drive(
             )
         value = target.velocity if target.position is None else target.position
         value *= float(model.actuator_gear[actuator, 0])
-        low, high = model.actuator_ctrlrange[actuator].tolist()
-        if model.actuator_ctrllimited[actuator] and not low <= value <= high:
+        control = _controls(model, actuator)[0]
+        low, high = model.actuator_ctrlrange[control].tolist()
+        if model.actuator_ctrllimited[control] and not low <= value <= high:
             raise StateError(
                 f"{place}: the control {value:g} is not from {low:g} to {high:g}, the range of the "
                 f"actuator {_name(model, actuator)!r}"
             )
-        controls[actuator] = value
-    for actuator, value in controls.items():
-        data.ctrl[actuator] = value
+        controls[control] = value
+    for control, value in controls.items():
+        data.ctrl[control] = value
 
 
 def hold_positions(model: Any, data: Any, positions: Mapping[int, float]) -> None:
@@ -65,7 +66,8 @@ def hold_positions(model: Any, data: Any, positions: Mapping[int, float]) -> Non
     for number, position in positions.items():
         actuator = _actuator(model, number, "position")
         if actuator is not None:
-            data.ctrl[actuator] = position * model.actuator_gear[actuator, 0]
+            control = _controls(model, actuator)[0]
+            data.ctrl[control] = position * model.actuator_gear[actuator, 0]
 
 
 def _actuators(model: Any, joint: int) -> list[int]:
@@ -73,9 +75,17 @@ def _actuators(model: Any, joint: int) -> list[int]:
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     return [
         n
-        for n in range(model.nu)
+        for n in range(len(model.actuator_trntype))
         if int(model.actuator_trntype[n]) in kinds and int(model.actuator_trnid[n, 0]) == joint
     ]
+
+
+def _controls(model: Any, actuator: int) -> range:
+    """Returns the controls of an actuator: before MuJoCo 4 each has one, with its number."""
+    if not hasattr(model, "actuator_ctrladr"):
+        return range(actuator, actuator + 1)
+    first = int(model.actuator_ctrladr[actuator])
+    return range(first, first + int(model.actuator_ctrlnum[actuator]))
 
 
 def _actuator(model: Any, joint: int, servo: Servo) -> int | None:
@@ -88,7 +98,7 @@ def _servo(model: Any, actuator: int) -> Servo | None:
     is_affine = int(model.actuator_biastype[actuator]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
     is_fixed = int(model.actuator_gaintype[actuator]) == int(mujoco.mjtGain.mjGAIN_FIXED)
     gain = float(model.actuator_gainprm[actuator, 0])
-    if not (is_affine and is_fixed and gain):
+    if not (is_affine and is_fixed and gain) or len(_controls(model, actuator)) != 1:
         return None
     _, stiffness, damping = model.actuator_biasprm[actuator, :3].tolist()
     if abs(stiffness + gain) <= _TOLERANCE * abs(gain):

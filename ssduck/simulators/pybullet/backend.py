@@ -12,7 +12,7 @@ from ssduck.formatting import short_repr
 from ssduck.simulators.backends import BodyToCopy, ShapesByBody, TickToCopy
 from ssduck.simulators.interface import Body, Kind, Simulator, VisualShape
 from ssduck.simulators.mjcf import MODEL_FILE, mjcf_scene
-from ssduck.simulators.pybullet.clients import handles_of, new_client
+from ssduck.simulators.pybullet.clients import all_handles_of, new_client
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.scene_loader import load_models
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
@@ -56,7 +56,7 @@ def attach(
     if not validation.is_integer(number) or not pybullet.isConnected(int(number)):
         raise SimulatorError(f"{client!r} is no connected PyBullet client")
     number = int(number)
-    handles = handles_of(number)
+    handles = all_handles_of(number)
     names = validation.mapping(names, "attach: names are given in a dict by body number")
     kinds = validation.mapping(kinds, "attach: kinds are given in a dict by body number")
     for handle in (*names, *kinds):

@@ -40,7 +40,17 @@ def _connected() -> int:
         return -1
 
 
+def all_handles_of(client: int) -> list[int]:
+    """Returns the numbers of the bodies of a client's simulation.
+
+    A client keeps a list of bodies. `createMultiBody(batchPositions=…)` adds the last one only.
+    """
+    pybullet.syncBodyInfo(client)
+    pybullet.syncUserData(physicsClientId=client)  # the list of bodies had those of each
+    return handles_of(client)
+
+
 def handles_of(client: int) -> list[int]:
-    """Returns the numbers of the client's bodies."""
+    """Returns the numbers of the bodies in a client's list; see `all_handles_of`."""
     count = pybullet.getNumBodies(client)
     return list(map(pybullet.getBodyUniqueId, range(count), repeat(client)))

@@ -48,17 +48,21 @@ _Columns: TypeAlias = tuple[Indices, Array]
 
 
 def read_contacts(client: int) -> ContactPoints:
-    """Returns the contact points of the last step, without those of separate shapes."""
+    """Returns the contact points of the last step at which shapes press or meet."""
     points = pybullet.getContactPoints(physicsClientId=client)
-    return _meeting(points) if points else ContactPoints.none()
+    return _found(points) if points else ContactPoints.none()
 
 
-def _meeting(points: Sequence[_Point]) -> ContactPoints:
-    """Returns the points at which shapes meet."""
+def _found(points: Sequence[_Point]) -> ContactPoints:
+    """Returns the points at which shapes press or meet.
+
+    Bullet's list also has points of shapes that are about to meet, up to some millimetres apart. It
+    presses some of these in the first step of an impact.
+    """
     sides, floats = _columns(points) or _columns_by_field(points)
-    is_meeting = floats[_DISTANCE] <= 0.0
-    if not is_meeting.all():
-        chosen = is_meeting.nonzero()[0]
+    is_found = (floats[_DISTANCE] <= 0.0) | (floats[_FORCE] > 0.0)
+    if not is_found.all():
+        chosen = is_found.nonzero()[0]
         sides, floats = sides.take(chosen, axis=1), floats.take(chosen, axis=1)
     friction = floats[_FRICTION_1] * floats[_FRICTION_1 + 1 : _FRICTION_2]
     friction += floats[_FRICTION_2] * floats[_FRICTION_2 + 1 :]

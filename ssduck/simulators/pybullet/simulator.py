@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
-from ssduck.geometry.arrays import Array, Indices
+from ssduck.geometry.arrays import Array, Flags, Indices
 from ssduck.geometry.poses import compose
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
@@ -41,7 +41,7 @@ from ssduck.simulators.pybullet.bodies import (
     xyzw,
 )
 from ssduck.simulators.pybullet.bullet_file import SavedShapes
-from ssduck.simulators.pybullet.clients import handles_of
+from ssduck.simulators.pybullet.clients import all_handles_of, handles_of
 from ssduck.simulators.pybullet.collision_margins import LinkMargin, MarginReader
 from ssduck.simulators.pybullet.console import captured, pybullet
 from ssduck.simulators.pybullet.constraints import add_fixed_constraint, fixed_constraints
@@ -114,6 +114,8 @@ class PyBulletSimulator:
         # Of the last description: the bodies' numbers and their tags.
         self._handles_and_tags: tuple[list[int], list[int]] = ([], [])
         self._described = False
+        # Whether the client's list is known to lack bodies; see `all_handles_of`.
+        self._lacks_bodies = False
         # Bodies that were removed since `describe` was called.
         self._removed: list[Body] = []
         self.has_removed = False
@@ -137,8 +139,13 @@ class PyBulletSimulator:
             return ([], gone) if gone else None
         handles = self.handles()
         tags = self._call(lambda: self._tags_of(handles))
-        if self._handles_and_tags == (handles, tags):
+        if self._handles_and_tags == (handles, tags) and not self._lacks_bodies:
             return None
+        if self.is_external and (-1 in tags or self._lacks_bodies):
+            # What made the new bodies may have made others that the client's list lacks.
+            self._lacks_bodies = False
+            handles = self._call(lambda: all_handles_of(self.client))
+            tags = self._call(lambda: self._tags_of(handles))
         old_tags = dict(zip(*self._handles_and_tags, strict=True))
         present = {h for h, tag in zip(handles, tags, strict=True) if old_tags.get(h) == tag}
         added = [handle for handle in handles if handle not in present]
@@ -332,8 +339,15 @@ class PyBulletSimulator:
         return [tag == tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
 
     def read_contacts(self) -> ContactPoints:
-        """Returns the contact points of the last step, without those of separate shapes."""
-        return self._call(lambda: read_contacts(self.client))
+        """Returns the contact points of the last step at which shapes press or meet.
+
+        Bodies that another client of the same simulation made are described at the next tick; until
+        then their contacts are left out.
+        """
+        contacts = self._call(lambda: read_contacts(self.client))
+        are_known: Flags = np.isin(contacts.bodies, list(self._descriptions)).all(axis=1)
+        self._lacks_bodies = not are_known.all()
+        return contacts.only(are_known) if self._lacks_bodies else contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""

@@ -151,6 +151,38 @@ def test_servos_of_a_loaded_file_hold_what_is_set(tmp_path):
         assert arm.world.simulator.data.actuator("servo").ctrl[0] == 0.7
 
 
+# An actuator with two controls, which MuJoCo 4 has, before one with one.
+SERVOS = """
+<mujoco><option gravity="0 0 0"/><worldbody>
+  <body name="a"><joint name="ja" type="slide"/><geom size=".1"/></body>
+  <body name="b" pos="1 0 0"><joint name="jb" type="slide"/><geom size=".1"/></body>
+</worldbody>
+<actuator>
+  <dcmotor name="motor" joint="ja" motorconst="1" resistance="1" input="pos vel" controller="10 0 5"/>
+  <position name="servo" joint="jb" kp="100" kv="10" ctrlrange="-.5 .5"/>
+</actuator></mujoco>
+"""
+
+
+@pytest.mark.skipif(not hasattr(mujoco.MjModel, "actuator_ctrladr"), reason="MuJoCo before 4")
+def test_actuators_with_several_controls(tmp_path):
+    path = tmp_path / "pair.xml"
+    path.write_text(SERVOS)
+    with ssduck.load(path, recording=None) as ss:
+        world = ss.call_variable("pair")
+        data = world.simulator.data
+        world["b"].move(joints={"jb": 0.1})
+        assert data.ctrl.tolist() == [0.0, 0.0, 0.1]
+        world["b"].drive({"jb": 0.3})
+        assert data.ctrl.tolist() == [0.0, 0.0, 0.3]
+        world.step(2000)
+        assert world["b"].joints[0].position == pytest.approx(0.3, abs=1e-3)
+        with pytest.raises(StateError, match=r"the control 0\.6 is not from -0\.5 to 0\.5"):
+            world["b"].drive({"jb": 0.6})
+        with pytest.raises(UnsupportedError, match="no position actuator; it has 'motor'"):
+            world["a"].drive({"ja": 0.1})
+
+
 def test_records_have_several_joints_of_a_link(lab, tmp_path):
     """The kinematics of a past tick need anchors, references and positions of the record."""
     world, model, data = lab
