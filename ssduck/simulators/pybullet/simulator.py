@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from ssduck.errors import SceneError, SimulatorError, warn
 from ssduck.formatting import joined_names
-from ssduck.geometry.arrays import Array, Flags, Indices
+from ssduck.geometry.arrays import Array, Indices
 from ssduck.geometry.poses import compose
 from ssduck.geometry.shapes import PlacedGeometry
 from ssduck.simulators.clock import Clock
@@ -345,9 +345,9 @@ class PyBulletSimulator:
         then their contacts are left out.
         """
         contacts = self._call(lambda: read_contacts(self.client))
-        are_known: Flags = np.isin(contacts.bodies, list(self._descriptions)).all(axis=1)
+        are_known = np.isin(contacts.bodies, list(self._descriptions))
         self._lacks_bodies = not are_known.all()
-        return contacts.only(are_known) if self._lacks_bodies else contacts
+        return contacts.only(are_known[:, 0] & are_known[:, 1]) if self._lacks_bodies else contacts
 
     def cast_rays(self, starts: Array, ends: Array, through: Indices) -> RayHits:
         """Returns the first body that each ray hits; see `ssduck.simulators.pybullet.rays`."""
