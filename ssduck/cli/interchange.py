@@ -122,6 +122,14 @@ def import_(
             show_default="that of the source, or world",
         ),
     ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="N",
+            help="Ticks per second of an MCAP file.",
+            show_default="those of its messages",
+        ),
+    ] = None,
 ) -> None:
     """Write the poses of an MCAP file or of a LeRobot dataset as a record.
 
@@ -129,6 +137,6 @@ def import_(
     """
     from ssduck.interchange.conversion import import_poses
 
-    for episode in import_poses(source, output, world=world):
+    for episode in import_poses(source, output, world=world, rate=rate):
         ticks = f"{count_of(episode.ticks, 'tick')} of {episode.world!r}"
         print_line(f"{ticks}: episode {episode.number} in {output}")

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
+from ssduck import validation
 from ssduck.errors import ArgumentError, RecordError, nearest, record_errors, warn
 from ssduck.formatting import short_repr
-from ssduck.interchange import lerobot, lerobot_reader, mcap, rerun
-from ssduck.interchange.entities import KINDS, Entities
+from ssduck.interchange import lerobot, lerobot_reader, mcap, mcap_reader, rerun
+from ssduck.interchange.entities import KINDS, Entities, entities_of
 from ssduck.interchange.motion import motion_of
-from ssduck.interchange.record_writer import write_record
+from ssduck.interchange.pose_batches import Frames
+from ssduck.interchange.record_writer import write_tables
 from ssduck.recording.episode import Episode
 from ssduck.recording.stores.parquet_layout import FolderRun
 
@@ -68,17 +70,26 @@ def import_poses(
     *,
     entities: Entities | None = None,
     world: str | None = None,
+    rate: float | None = None,
 ) -> list[Episode]:
     """Writes the poses of an MCAP file or of a dataset of LeRobot as a record.
 
-    Such files tell of the poses of named frames at most. A warning says what they do not tell of.
+    Such files tell of the poses of named frames at most. A warning says what they do not tell of,
+    and what is not read.
+
+    In an MCAP file, each frame is where it was told of last, until a message says that it is gone,
+    and frames in frames are placed in the world. A tick is at the time of a message; messages of
+    several frames that come within a period of the most frequent one are one tick, at the last of
+    their times, so that no value is lost.
 
     Args:
         source: an MCAP file, or the folder of a dataset of LeRobot 3.0.
         folder: the folder of the record; see `ssduck.write_record`.
-        entities: descriptions of the entities by name, to add their kinds and shapes; None for
-            those that the source tells of, without shapes. See `ssduck.write_record`.
+        entities: descriptions of entities by name, to add their kinds and shapes; others that the
+            source tells of have none. See `ssduck.write_record`.
         world: the name of the world; None for that of the source, or `world`.
+        rate: ticks per second of an MCAP file, from its first message on; None for the ticks of
+            its messages.
 
     Returns:
         The episodes.
@@ -91,49 +102,72 @@ def import_poses(
     """
     place = Path(source).expanduser()
     if place.is_dir():
+        if rate is not None:
+            raise ArgumentError("rate: a dataset of LeRobot has frames per second of its own")
         episodes = list(lerobot_reader.read_poses(place))
     elif place.is_file():
-        episodes = [mcap.read_poses(place)]
+        if rate is not None:
+            most = mcap_reader.MAX_RATE
+            rate = validation.positive_number(rate, "rate", "number of ticks per second")
+            if rate > most:
+                raise ArgumentError(f"rate: at most {most:g} ticks per second, not {rate:g}")
+        episodes = [mcap_reader.read_poses(place, rate)]
     else:
         raise RecordError(f"there is no file or folder {place}")
     if not episodes:
         raise RecordError(f"{place} has no episode")
     written = []
-    for rows, told in episodes:
-        names = list(dict.fromkeys(rows["name"].to_pylist()))
-        described = _entities(names, told.get("kinds", {}), entities)
-        tags = told.get("tags") or {}
+    for poses in episodes:
+        about = poses.about
+        described = _entities(poses.names, about.get("kinds", {}), entities)
+        tags = about.get("tags") or {}
         if not isinstance(tags, Mapping):
             raise RecordError(f"{place}: its tags are no object of texts and numbers by name")
         tags = dict(tags)
-        if told.get("task") is not None:
-            tags.setdefault("task", told["task"])
-        name = world or told.get("world") or "world"
+        if about.get("task") is not None:
+            tags.setdefault("task", about["task"])
+        name = world or about.get("world") or "world"
         try:
-            written.append(write_record(folder, described, rows, world=name, tags=tags))
+            written.append(write_tables(folder, described, poses.tables, world=name, tags=tags))
         except ArgumentError as error:
             is_of_caller = entities is not None or world is not None
             kind = ArgumentError if is_of_caller else RecordError
             message = f"{place}: {error.message}"
             raise kind(message, suggestions=error.suggestions) from error
-    warn(_missing(place, episodes[0][1], has_entities=entities is not None))
+    unread = list(dict.fromkeys(each for poses in episodes for each in poses.unread))
+    warn(_missing(place, unread, has_entities=entities is not None))
     return written
 
 
 def _entities(names: Sequence[str], kinds: Any, given: Entities | None) -> Entities:
-    """Returns the entities of frames: those given, or one for each frame that is no known link."""
-    if given is not None:
-        return given
-    known = kinds if isinstance(kinds, Mapping) else {}
+    """Returns the entities of frames: those given, and one for each frame that is no known link.
+
+    Raises:
+        ArgumentError: the source does not tell of one that is given.
+    """
     described: dict[str, dict[str, Any]] = {}
+    frames: Sequence[str] = ()
+    if given is not None:
+        frames = Frames.of(entities_of(given)).names
+        own = given if isinstance(given, Mapping) else {name: {} for name in given}
+        described = {name: dict(about) for name, about in own.items()}
+    for frame in frames:
+        if frame not in names:
+            raise ArgumentError(
+                f"entities: the source does not tell of {short_repr(frame)}",
+                suggestions=nearest(frame, names),
+            )
+    known = kinds if isinstance(kinds, Mapping) else {}
     for name in names:
+        if name in frames:
+            continue
         owner = _owner(name, known)
+        entity = described.setdefault(owner, {})
         if owner == name:
             kind = known.get(name)
-            described.setdefault(name, {})["kind"] = kind if kind in KINDS else "kinbody"
+            entity["kind"] = kind if kind in KINDS else "kinbody"
         else:
-            entity = described.setdefault(owner, {})
-            entity.setdefault("links", {})[name.removeprefix(f"{owner}.")] = {}
+            entity["links"] = {**entity.get("links", {}), name.removeprefix(f"{owner}."): {}}
     return described
 
 
@@ -145,11 +179,10 @@ def _owner(name: str, kinds: Mapping[str, Any]) -> str:
     return max(owners, key=len, default=name)
 
 
-def _missing(place: Path, told: Mapping[str, Any], *, has_entities: bool) -> str:
-    """Returns what a source does not tell of."""
+def _missing(place: Path, unread: Sequence[str], *, has_entities: bool) -> str:
+    """Returns what the record of a source does not have."""
     lacking = ["contacts, sensors and velocities"]
     if not has_entities:
         lacking.insert(0, "shapes (give them: entities={name: {…}})")
     message = f"{place} tells of poses; its record has no {', no '.join(lacking)}"
-    ignored = told.get("ignored")
-    return f"{message}; not read: {', '.join(ignored)}" if ignored else message
+    return f"{message}; not read: {', '.join(unread)}" if unread else message

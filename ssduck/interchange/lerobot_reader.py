@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from ssduck.errors import RecordError
 from ssduck.formatting import short_repr
 from ssduck.geometry.arrays import Array
+from ssduck.interchange.imported_poses import ImportedPoses
 from ssduck.interchange.lerobot import CODEBASE_VERSION, INDICES, INFO_PATH
 from ssduck.schema import POSE
 
@@ -35,6 +36,8 @@ _LISTED = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_in
 MAX_ROWS = 1_000_000
 # And so many values in the columns that are read for each of these rows.
 MAX_VALUES = 16
+# So many names of a feature that are not read are told of.
+_TOLD = 8
 # How far a timestamp may be from its frame, s, as LeRobot has it; and a float of 32 bits, relative.
 _TOLERANCE, _ROUNDING = 1e-4, 2.0**-23
 
@@ -42,19 +45,15 @@ _TOLERANCE, _ROUNDING = 1e-4, 2.0**-23
 _Places = Mapping[str, Mapping[str, tuple[str, int]]]
 
 
-def read_poses(folder: Path) -> Iterator[tuple[pa.Table, dict[str, Any]]]:
+def read_poses(folder: Path) -> Iterator[ImportedPoses]:
     """Yields the poses of each episode of a dataset, and what the dataset says of it.
 
     Poses are found where a feature has names such as `cup.x`, `cup.y`, `cup.z` and, unless nothing
     is turned, `cup.qw` to `cup.qz`. Other features do not tell of named frames.
 
-    Yields:
-        A table that `ssduck.write_record` takes, and `episode`, `task`, `tags` and `ignored`: the
-        names of the other features.
-
     Raises:
-        RecordError: there is no such dataset, it is of another version, it has no poses, or it
-            contradicts itself.
+        RecordError: there is no such dataset, it is of another version, it has no poses, it has a
+            part of a pose, or it contradicts itself.
     """
     info = _read_json(_own_file(folder, INFO_PATH))
     if info.get("codebase_version") != CODEBASE_VERSION:
@@ -83,11 +82,11 @@ class _Dataset:
     info: Mapping[str, Any]
     features: Mapping[str, Any]
 
-    def episodes(self) -> Iterator[tuple[pa.Table, dict[str, Any]]]:
+    def episodes(self) -> Iterator[ImportedPoses]:
         """Yields the poses of each episode, and what the dataset says of it."""
         places = self._places()
         used = {feature for columns in places.values() for feature, _ in columns.values()}
-        ignored = sorted(set(self.features) - used - {"timestamp", *INDICES})
+        unread = sorted(self._unread(places))
         fps = self._frames_per_second()
         numbers: set[int] = set()
         for episode in self._listed():
@@ -96,15 +95,13 @@ class _Dataset:
                 raise RecordError(f"{self.folder} lists the episode {number} twice")
             numbers.add(number)
             frames = self._frames_of(episode, number, sorted(used), fps)
-            yield (
-                _poses(frames, places),
-                {
-                    "episode": number,
-                    "task": self._task(episode, number),
-                    "tags": json.loads(episode.get("ssduck/tags") or "{}"),
-                    "ignored": ignored,
-                },
-            )
+            task, others = self._tasks(episode, number)
+            about = {"task": task, "tags": json.loads(episode.get("ssduck/tags") or "{}")}
+            told = [
+                *unread,
+                *(f"the task {short_repr(each)} of episode {number}" for each in others),
+            ]
+            yield ImportedPoses([*places], [_poses(frames, places)], about, told)
 
     def _listed(self) -> list[dict[str, Any]]:
         listed = sorted((self.folder / "meta/episodes").glob("*/*.parquet"))
@@ -141,6 +138,13 @@ class _Dataset:
                 f"{self.folder} tells of no named frames: no feature has names such as cup.x, "
                 f"cup.y, cup.z; its features are {', '.join(sorted(self.features))}"
             )
+        for frame, columns in whole.items():
+            turn = [name for name in POSE[3:] if name in columns]
+            if turn and len(turn) < len(POSE[3:]):
+                raise RecordError(
+                    f"{self.folder} has a part of the orientation of {short_repr(frame)}, "
+                    f"{', '.join(turn)}: name all of qw, qx, qy, qz, or none, in meta/info.json"
+                )
         return whole
 
     def _frames_per_second(self) -> float:
@@ -163,7 +167,20 @@ class _Dataset:
             )
         return index
 
-    def _task(self, episode: Mapping[str, Any], number: int) -> str | None:
+    def _unread(self, places: _Places) -> Iterator[str]:
+        """Yields the features that tell of no pose, and the names of the others that do not."""
+        used = {where for columns in places.values() for where in columns.values()}
+        for feature in self.features.keys() - {"timestamp", *INDICES}:
+            names = self._names(feature)
+            others = [str(n) for place, n in enumerate(names) if (feature, place) not in used]
+            if len(others) == len(names):
+                yield feature
+            elif others:
+                more = f" and {len(others) - _TOLD} more" if len(others) > _TOLD else ""
+                yield f"{', '.join(others[:_TOLD])}{more} of {feature}"
+
+    def _tasks(self, episode: Mapping[str, Any], number: int) -> tuple[str | None, list[Any]]:
+        """Returns the task of an episode, and further ones."""
         tasks = episode.get("tasks")
         if tasks is not None and not isinstance(tasks, list):
             raise RecordError(
@@ -174,7 +191,7 @@ class _Dataset:
             raise RecordError(
                 f"{self.folder}: the task of the episode {number} is {short_repr(task)}, no text"
             )
-        return task
+        return task, tasks[1:] if tasks else []
 
     def _frames_of(
         self, episode: Mapping[str, Any], number: int, used: Sequence[str], fps: float

@@ -93,7 +93,13 @@ class PoseBatch:
 
 
 def batch_of(
-    frames: Frames, poses: Any, times: Any, velocities: Any, after: float | None
+    frames: Frames,
+    poses: Any,
+    times: Any,
+    velocities: Any,
+    after: float | None,
+    *,
+    are_whole: bool = True,
 ) -> PoseBatch:
     """Returns poses as a batch.
 
@@ -103,6 +109,8 @@ def batch_of(
         times: the times of the ticks, s, (ticks,); None if a table has them.
         velocities: like `poses`; None for unknown ones.
         after: the time of the last tick before them, s; None if there is none.
+        are_whole: whether a tick of a table that has a part of an entity is an error; otherwise
+            the entity is not there.
 
     Raises:
         ArgumentError: a shape, a name or a number is wrong.
@@ -112,7 +120,9 @@ def batch_of(
             raise ArgumentError(
                 "times, velocities: a table of poses has its own columns: time, and vx to wz"
             )
-        batch = _batch_of_table(frames, pa.table(poses))
+        table = pa.table(poses)
+        batch = _batch_of_table(frames, table, are_whole=are_whole)
+        _check_order(batch.times, after, may_repeat="tick" in table.column_names)
     else:
         checked = _times(times)
         placed = _stacked(frames, poses, len(checked), "poses", _SHAPES)
@@ -125,7 +135,7 @@ def batch_of(
             twists = _stacked(frames, velocities, len(checked), "velocities", "(ticks, 6)")
         everywhere = np.ones((len(checked), len(frames.starts)), dtype=bool)
         batch = PoseBatch(checked, placed, twists, everywhere)
-    _check_order(batch.times, after)
+        _check_order(batch.times, after, may_repeat=False)
     return PoseBatch(
         batch.times, _with_unit_quaternions(batch, frames), batch.twists, batch.present
     )
@@ -158,9 +168,10 @@ def _check_finite(array: Array, argument: str, unit: str) -> None:
         raise ArgumentError(f"{argument}: {unit} {wrong[0][0]} has the value {value}")
 
 
-def _check_order(times: Array, after: float | None) -> None:
+def _check_order(times: Array, after: float | None, *, may_repeat: bool) -> None:
     before = times if after is None else np.concatenate(([after], times))
-    wrong = np.flatnonzero(np.diff(before) <= 0.0)
+    steps = np.diff(before)
+    wrong = np.flatnonzero(steps < 0.0 if may_repeat else steps <= 0.0)
     if len(wrong):
         place = int(wrong[0])
         raise ArgumentError(
@@ -215,7 +226,7 @@ def _joined(columns: Mapping[int, Array], ticks: int, count: int, width: int) ->
 # -- tables -----------------------------------------------------------------------------------
 
 
-def _batch_of_table(frames: Frames, table: pa.Table) -> PoseBatch:
+def _batch_of_table(frames: Frames, table: pa.Table, *, are_whole: bool) -> PoseBatch:
     """Returns the poses of a table with a row for each frame of each tick."""
     present = set(table.column_names)
     needed = ("time", "name", *POSE[:3])
@@ -230,14 +241,7 @@ def _batch_of_table(frames: Frames, table: pa.Table) -> PoseBatch:
         lacking = [name for name in group if name not in present]
         if lacking and len(lacking) < len(group):
             raise ArgumentError(f"poses: the table has no column {lacking[0]!r}")
-    row_times = _column(table, "time")
-    times, ticks = np.unique(row_times, return_inverse=True)
-    if (np.diff(row_times) < 0.0).any():
-        place = int(np.flatnonzero(np.diff(row_times) < 0.0)[0])
-        raise ArgumentError(
-            f"poses: the rows are to ascend by time, and row {place + 1}, "
-            f"{row_times[place + 1]:g} s, follows {row_times[place]:g} s"
-        )
+    times, ticks = _ticks(table)
     numbers = _frame_numbers(frames, table["name"])
     is_there = np.zeros((len(times), len(frames)), dtype=bool)
     is_there[ticks, numbers] = True
@@ -252,7 +256,39 @@ def _batch_of_table(frames: Frames, table: pa.Table) -> PoseBatch:
         for place, column in enumerate(columns):
             if column in present:
                 values[ticks, numbers, place] = _column(table, column, may_lack=columns is TWIST)
+    if not are_whole and len(frames):
+        is_there = np.logical_and.reduceat(is_there, frames.starts, axis=1)[:, frames.owners]
     return PoseBatch(times, poses, twists, _whole_entities(frames, times, is_there))
+
+
+def _ticks(table: pa.Table) -> tuple[Array, Indices]:
+    """Returns the times of a table's ticks, (ticks,), and the tick of each row.
+
+    The numbers of ticks tell them apart, if the table has them, and otherwise their times.
+    """
+    times, key, unit = _column(table, "time"), "time", " s"
+    numbers = times
+    if "tick" in table.column_names:
+        key, unit = "tick", ""
+        if not pa.types.is_integer(table["tick"].type) or table["tick"].null_count:
+            raise ArgumentError("poses: the column 'tick' has other values than whole numbers")
+        numbers = table["tick"].to_numpy()
+    wrong = np.flatnonzero(numbers[1:] < numbers[:-1])
+    if len(wrong):
+        place = int(wrong[0])
+        raise ArgumentError(
+            f"poses: the rows are to ascend by {key}, and row {place + 1}, "
+            f"{numbers[place + 1]:g}{unit}, follows {numbers[place]:g}{unit}"
+        )
+    _, first, ticks = np.unique(numbers, return_index=True, return_inverse=True)
+    wrong = np.flatnonzero(times != times[first][ticks])
+    if len(wrong):
+        row = int(wrong[0])
+        raise ArgumentError(
+            f"poses: tick {numbers[row]} is at {times[first[ticks[row]]]:g} s, and at "
+            f"{times[row]:g} s"
+        )
+    return times[first], ticks
 
 
 def _frame_numbers(frames: Frames, names: pa.ChunkedArray) -> Indices:

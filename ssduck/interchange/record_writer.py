@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
@@ -66,7 +66,8 @@ def write_record(
             (ticks, frames, 3) of positions; or such an array for each frame by its name, (ticks,
             7) or (ticks, 3), or (7,) or (3,) of what stands still; or a table (Arrow, pandas,
             polars) with a row for each frame at each tick: time, name, x, y, z, and qw, qx, qy, qz
-            unless nothing is turned, and vx, vy, vz, wx, wy, wz if they are known. Frames are the
+            unless nothing is turned, and vx, vy, vz, wx, wy, wz if they are known. With a column
+            tick, of ascending numbers, several ticks may be at one time. Frames are the
             entities in their order, each followed by its links, whose names are `entity.link`. In
             a table, an entity may be missing at a tick: it is not there then. A quaternion of
             another length than 1 is scaled.
@@ -96,16 +97,28 @@ def write_record(
     [0.9, 0.8, 0.7]
     """
     writer = RecordWriter(folder, entities, world=world, tags=tags)
-    batch = batch_of(writer.frames, poses, times, velocities, None)
-    if not len(batch.times):
-        raise ArgumentError("poses: there is no tick")
-    try:
-        writer.begin(is_export=True)
-        writer.write(batch)
-        return writer.close()
-    except BaseException:
-        writer.discard()
-        raise
+    return writer.write_whole([batch_of(writer.frames, poses, times, velocities, None)])
+
+
+def write_tables(
+    folder: str | Path,
+    entities: Entities,
+    tables: Iterable[pa.Table],
+    *,
+    world: str,
+    tags: Tags | None,
+) -> Episode:
+    """Writes tables of poses as an episode, one after the other; see `write_record`.
+
+    Frames come and go by themselves: an entity is there when all of its links are.
+
+    Raises:
+        ArgumentError: as for `write_record`; nothing is written.
+    """
+    writer = RecordWriter(folder, entities, world=world, tags=tags)
+    return writer.write_whole(
+        batch_of(writer.frames, table, None, None, writer.last, are_whole=False) for table in tables
+    )
 
 
 class RecordWriter:
@@ -151,7 +164,7 @@ class RecordWriter:
         self._rows = _RowMaker(self._entities, self.frames, has_links=has_links)
         self._store: ParquetStore | None = None
         self._ticks = 0
-        self._last: float | None = None
+        self.last: float | None = None
         self._is_closed = False
 
     def add(self, poses: Any, times: Any = None, *, velocities: Any = None) -> None:
@@ -164,11 +177,30 @@ class RecordWriter:
         """
         if self._is_closed:
             raise ArgumentError("add: the record is closed; write another one")
-        batch = batch_of(self.frames, poses, times, velocities, self._last)
+        batch = batch_of(self.frames, poses, times, velocities, self.last)
         if len(batch.times):
             if self._store is None:
                 self.begin(is_export=False)
             self.write(batch)
+
+    def write_whole(self, batches: Iterable[PoseBatch]) -> Episode:
+        """Writes all batches of the episode, or nothing.
+
+        Raises:
+            ArgumentError: there is no tick.
+        """
+        try:
+            for batch in batches:
+                if len(batch.times):
+                    if self._store is None:
+                        self.begin(is_export=True)
+                    self.write(batch)
+            if self._store is None:
+                raise ArgumentError("poses: there is no tick")
+            return self.close()
+        except BaseException:
+            self.discard()
+            raise
 
     @record_errors()
     def begin(self, *, is_export: bool) -> None:
@@ -187,7 +219,7 @@ class RecordWriter:
             part = _slice_of(batch, start, start + most)
             self._store.append(self._rows.tables(part, self._ticks + 1))
             self._ticks += len(part.times)
-            self._last = float(part.times[-1])
+            self.last = float(part.times[-1])
 
     def close(self) -> Episode:
         """Completes the episode, and returns it.

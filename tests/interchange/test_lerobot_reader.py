@@ -218,3 +218,40 @@ def test_a_list_of_very_many_numbers_is_not_read(tmp_path: Path) -> None:
     assert file.stat().st_size < 100_000
     with pytest.raises(RecordError, match=r"20,000,0.. values: ssduck reads 16 for each row"):
         ssduck.import_poses(dataset, tmp_path / "r")
+
+
+NAMES: dict[str, Any] = {
+    "p": {"names": ["cup.x", "cup.y", "cup.z", "lid.x", "grip"]},
+    "q": {"names": {"motors": ["a"]}},
+    "timestamp": {},
+}
+
+
+def test_what_is_not_read_is_told_of(tmp_path: Path) -> None:
+    """A feature whole, names of a feature that has poses, and further tasks of each episode."""
+    rows = {"p": [[0.5, -1.0, float(frame), 1.0, 2.0] for frame in range(COUNT)]}
+    second = EPISODE | {"episode_index": 1, "tasks": ["lift", "put"]}
+    rows |= {"episode_index": [1] * COUNT}
+    both = pa.concat_tables([pa.table(ROWS | rows | {"episode_index": [0] * COUNT}),
+                             pa.table(ROWS | rows)])  # fmt: skip
+    dataset = written(tmp_path / "d", {"features": NAMES}, both, [EPISODE, second])
+    told = "not read: lid.x, grip of p, q, the task 'put' of episode 1$"
+    with pytest.warns(UserWarning, match=told):
+        ssduck.import_poses(dataset, tmp_path / "r")
+
+
+def test_many_names_that_are_not_read_are_counted(tmp_path: Path) -> None:
+    names = ["cup.x", "cup.y", "cup.z", *(f"n{k}" for k in range(20))]
+    rows = {"p": [[0.5, -1.0, 0.0, *[1.0] * 20]] * COUNT}
+    dataset = written(tmp_path / "d", {"features": {"p": {"names": names}}}, rows)
+    with pytest.warns(UserWarning, match=r"not read: n0, .*, n7 and 12 more of p$"):
+        ssduck.import_poses(dataset, tmp_path / "r")
+
+
+def test_a_part_of_an_orientation_is_an_error(tmp_path: Path) -> None:
+    """It was read as a rotation of length 2**0.5."""
+    features = {"p": {"names": ["cup.x", "cup.y", "cup.z", "cup.qz"]}}
+    rows = {"p": [[0.5, -1.0, 0.0, 1.0]] * COUNT}
+    dataset = written(tmp_path / "d", {"features": features}, rows)
+    with pytest.raises(RecordError, match="a part of the orientation of 'cup', qz: name all of"):
+        ssduck.import_poses(dataset, tmp_path / "r")

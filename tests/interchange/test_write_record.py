@@ -98,6 +98,10 @@ def table_of(times: np.ndarray, poses: np.ndarray) -> pa.Table:
     return pa.table({"time": np.repeat(times, 2), "name": names * len(times), **columns})
 
 
+def with_ticks(numbers: list[float]) -> pa.Table:
+    return table_of(TIMES, POSES).append_column("tick", [numbers])
+
+
 TIMES, POSES = falling()
 GIVEN = {
     "array": (POSES, TIMES),
@@ -239,6 +243,9 @@ WRONG = [
     (TWO, LONG.drop(["qz"]), None, "the table has no column 'qz'"),
     (TWO, LONG.take(list(range(9, -1, -1))), None, "the rows are to ascend by time"),
     (TWO, pa.concat_tables([LONG.slice(0, 1), LONG]), None, "'table' has two rows at 0 s"),
+    (TWO, with_ticks([1, 0] * 5), None, "the rows are to ascend by tick, and row 1, 0, follows 1"),
+    (TWO, with_ticks([0.5] * 10), None, "the column 'tick' has other values than whole numbers"),
+    (TWO, with_ticks([7] * 10), None, "tick 7 is at 0 s, and at 0.125 s"),
     (TWO, LONG, TIMES, "a table of poses has its own columns"),
     (["table"], LONG, None, "no entity or link is called 'cup'"),
     (["a", "a"], POSES, TIMES, "'a' is there twice"),
