@@ -27,7 +27,6 @@ import numpy as np
 
 from ssduck.gym import QueryWrapper
 from ssduck.simulators.recognition import parts_of
-from tools.libero import Libero
 from tools.suites import Fetch, MetaWorld, Robosuite, Suite
 
 TASKS = Path(__file__).with_suffix(".toml")
@@ -35,15 +34,12 @@ TASKS = Path(__file__).with_suffix(".toml")
 SHARES = (-0.5, -1e-2, -1e-5, -1e-9, 1e-9, 1e-5, 1e-2, 0.5)
 # The number of states that are made by hand, for each of these and of a joint.
 DIRECTIONS, POSITIONS = 8, 100
-# The number of halvings by which the place is found at which a flag changes.
-HALVINGS = 40
 
 
 SUITES: dict[str, Suite] = {
     "fetch": Fetch(),
     "metaworld": MetaWorld(),
     "robosuite": Robosuite(),
-    "libero": Libero(),
 }
 
 
@@ -87,16 +83,8 @@ class Comparison:
 
 
 def tasks_of(suite: str) -> list[dict[str, Any]]:
-    """Returns what the file of tasks says of each task of a suite.
-
-    A suite may have the query of each word of its own goals, in place of one for each task.
-    """
-    about = tomllib.loads(TASKS.read_text())[suite]
-    tasks = [about.get("all", {}) | task for task in about["tasks"]]
-    for task in tasks:
-        if "words" in about:
-            goal = SUITES[suite].goal(task["name"])
-            task["success"] = " AND ".join(about["words"][word].format(*of) for word, *of in goal)
+    """Returns what the file of tasks says of each task of a suite."""
+    tasks: list[dict[str, Any]] = tomllib.loads(TASKS.read_text())[suite]["tasks"]
     return tasks
 
 
@@ -120,7 +108,7 @@ def compared(suite: Suite, task: dict[str, Any], episodes: int, steps: int) -> C
                 result.add_step(flag, query, f"episode {number}, step {step}")
                 if terminated or truncated:
                     break
-        for number, where in enumerate(_states(suite, env.unwrapped, task)):
+        for number, where in enumerate(_states(env.unwrapped, task)):
             flag, query = suite.flag_now(env.unwrapped), _by_query(env, task)
             result.add_state(flag, query, f"state {number}, {where}")
     finally:
@@ -154,14 +142,13 @@ def _by_query(env: QueryWrapper, task: dict[str, Any]) -> bool:
     return bool(ss.eval(f"{task['success'].strip()};"))
 
 
-def _states(suite: Suite, env: Any, task: dict[str, Any]) -> Iterator[str]:
+def _states(env: Any, task: dict[str, Any]) -> Iterator[str]:
     """Puts an environment into states on both sides of the threshold; yields what each is."""
     parts = parts_of(env)
     assert parts is not None
     model, data = parts
     rng = np.random.default_rng(0)
-    places = task.get("place", [])
-    for place in places if isinstance(places, list) else [places]:
+    if (place := task.get("place")) is not None:
         joint = data.joint(place["joint"])
         for share in SHARES:
             for _ in range(DIRECTIONS):
@@ -172,15 +159,6 @@ def _states(suite: Suite, env: Any, task: dict[str, Any]) -> Iterator[str]:
                 joint.qpos[3:] = [1, 0, 0, 0]
                 mujoco.mj_forward(model, data)
                 yield f"{place['joint']} at {1 + share} of {place['radius']}"
-    for edge in task.get("edge", []):
-        joint, (inside, outside) = data.joint(edge["joint"]), map(np.array, edge["between"])
-        for _ in range(HALVINGS):
-            middle = (inside + outside) / 2
-            joint.qpos[:3] = _centre(env, edge, data) + middle
-            joint.qpos[3:] = [1, 0, 0, 0]
-            mujoco.mj_forward(model, data)
-            yield f"{edge['joint']} at {middle}"
-            inside, outside = (middle, outside) if suite.flag_now(env) else (inside, middle)
     if (slide := task.get("slide")) is not None:
         low, high = model.joint(slide).range
         for position in np.linspace(low, high, POSITIONS):

@@ -28,10 +28,6 @@ class Suite:
         """Returns a scripted policy for an episode, a function of an observation; None for none."""
         return None
 
-    def goal(self, name: str) -> list[list[str]]:
-        """Returns the goal of a task in words of the package, each with its arguments."""
-        raise NotImplementedError
-
 
 class Fetch(Suite):
     """The tasks of gymnasium-robotics."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ssduck
@@ -14,23 +15,27 @@ pytest.importorskip("mujoco")
 PAGE = Path(__file__).parents[2].joinpath("docs/reference/success-words.md").read_text("utf-8")
 # The rows of tables that have four columns: the word, its definition, the condition, the difference.
 ROWS = re.findall(r"^\| (?!word|-)([^|]*) \|[^|]*\| `([^|]*)` \|[^|]*\|$", PAGE, re.MULTILINE)
+# LIBERO's thresholds: the classes of fixtures, Open or TurnOn, Close or TurnOff.
+CLASSES = re.findall(r"^\| ([\w, ]+) \| `(q [^|]*)` \| `(q [^|]*)` \|$", PAGE, re.MULTILINE)
+# LIBERO's words of regions.
+IN, ON = re.findall(r"```sql\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture(scope="module")
 def lab():
-    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     names = {}
-    exec(compile(code, "success-words.md", "exec"), names)  # noqa: S102
+    for code in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
+        exec(compile(code, "success-words.md", "exec"), names)  # noqa: S102
     with names["ss"] as ss:
         yield ss
 
 
 def test_all_rows_are_read():
-    tables = re.findall(r"^\| (?!word)\S", PAGE, re.MULTILINE)
-    assert len(ROWS) == len(tables) > 40
+    tables = re.findall(r"^\| (?!word|class)\S", PAGE, re.MULTILINE)
+    assert len(ROWS) + len(CLASSES) == len(tables) > 40
 
 
-@pytest.mark.parametrize("condition", dict.fromkeys(condition for _, condition in ROWS))
+@pytest.mark.parametrize("condition", dict.fromkeys([IN, ON, *(text for _, text in ROWS)]))
 def test_a_condition_has_a_value(lab, condition):
     rewards = [row for row in ROWS if "reward" in row[0]]
     expected = float if condition in [text for _, text in rewards] else bool
@@ -59,3 +64,62 @@ def test_the_bowl_is_on_the_plate_as_libero_means_it(lab):
     assert lab.eval(f"{condition};") is True
     with pytest.raises(ssduck.SelectScriptError, match="bowll"):
         lab.eval(condition.replace("lab.bowl", "lab.bowll") + ";")
+
+
+@pytest.mark.parametrize(
+    ("name", "word", "other", "joint"),
+    [("ShortCabinet", "Open", "Close", "slide"), ("FlatStove", "TurnOn", "TurnOff", "turn")],
+)
+def test_the_words_of_joints_have_the_thresholds_of_a_class(name, word, other, joint):
+    (thresholds,) = [found for names, *found in CLASSES if name in names]
+    rows = {row[2:].split()[0]: text for row, text in ROWS if row.startswith("`(")}
+    asked = [text.replace("q", f"joint(lab.cabinet, '{joint}')") for text in thresholds]
+    assert [rows[word], rows[other]] == asked
+
+
+REGION = """
+<mujoco>
+  <worldbody>
+    <body name="cabinet" pos="0 0 .5">
+      <joint type="ball"/>
+      <geom type="box" size=".3 .3 .3" mass="1"/>
+      <site name="inside" type="box" size=".12 .03 .05" pos=".02 0 .01"/>
+    </body>
+    <body name="bowl"><freejoint/><geom size=".02" mass=".1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def libero_in(half, turn, d):
+    total = np.abs(turn @ half)
+    return bool(np.all(d > -total - [0, 0, 0.01]) and np.all(d < total))
+
+
+def libero_on(half, turn, d):
+    d = turn @ d
+    return bool(half[2] - 0.005 < d[2] < half[2] + 0.1 and np.all(np.abs(d[:2]) < half[:2]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("text", "meant"), [(IN, libero_in), (ON, libero_on)], ids=["in", "on"])
+def test_words_of_turned_regions_are_libero_s_formulas(text, meant):
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(REGION)
+    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    half, flags = model.site("inside").size, []
+    with ssduck.Interpreter() as ss:
+        lab = ss.add_variable("lab", ssduck.World.attach(model, data))
+        ss["half"] = half.tolist()
+        for number in range(12):
+            turn = rng.normal(size=4) if number % 3 else np.array([1.0, 0, 0, 0])
+            data.qpos[:4] = turn / np.linalg.norm(turn)
+            mujoco.mj_kinematics(model, data)
+            site, turn = data.site("inside").xpos, data.site("inside").xmat.reshape(3, 3)
+            data.qpos[4:7] = site + turn.T @ (rng.uniform(-1.2, 1.2, 3) * half + [0, 0, half[2]])
+            mujoco.mj_forward(model, data)  # it touches the cabinet, whose box is larger
+            lab.tick()
+            flags.append(meant(half, turn, data.qpos[4:7] - site))
+            assert ss.eval(f"{text};") == flags[-1]
+    assert 0 < sum(flags) < 12
