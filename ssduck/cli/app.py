@@ -41,7 +41,6 @@ from ssduck.cli.records import (
     open_or_load,
     record,
     upgrade,
-    whole_steps,
 )
 from ssduck.cli.rendering import render
 from ssduck.cli.viewing import view
@@ -337,13 +336,10 @@ def query(
 
     from ssduck.interpreter.shown_rows import rows_to_show
     from ssduck.limits import Limits
-    from ssduck.simulators.scenes import find_scene
+    from ssduck.validation import steps_in
 
-    if steps is not None or seconds is not None:
-        if is_record(scene):
-            raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
-        description = find_scene(scene)
-        steps = steps if seconds is None else whole_steps(seconds, description.timestep)
+    if (steps is not None or seconds is not None) and is_record(scene):
+        raise typer.BadParameter("--steps and --seconds: a record cannot be simulated further")
     limits = Limits.strict() if strict else None
     program_time: AbstractContextManager[None] = contextlib.nullcontext()
     if limits is not None and context.obj is _OWN_PROCESS:
@@ -353,8 +349,10 @@ def query(
     # The output of a program is not its result.
     with open_or_load(scene, episode, limits) as ss, contextlib.redirect_stdout(sys.stderr):
         ss.strict = strict
+        if seconds is not None:
+            steps = steps_in(seconds, ss.worlds[0].timestep, "--seconds")
         if steps:
-            ss.call_variable(description.name).step(steps)
+            ss.worlds[0].step(steps)
         with program_time:
             value = ss.sql(text) if sql else rows_to_show(ss.compile(text), ss.eval)
     write(value)

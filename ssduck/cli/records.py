@@ -91,11 +91,8 @@ def record(
     from ssduck.interpreter.opening import load
     from ssduck.recording.spec import Recording
     from ssduck.schema import RECORDABLE
-    from ssduck.simulators.scenes import find_scene
 
     output = expand_path(output)
-    description = find_scene(scene)
-    steps = whole_steps(seconds, description.timestep)
     recording = Recording(
         tables=tuple(tables or RECORDABLE),
         entities=None if entities is None else tuple(entities),
@@ -103,20 +100,23 @@ def record(
         flush_every=flush_every,
     )
     from ssduck.recording.tags import parsed_tag
+    from ssduck.validation import steps_in
 
     tags = dict(map(parsed_tag, tag or ()))
     to_file = output.suffix == _DUCKDB_SUFFIX
     with signals.deferred() as received:
         database = output if to_file else ":memory:"
         with load(scene, database, recording=None) as ss:
+            (world,) = ss.worlds
+            steps = steps_in(seconds, world.timestep, "--seconds")
             writer = None
             if to_file:
-                ss.record(description.name, recording, tags=tags)
+                ss.record(world.name, recording, tags=tags)
             else:
                 writer = ss.record_to(output, recording=recording, tags=tags)
             with writer or nullcontext():
-                _run(ss.call_variable(description.name), steps, received)
-    (*_, episode) = (e for e in _episodes(output) if e.world == description.name)
+                _run(world, steps, received)
+    (*_, episode) = (e for e in _episodes(output) if e.world == world.name)
     times = f"from {episode.start:g} s to {episode.end:g} s"
     if episode.ticks == 1:
         times = f"at {episode.start:g} s"
@@ -126,20 +126,6 @@ def record(
         word = "interrupted" if received[0] == signal.SIGINT else "terminated"
         sys.stderr.write(f"{word}: the record is complete up to then\n")
         raise typer.Exit(128 + received[0])
-
-
-def whole_steps(seconds: float, timestep: float) -> int:
-    """Returns the number of simulation steps in a time.
-
-    Raises:
-        BadParameter: the time has too many steps.
-    """
-    from ssduck.validation import MAX_STEPS
-
-    count = seconds / timestep
-    if not count < MAX_STEPS:
-        raise typer.BadParameter("--seconds: that is too long")
-    return round(count)
 
 
 def _run(world: World, steps: int, received: Collection[int]) -> None:

@@ -19,11 +19,11 @@ from dataclasses import asdict, dataclass
 from typing import Any, TextIO
 
 from ssduck.cli.child_process import late_text, signal_text
-from ssduck.cli.records import open_or_load, whole_steps
+from ssduck.cli.records import open_or_load
 from ssduck.errors import LimitError, SelectScriptError
 from ssduck.limits import GRACE, Limits, ending_text, limit_process_memory, python_command
 from ssduck.mcp.answers import InterpreterAnswers, Language, WorkerError
-from ssduck.simulators.scenes import find_scene
+from ssduck.validation import steps_in
 
 # The line that stops the question before it.
 _STOP = "stop"
@@ -212,8 +212,8 @@ def main() -> None:
         ss = open_or_load(source.location, source.episode, source.limits)
         ss.strict = True
         if source.seconds is not None:
-            scene = find_scene(source.location)
-            ss.call_variable(scene.name).step(whole_steps(source.seconds, scene.timestep))
+            (world,) = ss.worlds
+            world.step(steps_in(source.seconds, world.timestep, "--seconds"))
     except SelectScriptError as error:
         _write(answers, {"error": str(error)})
         return
