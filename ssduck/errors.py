@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import CodeType, FrameType
 
 # Longer messages and lines of a program are cut, to stay readable.
 MAX_MESSAGE_LENGTH = 4000
@@ -288,10 +289,24 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
         message: the text of the warning.
         category: the class of the warning.
     """
-    frame, level = sys._getframe(), 1  # noqa: SLF001  # warnings counts frames, too
+    _, level = _outer_frame()
+    warnings.warn(printable(message, kept="\n\t"), category, stacklevel=level)
+
+
+def calling_place() -> tuple[CodeType, int]:
+    """Returns the place in the user's program that called ssduck: its code, and the line."""
+    frame, _ = _outer_frame()
+    return frame.f_code, frame.f_lineno
+
+
+def _outer_frame() -> tuple[FrameType, int]:
+    """Returns the innermost frame outside ssduck, and how many frames it is from the caller."""
+    frame: FrameType | None = sys._getframe(1)  # noqa: SLF001  # warnings counts frames, too
+    assert frame is not None
+    level = 1
     while frame.f_back is not None and _package(frame.f_globals) in _SKIPPED_PACKAGES:
         frame, level = frame.f_back, level + 1
-    warnings.warn(printable(message, kept="\n\t"), category, stacklevel=level)
+    return frame, level
 
 
 def _package(names: dict[str, object]) -> str:

@@ -411,6 +411,14 @@ class Simulator(Protocol):
     def read_margins(self, bodies: Sequence[Body]) -> list[list[float]]:
         """Returns the margins of bodies' shapes, m; the last known ones if a body is gone."""
 
+    def has_moved_on(self, sample: Sequence[Body]) -> bool:
+        """Checks whether the user changed an external simulation since the last tick.
+
+        Args:
+            sample: some bodies of the last tick. A simulation that does not keep its time has them
+                checked for being there still; their poses are compared elsewhere.
+        """
+
     def read_contacts(self) -> Contacts:
         """Returns the contact points of the last step; later steps do not change them."""
 

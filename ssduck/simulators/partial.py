@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
 from ssduck.errors import UnsupportedError
@@ -47,3 +47,7 @@ class PartialSimulator:
     enable = unsupported("switch collisions on or off")
     show = unsupported("show or hide bodies")
     remove = unsupported("remove bodies")
+
+    def has_moved_on(self, sample: Sequence[Any]) -> bool:  # noqa: ARG002
+        """Returns False: nothing changes between two ticks."""
+        return False

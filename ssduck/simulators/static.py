@@ -69,6 +69,10 @@ class StaticSimulator:
         """Returns the margins as described."""
         return [body.margins for body in bodies]
 
+    def has_moved_on(self, sample: Sequence[Body]) -> bool:  # noqa: ARG002
+        """Returns False."""
+        return False
+
     def read_contacts(self) -> ContactPoints:
         """Returns no contacts: they come from a physics solver."""
         return ContactPoints.none()

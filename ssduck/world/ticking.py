@@ -226,7 +226,7 @@ class SteppedSimulation(Observable):
         if seconds < clock.time - self.slack:
             raise NumberError(
                 f"tick: time: {seconds:g} s is before the last tick, {clock.time:g} s; time does "
-                "not go back: after a reset, attach the client anew, which begins a new episode"
+                "not go back: after a reset, call begin_episode()"
             )
         if timestep and seconds + timestep == seconds:
             raise NumberError(

@@ -1,4 +1,4 @@
-"""A loop that forgets `tick` is told once, when a query asks for a tick left behind."""
+"""A loop that forgets `tick` is told at each query of a tick left behind, once in each place."""
 
 from __future__ import annotations
 
@@ -58,6 +58,77 @@ def test_every_query_says_so_once(
     for _ in range(3):
         pybullet.stepSimulation(client)
         assert warned(lambda: query(ss)) == []
+
+
+def test_each_place_is_told_once(client: int, sim: tuple[ssduck.Interpreter, ssduck.World]) -> None:
+    ss, world = sim
+
+    def loop() -> None:
+        for _ in range(3):
+            pybullet.stepSimulation(client)
+            ss.eval("SELECT z FROM sim;")
+            ss.eval("z(ball);")
+
+    assert len(warned(loop)) == 2
+    world.tick()
+    assert warned(lambda: ss.eval("z(ball);")) == []
+    pybullet.stepSimulation(client)
+    assert len(warned(lambda: ss.eval("z(ball);"))) == 1
+
+
+@pytest.mark.parametrize("is_loaded_again", [False, True])
+def test_a_reset_without_a_tick_is_told_again(
+    client: int, sim: tuple[ssduck.Interpreter, ssduck.World], *, is_loaded_again: bool
+) -> None:
+    ss, world = sim
+
+    def ask() -> None:
+        ss.eval("z(ball);")
+
+    pybullet.stepSimulation(client)
+    assert len(warned(ask)) == 1
+    pybullet.resetSimulation(client)
+    if is_loaded_again:
+        for height in (0, 1):
+            pybullet.createMultiBody(height, basePosition=[0, 0, height], physicsClientId=client)
+    (message,) = warned(ask)
+    assert "begin_episode() after a reset" in message
+    assert warned(ask) == []
+    world.begin_episode()
+    assert warned(lambda: ss.eval("SELECT z FROM sim;")) == []
+
+
+@pytest.mark.parametrize("change", ["step", "reset", "teleport", "model"])
+def test_what_a_loop_changes_in_mujoco(change: str) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    text = (
+        "<mujoco><worldbody><body name='a' pos='0 0 1'><freejoint/><geom size='.1'/></body>"
+        "</worldbody></mujoco>"
+    )
+
+    class Environment:
+        def __init__(self) -> None:
+            self.model = mujoco.MjModel.from_xml_string(text)
+            self.data = mujoco.MjData(self.model)
+
+    environment = Environment()
+    mujoco.mj_step(environment.model, environment.data)
+    with ssduck.Interpreter() as ss:
+        ss["sim"] = world = ssduck.World.attach(environment)
+        assert warned(lambda: ss.eval("z(sim.a);")) == []
+        match change:
+            case "step":
+                mujoco.mj_step(environment.model, environment.data)
+            case "reset":
+                mujoco.mj_resetData(environment.model, environment.data)
+            case "teleport":
+                environment.data.qpos[0] = 2
+                mujoco.mj_forward(environment.model, environment.data)
+            case _:
+                environment.__init__()  # type: ignore[misc]
+        assert len(warned(lambda: ss.eval("z(sim.a);"))) == 1
+        world.tick()
+        assert warned(lambda: ss.eval("z(sim.a);")) == []
 
 
 @pytest.mark.slow
@@ -138,11 +209,12 @@ def test_a_client_that_is_gone_is_not_compared(
 def test_bodies_that_come_and_go(client: int, sim: tuple[ssduck.Interpreter, ssduck.World]) -> None:
     ss, world = sim
     pybullet.removeBody(1, client)
-    assert warned(lambda: ss.eval("SELECT id FROM sim;")) == []
+    assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
     world.tick()
     pybullet.createMultiBody(1, basePosition=[0, 0, 1], physicsClientId=client)
-    assert warned(lambda: ss.eval("SELECT id FROM sim;")) == []
+    assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
     world.tick()
+    assert warned(lambda: ss.eval("SELECT id FROM sim;")) == []
     pybullet.stepSimulation(client)
     assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
 
@@ -186,8 +258,9 @@ def test_only_worlds_that_a_query_reads_are_compared(
     reading, not_reading = (OF_SIM, OF_OTHER) if is_first else (OF_OTHER, OF_SIM)
     for query in not_reading:
         assert warned(lambda query=query: query(ss)) == []  # type: ignore[misc]
-    (message,) = warned(lambda: [query(ss) for query in reading])
-    assert message.startswith("sim:" if is_first else "other:")
+    messages = warned(lambda: [query(ss) for query in reading])
+    assert len(messages) == len(reading)
+    assert all(message.startswith("sim:" if is_first else "other:") for message in messages)
 
 
 def test_a_join_reads_all_of_its_worlds(

@@ -119,6 +119,8 @@ class MuJoCoSimulator(PartialSimulator):
         self._warned: set[str] = set()
         self._is_closed = False
         self.episode, self._last_time = 0, float(self.data.time)
+        # Those of the joints at the last tick.
+        self._positions = self.data.qpos.copy()
 
     # -- bodies ---------------------------------------------------------------------------
 
@@ -180,6 +182,7 @@ class MuJoCoSimulator(PartialSimulator):
             if self.model is not before:
                 self._switches = Switches(self.model)
         self._last_time = time
+        self._positions = self.data.qpos.copy()
         # The first number is 0 in data whose poses MuJoCo never computed, or reset since.
         if not self._forward and self.data.xquat[0, 0]:
             self._state = self.data
@@ -190,6 +193,15 @@ class MuJoCoSimulator(PartialSimulator):
         self._copy = copied_data(self.model, self.data, self._copy)
         mujoco.mj_forward(self.model, self._copy)
         self._state = self._copy
+
+    def has_moved_on(self, sample: Sequence[Body]) -> bool:  # noqa: ARG002
+        """Checks whether the time, a joint or the model is another one than at the last tick."""
+        model, data = self._source()
+        return (
+            model is not self.model
+            or float(data.time) != self._last_time
+            or not np.array_equal(data.qpos, self._positions, equal_nan=True)
+        )
 
     def begin_episode(self) -> None:
         """Lets the next tick begin an episode, whatever its time."""

@@ -113,6 +113,7 @@ class PyBulletSimulator:
         self._tag = f"ssduck.{id(self)}"
         # Of the last description: the bodies' numbers and their tags.
         self._handles_and_tags: tuple[list[int], list[int]] = ([], [])
+        self._tags: dict[int, int] = {}
         self._described = False
         # Whether the client's list is known to lack bodies; see `all_handles_of`.
         self._lacks_bodies = False
@@ -146,8 +147,7 @@ class PyBulletSimulator:
             self._lacks_bodies = False
             handles = self._call(lambda: all_handles_of(self.client))
             tags = self._call(lambda: self._tags_of(handles))
-        old_tags = dict(zip(*self._handles_and_tags, strict=True))
-        present = {h for h, tag in zip(handles, tags, strict=True) if old_tags.get(h) == tag}
+        present = {h for h, tag in zip(handles, tags, strict=True) if self._tags.get(h) == tag}
         added = [handle for handle in handles if handle not in present]
         # Copies have the order of their originals. PyBullet's order changes with a removal.
         order = {handle: number for number, handle in enumerate(self.loaded.described)}
@@ -165,6 +165,7 @@ class PyBulletSimulator:
         self._descriptions = {handle: self._descriptions[handle] for handle in present} | new
         self._margin_reader = None
         self._handles_and_tags = handles, self._call(lambda: self._tags_of(handles))
+        self._tags = dict(zip(*self._handles_and_tags, strict=True))
         # These are of the present bodies, not of later bodies with the same numbers.
         self._names, self._kinds, self._user_shapes, self._described = {}, {}, {}, True
         self._apply_initial_flags()
@@ -198,8 +199,7 @@ class PyBulletSimulator:
             return None
         if self.is_external:
             # Another body may have its number by now.
-            handles, tags = self._handles_and_tags
-            tag = dict(zip(handles, tags, strict=True)).get(body.handle)
+            tag = self._tags.get(body.handle)
             if self._call(lambda: self._tags_of([body.handle])) != [tag]:
                 return None
         return description
@@ -334,9 +334,13 @@ class PyBulletSimulator:
         """Returns whether the client still has each of some bodies."""
         if not bodies:
             return []
-        tags = dict(zip(*self._handles_and_tags, strict=True))
         now = self._call(lambda: self._tags_of([body.handle for body in bodies]))
-        return [tag == tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
+        return [tag == self._tags.get(b.handle) for b, tag in zip(bodies, now, strict=True)]
+
+    def has_moved_on(self, sample: Sequence[Body]) -> bool:
+        """Checks whether bodies came or went since the last tick, as far as a sample shows it."""
+        count = self._call(lambda: pybullet.getNumBodies(self.client))
+        return count != len(self._tags) or not all(self._are_present(sample))
 
     def read_contacts(self) -> ContactPoints:
         """Returns the contact points of the last step at which shapes press or meet.
@@ -537,7 +541,7 @@ class PyBulletSimulator:
         if not pybullet.isConnected(self.client):
             return
         if self.is_external:
-            for tag in self._handles_and_tags[1]:
+            for tag in self._tags.values():
                 pybullet.removeUserData(tag, self.client)
         else:
             pybullet.disconnect(self.client)
