@@ -234,6 +234,15 @@ def outlined(picture):
     return (np.asarray(picture) == OUTLINE).all(axis=2)
 
 
+@pytest.mark.parametrize(("name", "seen"), [("fridge", 1200), ("cooker", 400)])
+def test_the_units_of_the_two_cameras_are_seen_as_theirs(kitchen, name, seen):
+    """Though they collide as parts of the kitchen, and the cameras are 1 cm."""
+    world = kitchen.call_variable("kitchen")
+    assert (world.segmentation(240, 180) == world[name].id).sum() > seen
+    low, high = map(np.array, world[name].aabb)
+    assert high - low == pytest.approx([0.01] * 3)
+
+
 def test_a_picture_shows_what_is_selected(kitchen):
     world = kitchen.call_variable("kitchen")
     picture = kitchen.eval(ROBOTS.format("kitchen"))

@@ -9,14 +9,14 @@ boxes were made for this project.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from tools.kitchen.outlines import CHAIR
 from tools.scenes.models import Model, Shape, ball, box, cylinder, mesh, thing
-from tools.scenes.pieces import Span, prism
+from tools.scenes.pieces import Span, Vec, prism
 
 GAP = 0.001  # what PyBullet adds around a convex hull
 SLIT = 0.0003  # left under things that stand on boxes, to which it adds nothing
@@ -62,9 +62,23 @@ COOKER = (1.80, 2.355)
 
 
 def kitchen() -> Model:
+    """Returns the room. The units of the two cameras collide here, and are drawn as theirs."""
     parts = [room(), base_cabinets(), sink_unit(), upper_cabinets(), mats()]
-    parts += [fridge_unit(), cooker_unit(), decoration()]
+    parts += [undrawn(fridge_unit()), on_the_fridge(), undrawn(cooker_unit()), hood(), decoration()]
     return thing("kitchen", 1800.0, *(shape for part in parts for shape in part))
+
+
+def undrawn(shapes: Iterator[Shape]) -> Iterator[Shape]:
+    return (replace(shape, drawn=False) for shape in shapes)
+
+
+def camera(name: str, position: Vec, unit: Iterator[Shape]) -> Model:
+    """Returns a camera of 1 cm, at the position of its unit, which is drawn as a part of it."""
+    seen = (
+        replace(shape, collides=False, origin=tuple(np.subtract(shape.origin, position).tolist()))
+        for shape in unit
+    )
+    return thing(name, 0.05, ball("charcoal", (0.0, 0.0, 0.0), 0.005), *seen)
 
 
 def room() -> Iterator[Shape]:
@@ -172,8 +186,11 @@ def fridge_unit() -> Iterator[Shape]:
     yield row.box("red", (-2.02, -1.98), (0.024, 0.035), (1.565, 1.60))  # holds the camera
     for y, z, colour in ((-2.2, 1.3, "mustard"), (-2.1, 1.2, "rose"), (-2.22, 1.12, "lime")):
         yield row.box(colour, (y, y + 0.06), (0.024, 0.028), (z, z + 0.07))  # notes
+
+
+def on_the_fridge() -> Iterator[Shape]:
     for y, z, colour in ((-2.25, 1.93, "orange"), (-2.0, 1.93, "oak")):
-        yield box(colour, (-1.5, y, z), (-1.15, y + 0.2, z + 0.13))  # boxes on top
+        yield box(colour, (-1.5, y, z), (-1.15, y + 0.2, z + 0.13))
 
 
 def cooker_unit() -> Iterator[Shape]:
@@ -192,7 +209,11 @@ def cooker_unit() -> Iterator[Shape]:
     for x, y, radius in ((1.94, 1.94, 0.09), (2.21, 1.94, 0.09), (1.905, 2.32, 0.07)):
         yield cylinder("iron", (x, y, WORKTOP), radius, 0.012)
     yield cylinder("iron", (2.134, 2.27, WORKTOP), 0.15, 2 * (0.969976945 - 2 * GAP - WORKTOP))
-    yield box("steel", (x0, 2.10, 1.72), (x1, BACK, 1.79))  # the hood
+
+
+def hood() -> Iterator[Shape]:
+    x0, x1 = COOKER
+    yield box("steel", (x0, 2.10, 1.72), (x1, BACK, 1.79))
     yield box("steel", (x0 + 0.15, 2.30, 1.79), (x1 - 0.15, BACK, TOP))
 
 

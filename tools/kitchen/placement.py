@@ -18,22 +18,32 @@ from tools.kitchen.appliances import (
     shaker,
     toaster,
 )
-from tools.kitchen.furniture import chair, kitchen, sink, table
-from tools.kitchen.robots import barrett, camera, roomba
+from tools.kitchen.furniture import (
+    camera,
+    chair,
+    cooker_unit,
+    fridge_unit,
+    kitchen,
+    sink,
+    table,
+)
+from tools.kitchen.robots import barrett, roomba
 from tools.scenes.bodies import Body, Sensor, looking
 from tools.scenes.pieces import Span, Vec
 
 APPLIANCES = [can(), coffe_machine(), mixer(), toaster(), microwave(), knife_block(), shaker()]
 SMALL = [plate(), cup(), pin()]
 FURNITURE = [kitchen(), chair(), table(), sink()]
-MODELS = [camera("fridge"), camera("cooker"), barrett(), roomba(), *FURNITURE, *SMALL, *APPLIANCES]
+FRIDGE, COOKER = (-0.87, -2.0, 1.55), (1.98, 1.72, 0.75)
+CAMERAS = [camera("fridge", FRIDGE, fridge_unit()), camera("cooker", COOKER, cooker_unit())]
+MODELS = [*CAMERAS, barrett(), roomba(), *FURNITURE, *SMALL, *APPLIANCES]
 
 # The arm is folded above its base, hand down.
 FOLDED = {"j1": 0.55, "j2": -0.35, "j4": 2.4, "j6": 0.9, "f1": 0.35, "f2": 0.35, "f3": 0.35}
 
 ROBOTS = [
-    Body("fridge", "robot", "fridge", (-0.87, -2.0, 1.55), fixed=True),
-    Body("cooker", "robot", "cooker", (1.98, 1.72, 0.75), fixed=True),
+    Body("fridge", "robot", "fridge", FRIDGE, fixed=True),
+    Body("cooker", "robot", "cooker", COOKER, fixed=True),
     Body("barrett_4918", "robot", "barrett_4918", (0.42, 1.3, 0.892), joints=FOLDED),
     Body("roomba_625x", "robot", "roomba_625x", (1.8, 0.0, 0.17)),
 ]

@@ -9,12 +9,8 @@ import numpy as np
 
 from tools.kitchen.furniture import GAP
 from tools.kitchen.outlines import ROOMBA
-from tools.scenes.models import Joint, Link, Model, Shape, ball, box, cylinder, mesh, thing
+from tools.scenes.models import Joint, Link, Model, Shape, ball, box, cylinder, mesh
 from tools.scenes.pieces import Piece, Vec, loft, ngon, prism
-
-
-def camera(name: str) -> Model:
-    return thing(name, 0.05, ball("charcoal", (0.0, 0.0, 0.0), 0.005))
 
 
 def roomba() -> Model:

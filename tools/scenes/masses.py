@@ -42,7 +42,7 @@ def inertial(link: Link) -> tuple[Array, Array]:
     Summed over the tetrahedra which each face, cut into triangles, forms with the origin.
     """
     volume, first, second = 0.0, np.zeros(3), np.zeros(3)
-    for piece in (piece for shape in link.shapes for piece in solids(shape)):
+    for piece in (piece for shape in link.shapes if shape.collides for piece in solids(shape)):
         for face in piece.faces:
             for i in range(1, len(face) - 1):
                 corners = piece.vertices[[face[0], face[i], face[i + 1]]]

@@ -1,7 +1,7 @@
 """Describes models: links with shapes, and joints.
 
 Metres, kilograms, radians; z is up. A model is defined in its own link frame, which a scene places
-in the world. Every shape both collides and is visible.
+in the world. A shape collides and is drawn, unless another model draws it in its place.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ COLOURS = {
 
 @dataclass(frozen=True)
 class Shape:
-    """A visible shape that collides: a primitive of a `size` or a mesh of `pieces`."""
+    """A shape: a primitive of a `size` or a mesh of `pieces`."""
 
     colour: str
     kind: str
@@ -57,6 +57,7 @@ class Shape:
     part: str = ""
     pieces: tuple[Piece, ...] = ()
     drawn: bool = True
+    collides: bool = True
 
 
 @dataclass(frozen=True)

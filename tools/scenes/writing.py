@@ -65,8 +65,12 @@ def link_lines(model: Model, link: Link) -> Iterator[str]:
     yield "    </inertial>"
     for shape in link.shapes:
         body = f"{place(shape.origin, shape.rpy)}<geometry>{geometry(model, shape)}</geometry>"
-        yield f"    <collision>{body}</collision>"
-        if not shape.drawn:  # without anything to draw PyBullet draws what collides
+        if shape.collides:
+            yield f"    <collision>{body}</collision>"
+        if not shape.drawn:
+            if any(other.drawn for other in link.shapes):
+                continue
+            # Without anything to draw PyBullet draws what collides.
             body = f'{place(shape.origin)}<geometry><box size="0.0001 0.0001 0.0001"/></geometry>'
         yield f'    <visual>{body}<material name="{shape.colour}"/></visual>'
     yield "  </link>"
