@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ssduck.adapters.display import display_table, fitted_table, plain_console, readable
 from ssduck.demos.drawing import save
 from ssduck.demos.results import keep_picture
+from ssduck.errors import UnsupportedError
 from ssduck.simulators.scenes import Scene, find_scene, shipped_scenes
 
 if TYPE_CHECKING:
@@ -190,13 +191,20 @@ def ask(
             # Padding at the ends of lines hinders copying and comparing.
             say(re.sub(r" +$", "", captured.get(), flags=re.MULTILINE))
         say(f"{len(scene_questions)} questions in {seconds:.2f} s")
-        picture_pixels = ss.call_variable(scene.name).render() if picture or folder else None
-    if picture_pixels is not None:
-        if picture is not None:
-            save(picture_pixels, picture)
-        elif folder is not None:
-            picture = keep_picture(picture_pixels, folder / f"{scene.name}.png")
-        say(f"The scene is drawn in {picture}")
+        if picture is None and folder is None:
+            return
+        try:
+            pixels = ss.call_variable(scene.name).render()
+        except UnsupportedError as error:
+            if picture is not None:
+                raise
+            say(f"The scene is not drawn: {error.message}")
+            return
+    if picture is not None:
+        save(pixels, picture)
+    elif folder is not None:
+        picture = keep_picture(pixels, folder / f"{scene.name}.png")
+    say(f"The scene is drawn in {picture}")
 
 
 def _demonstrate(

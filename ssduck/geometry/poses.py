@@ -185,3 +185,16 @@ def quaternion_from_matrix(matrix: Array) -> Array:
 
     quaternion: Array = np.roll(Rotation.from_matrix(matrix).as_quat(), 1)
     return quaternion
+
+
+def turn_to(direction: Sequence[float]) -> Array:
+    """Returns the quaternion w, x, y, z that turns z to a direction by the shortest way.
+
+    >>> turn_to([0.0, 0.0, 2.0]).tolist()
+    [1.0, -0.0, 0.0, 0.0]
+    """
+    x, y, z = np.array(direction) / np.linalg.norm(direction)
+    if z < -1.0 + 1e-12:
+        return np.array([0.0, 1.0, 0.0, 0.0])
+    unit: Array = unit_quaternions(np.array([[1.0 + z, -y, x, 0.0]]))[0]
+    return unit

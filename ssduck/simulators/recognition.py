@@ -131,13 +131,14 @@ def simulator_of_scene(scene: Scene) -> str:
     """Returns the name of the simulator that loads a scene by default.
 
     A scene file may name one. Otherwise, MuJoCo loads an MJCF file by itself, if it is installed,
-    and PyBullet everything else.
+    and PyBullet everything else; one of them alone loads what it can.
     """
     if scene.simulator is not None:
         return scene.simulator
-    if scene.model_file and find_spec(MUJOCO) is not None and _is_mjcf(scene.path):
-        return MUJOCO
-    return DEFAULT_BACKEND
+    if find_spec(MUJOCO) is None:
+        return DEFAULT_BACKEND
+    is_only = find_spec(DEFAULT_BACKEND) is None
+    return MUJOCO if is_only or (scene.model_file and _is_mjcf(scene.path)) else DEFAULT_BACKEND
 
 
 def _is_mjcf(path: Path) -> bool:

@@ -42,7 +42,8 @@ class ConstructibleWorld:
         Args:
             scene: the scene.
             simulator: the name of the simulator, see `BACKENDS`; by default MuJoCo, if it is
-                installed, for an MJCF file by itself, and PyBullet for everything else.
+                installed, for an MJCF file by itself, and PyBullet for everything else; the one
+                that is installed, if the other is not.
 
         Raises:
             SceneError: the scene cannot be loaded; the message has file, key and reason.

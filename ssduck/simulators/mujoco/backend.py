@@ -27,22 +27,25 @@ from ssduck.simulators.mujoco.library import mujoco
 from ssduck.simulators.mujoco.simulator import MuJoCoSimulator
 from ssduck.simulators.mujoco.sources import source_of
 from ssduck.simulators.recognition import MUJOCO
-from ssduck.simulators.scene_bodies import BodySpec
+from ssduck.simulators.scene_bodies import MODEL_FILES, BodySpec
 from ssduck.simulators.scenes import Scene
 
 __all__ = ["attach", "excerpt", "load", "scene_of", "visual_shapes"]
 
 
 def load(scene: Scene) -> MuJoCoSimulator:
-    """Starts a simulation of an MJCF or URDF file.
+    """Starts a simulation of a scene.
 
-    It begins with the key `ssduck`, if the file has one, as those that `World.save` writes.
+    An MJCF file by itself begins with the key `ssduck`, if it has one, as those that `World.save`
+    writes.
 
     Raises:
-        SceneError: MuJoCo cannot load the file.
-        UnsupportedError: the scene is more than a model file and sensors.
+        SceneError: MuJoCo cannot load a file.
+        UnsupportedError: the scene has what MuJoCo's model does not get.
     """
-    file = _model_file(scene)
+    file = _mjcf_file(scene)
+    if file is None:
+        return _load_bodies(scene)
     check_declared_sizes(file)
     try:
         # The specification is the source of the model, which is kept to save it.
@@ -64,15 +67,27 @@ def load(scene: Scene) -> MuJoCoSimulator:
     return MuJoCoSimulator(lambda: (compiled, data), owned=True, kinds=kinds, spec=spec)
 
 
-def _model_file(scene: Scene) -> Path:
-    """Returns the model file of a scene.
+def _load_bodies(scene: Scene) -> MuJoCoSimulator:
+    """Starts a simulation of the bodies of a scene."""
+    from ssduck.simulators.mujoco.scene_loader import load_bodies  # MJCF files need it not
 
-    Raises:
-        UnsupportedError: the scene says more than a model file and sensors.
-    """
-    if scene.model_file is not None:
-        return scene.model_file
+    loaded = load_bodies(scene)
+    model_and_data = loaded.model, loaded.data
+    return MuJoCoSimulator(
+        lambda: model_and_data,
+        owned=True,
+        kinds=loaded.kinds,
+        spec=loaded.spec,
+        switched_off=loaded.switched_off,
+        part_names=loaded.part_names,
+    )
+
+
+def _mjcf_file(scene: Scene) -> Path | None:
+    """Returns the MJCF file of a scene of that, sensors and a camera alone; None for others."""
     model = scene.bodies[0].model if len(scene.bodies) == 1 else None
+    if not isinstance(model, Path) or model.suffix.lower() not in MODEL_FILES["mjcf"]:
+        return None
     plain = Scene(
         name=scene.name,
         path=scene.path,
@@ -80,15 +95,9 @@ def _model_file(scene: Scene) -> Path:
         camera=scene.camera,
         sensors=scene.sensors,
         simulator=scene.simulator,
-        bodies=(BodySpec(None, None, model),) if isinstance(model, Path) else (),
+        bodies=(BodySpec(None, None, model),),
     )
-    if not isinstance(model, Path) or scene != plain:
-        raise UnsupportedError(
-            f"{scene.path}: MuJoCo loads model files by themselves, or with sensors and a camera: "
-            "describe everything else in MJCF, or load the scene with PyBullet; "
-            "World.save(folder, 'mujoco') writes a scene of PyBullet as MJCF"
-        )
-    return model
+    return model if scene == plain else None
 
 
 def attach(

@@ -88,6 +88,7 @@ class ModelReader:
         kinds: kinds of entities, likewise.
         only: the numbers of the roots of the trees to describe; None for all.
         disabled: geoms that count as colliding, though they do not at present; None for none.
+        part_names: names of links and joints, instead of MuJoCo's.
     """
 
     def __init__(
@@ -97,12 +98,15 @@ class ModelReader:
         kinds: Mapping[int | str, Kind] | None,
         only: Collection[int] | None = None,
         disabled: Indices | None = None,
+        part_names: Mapping[str, str] | None = None,
     ) -> None:
         self._only = only
         self._model = model
         self._names = names or {}
         self._kinds = kinds or {}
-        self._link_names = body_names(model)
+        self._part_names = part_names or {}
+        self._root_names = body_names(model)
+        self._link_names = [self._part_names.get(name, name) for name in self._root_names]
         self._geoms = _by_owner(model.geom_bodyid, colliding_geoms(model, disabled), model.nbody)
         self._joints = _by_owner(model.jnt_bodyid, np.arange(model.njnt), model.nbody)
         self._geometries: dict[int, Geometry] = {}
@@ -125,7 +129,7 @@ class ModelReader:
     def _body(self, root: int, links: range) -> Body:
         model = self._model
         joints = tuple(self._joint(n, link - root) for link in links for n in self._joints[link])
-        name, kind = self._link_names[root], kind_by_joints(joints)
+        name, kind = self._root_names[root], kind_by_joints(joints)
         return Body(
             handle=root,
             name=self._names.get(name, self._names.get(root, name)),
@@ -161,8 +165,9 @@ class ModelReader:
             lower, upper = model.jnt_range[number].tolist()
         if model.jnt_actfrclimited[number]:
             max_effort = float(np.abs(model.jnt_actfrcrange[number]).max())
+        name = name_of(model, _OBJECT.mjOBJ_JOINT, number, "joint")
         return Joint(
-            name_of(model, _OBJECT.mjOBJ_JOINT, number, "joint"),
+            self._part_names.get(name, name),
             type,
             link,
             lower,

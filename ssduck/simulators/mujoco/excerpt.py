@@ -50,6 +50,7 @@ def excerpt(
     return MuJoCoSimulator(
         lambda: (model, data),
         owned=True,
+        part_names=source.part_names,
         names={one.body.handle: one.name for one in originals},
         kinds={one.body.handle: one.body.kind for one in originals},
         only=chosen,

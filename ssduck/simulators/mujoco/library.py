@@ -3,10 +3,31 @@
 from __future__ import annotations
 
 import copy
+import ctypes
+import os
+import sys
 from typing import Any
 
 from ssduck.errors import UnsupportedError
 
+# The libraries that draw without a screen, by the value of the variable that chooses one.
+_OFFSCREEN = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
+
+
+def _choose_opengl() -> None:
+    """Lets MuJoCo draw without a screen, unless the user chose: it decides when it is imported."""
+    if sys.platform != "linux" or {"MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        return
+    for name, library in _OFFSCREEN.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        os.environ["MUJOCO_GL"] = name
+        return
+
+
+_choose_opengl()
 try:
     import mujoco
 except ImportError as error:

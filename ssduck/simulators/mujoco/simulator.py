@@ -69,9 +69,11 @@ class MuJoCoSimulator(PartialSimulator):
         spec: the `mujoco.MjSpec` that the model was compiled from; None if it is not known.
         switched_off: the numbers of the root bodies of which collisions are off at first, and of
             those that are hidden.
+        part_names: names of links and joints, instead of MuJoCo's.
 
     Attributes:
         spec: see above.
+        part_names: see above.
         model: the model at the last tick.
         data: the data at the last tick.
         episode: is incremented when the time has fallen or the model is another one.
@@ -91,12 +93,13 @@ class MuJoCoSimulator(PartialSimulator):
         forward: bool = False,
         spec: Any = None,
         switched_off: SwitchedOff = ((), ()),
+        part_names: Mapping[str, str] | None = None,
     ) -> None:
         self.is_external = not owned
         self._source = source
         self._names, self._kinds, self._only = names, kinds, only
         self._forward = forward
-        self.spec = spec
+        self.spec, self.part_names = spec, part_names
         self.model, self.data = source()
         self._switches = Switches(self.model)
         # What is to be switched off when the bodies are described first.
@@ -134,7 +137,7 @@ class MuJoCoSimulator(PartialSimulator):
         if known is not None and known[0] is model and known[1].is_present():
             return None
         disabled = self._switches.disabled_geoms
-        reader = ModelReader(model, self._names, self._kinds, self._only, disabled)
+        reader = ModelReader(model, self._names, self._kinds, self._only, disabled, self.part_names)
         before = {body.handle: body for body in self._bodies}
         bodies = []
         for body in reader.bodies():

@@ -18,9 +18,10 @@ from ssduck.geometry.shapes import Geometry
 from ssduck.simulators.interface import SCALAR_JOINTS, Body, LinkPoses, VisualShape
 from ssduck.simulators.pybullet.bodies import primitive_of, wxyz
 from ssduck.simulators.pybullet.console import pybullet
-from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS, position_nearest_zero
+from ssduck.simulators.pybullet.scene_loader import CONSTRAINTS
 from ssduck.simulators.pybullet.simulator import PyBulletSimulator
 from ssduck.simulators.pybullet.urdf import BodyModel, Visual, zero_poses
+from ssduck.simulators.scene_joints import position_nearest_zero
 from ssduck.simulators.scenes import ConstraintSpec
 from ssduck.simulators.visuals import collision_visuals
 

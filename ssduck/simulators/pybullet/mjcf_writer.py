@@ -19,7 +19,7 @@ import numpy as np
 from ssduck.errors import warn
 from ssduck.formatting import joined_names
 from ssduck.geometry.arrays import Array
-from ssduck.geometry.poses import IDENTITY, compose, invert
+from ssduck.geometry.poses import IDENTITY, compose, invert, multiply, turn_to
 from ssduck.geometry.shapes import Geometry
 from ssduck.geometry.solids import solid_of
 from ssduck.simulators.backends import BodyToCopy, TickToCopy
@@ -337,9 +337,7 @@ class _Tree:
                 values["size"] = _texts((a, b, c))
             case "plane":
                 values["size"] = "0 0 1"
-                turn = compose(position[None], turn[None], position[None], _turn_to((a, b, c)))[1][
-                    0
-                ]
+                turn = multiply(turn, turn_to((a, b, c)))
                 if self._body.links[0].mass:
                     self._note("a plane that moves is left out")
                     return
@@ -356,16 +354,6 @@ class _Tree:
                 values |= {"type": "mesh", "mesh": self._writer.mesh(geometry, inertia)}
         values |= {"pos": _texts(position), "quat": _texts(turn)}
         ET.SubElement(element, "geom", {**values, **more})
-
-
-def _turn_to(normal: Iterable[float]) -> Array:
-    """Returns the quaternion (1, 4) that turns z to a direction by the shortest way."""
-    x, y, z = np.array(list(normal)) / np.linalg.norm(list(normal))
-    if z < -1.0 + 1e-12:
-        return np.array([[0.0, 1.0, 0.0, 0.0]])
-    quaternion = np.array([[1.0 + z, -y, x, 0.0]])
-    turn: Array = quaternion / np.linalg.norm(quaternion)
-    return turn
 
 
 def _text(number: Any) -> str:

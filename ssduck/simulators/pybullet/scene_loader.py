@@ -11,13 +11,13 @@ from typing import Any
 from ssduck.errors import SceneError, nearest, warn
 from ssduck.formatting import joined_names
 from ssduck.simulators.interface import SCALAR_JOINTS, Joint, Kind, MotorTarget
-from ssduck.simulators.kinematics import LIMIT_TOLERANCE
 from ssduck.simulators.naming import unique_name
 from ssduck.simulators.pybullet.bodies import BodyDescription, joint_of
 from ssduck.simulators.pybullet.console import pybullet
 from ssduck.simulators.pybullet.model_files import ModelFile
 from ssduck.simulators.pybullet.model_loader import link_names, load_model, names_in_file
-from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec, Primitive
+from ssduck.simulators.scene_bodies import MODEL_SUFFIXES, BodySpec
+from ssduck.simulators.scene_joints import check_joints, position_nearest_zero
 from ssduck.simulators.scenes import ConstraintSpec, Scene, check_body
 
 CONSTRAINTS = {
@@ -212,7 +212,7 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
     if messages and isinstance(spec.model, Path):
         loaded.skipped[spec.model] = messages
     joints = [_joints_of(handle, client) for handle in handles]
-    _check_joints(spec, [joint for of_body in joints for joint in of_body], place)
+    check_joints(spec, [joint for of_body in joints for joint in of_body], place)
     for number, handle in enumerate(handles):
         loaded.origins[handle] = SceneOrigin(spec, number)
         if spec.kind:
@@ -232,16 +232,6 @@ def load_body(spec: BodySpec, place: str, loaded: LoadedBodies, client: int) -> 
 def _joints_of(handle: int, client: int) -> list[Joint]:
     count = pybullet.getNumJoints(handle, client)
     return [joint_of(pybullet.getJointInfo(handle, index, client)) for index in range(count)]
-
-
-def _check_joints(spec: BodySpec, joints: Sequence[Joint], place: str) -> None:
-    """Raises an error for joints of a scene entry that its bodies cannot have so."""
-    model = "" if isinstance(spec.model, Primitive) else spec.model.name
-    for key in ("joints", "held"):
-        for name, value in getattr(spec, key).items():
-            _check_joint(name, value, joints, f"{place}{key}.{name}: {model}")
-    for name in spec.joint_velocities:
-        _check_joint(name, None, joints, f"{place}joint_velocities.{name}: {model}")
 
 
 def _set_joints(
@@ -285,20 +275,6 @@ def set_motor(handle: int, link: int, motor: MotorTarget, client: int) -> None:
     pybullet.setJointMotorControl2(
         handle, link - 1, force=motor.effort, physicsClientId=client, **target, **bounds
     )
-
-
-def _check_joint(name: str, value: float | None, joints: Sequence[Joint], place: str) -> None:
-    """Raises an error for a joint that does not exist or cannot be at a position."""
-    by_name = {joint.name: joint for joint in joints}
-    if name not in by_name:
-        raise SceneError(f"{place} has no such joint", suggestions=nearest(name, by_name))
-    joint = by_name[name]
-    if joint.type not in SCALAR_JOINTS:
-        raise SceneError(f"{place}: a {joint.type} joint has no position")
-    low, high = _limits(joint)
-    # Solvers leave a joint a little beyond its limits, and worlds are saved in that state.
-    if value is not None and not low - LIMIT_TOLERANCE < value < high + LIMIT_TOLERANCE:
-        raise SceneError(f"{place}: {value:g} is not from {low:g} to {high:g}, the joint's limits")
 
 
 def _create_constraints(scene: Scene, loaded: LoadedBodies, client: int) -> None:
@@ -356,15 +332,3 @@ def create_constraint(
 def _to_xyzw(orientation: Sequence[float]) -> list[float]:
     w, *vector = orientation
     return [*vector, w]
-
-
-def _limits(joint: Joint) -> tuple[float, float]:
-    if joint.lower is None or joint.upper is None:
-        return -math.inf, math.inf
-    return joint.lower, joint.upper
-
-
-def position_nearest_zero(joint: Joint) -> float:
-    """Returns 0, or the limit of a joint nearest to 0."""
-    low, high = _limits(joint)
-    return min(max(0.0, low), high)

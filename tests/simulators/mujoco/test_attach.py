@@ -458,8 +458,8 @@ def test_a_file_is_loaded_and_run(tmp_path):
     path.write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
     with pytest.raises(ssduck.errors.SceneError, match=r"lab\.xml cannot be loaded: .*size"):
         ssduck.load(path)
-    with pytest.raises(UnsupportedError, match="MuJoCo loads model files by themselves"):
-        ssduck.load("kitchen", simulator="mujoco")
+    with pytest.raises(UnsupportedError, match="MuJoCo loads scenes of URDF files"):
+        ssduck.load("chaos", simulator="mujoco")
 
 
 def test_a_module_is_no_environment():

@@ -247,7 +247,9 @@ def test_a_scene_for_mujoco_is_a_model_and_sensors(tmp_path, first, last):
     (tmp_path / "world.xml").write_text(BALL)
     file = tmp_path / "scene.toml"
     file.write_text(SCENE.format(first, last))
-    with pytest.raises(UnsupportedError, match="MuJoCo loads model files by themselves"):
+    with pytest.raises(
+        UnsupportedError, match="has an MJCF file beside other things: describe everything in one"
+    ):
         ssduck.load(file)
 
 

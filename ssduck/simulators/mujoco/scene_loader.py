@@ -1,0 +1,386 @@
+"""Makes one MuJoCo model of a scene's bodies: URDF files, primitives and the floor.
+
+MuJoCo reads each URDF file; its tree then becomes a body of the model. As with PyBullet, a base
+moves freely unless it is fixed or has no mass, links of one body do not collide with each other,
+and motors hold the joints. Names of links and joints are unique in MuJoCo's model, in which the
+base of a body has its name, and a part whose name another body has gets the name of its body in
+front; in the world, they have the names of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from ssduck.errors import SceneError, UnsupportedError, warn
+from ssduck.formatting import joined_names
+from ssduck.geometry.poses import rotation_matrices, turn_to, unit_quaternions
+from ssduck.simulators.interface import SCALAR_JOINTS, Body, Kind
+from ssduck.simulators.model_xml import parse_xml
+from ssduck.simulators.mujoco.actuators import hold_positions
+from ssduck.simulators.mujoco.bodies import ModelReader
+from ssduck.simulators.mujoco.interventions import add_spare_welds
+from ssduck.simulators.mujoco.library import mujoco
+from ssduck.simulators.naming import body_name, unique_name
+from ssduck.simulators.scene_bodies import FLOOR, MODEL_SUFFIXES, BodySpec, Primitive
+from ssduck.simulators.scene_joints import check_joints, position_nearest_zero
+from ssduck.simulators.scenes import Engine, Scene
+
+# MuJoCo's groups of geoms: those that are drawn, and those that only collide, which are not.
+_DRAWN, _COLLIDING = 2, 3
+# The suffixes of the meshes that MuJoCo reads.
+_MESHES = (".obj", ".stl", ".msh")
+# The sliding friction of a link that states none, and the friction against rolling.
+_FRICTION, _OTHER_FRICTION = 0.5, (0.005, 0.0001)
+# A motor has its greatest effort at this distance from its position, rad or m, or at this
+# difference from its velocity, rad/s or m/s. It goes back in this time, s, many steps: then it is
+# stable however light the link is.
+_GIVES_WAY, _DELAY = 0.02, 0.05
+_GEOM = mujoco.mjtGeom
+_SHAPES = {
+    "box": _GEOM.mjGEOM_BOX,
+    "sphere": _GEOM.mjGEOM_SPHERE,
+    "cylinder": _GEOM.mjGEOM_CYLINDER,
+    "capsule": _GEOM.mjGEOM_CAPSULE,
+    "plane": _GEOM.mjGEOM_PLANE,
+}
+_SCALAR = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedModel:
+    """A model of a scene, in its initial state.
+
+    Attributes:
+        spec: the `mujoco.MjSpec` that it was compiled from.
+        model: the model.
+        data: its data.
+        kinds: the kinds that the scene states, by the names of entities.
+        switched_off: the numbers of the bodies without collisions, and of those that are hidden.
+        part_names: the names of links and joints in their files, by those in the model.
+    """
+
+    spec: Any
+    model: Any
+    data: Any
+    kinds: dict[int | str, Kind]
+    switched_off: tuple[list[int], list[int]]
+    part_names: dict[str, str]
+
+
+def load_bodies(scene: Scene) -> LoadedModel:
+    """Makes a model of the bodies of a scene.
+
+    Raises:
+        SceneError: a model cannot be loaded, or has no such joints: file, key and reason.
+        UnsupportedError: MuJoCo loads no such scenes.
+    """
+    _check_supported(scene)
+    builder = _Builder({"world", FLOOR, *(str(body.name) for body in scene.bodies if body.name)})
+    spec = builder.spec
+    spec.option.timestep, spec.option.gravity = scene.timestep, scene.gravity
+    # A model by itself has no entry in a scene's file.
+    is_model = scene.path.suffix.lower() in MODEL_SUFFIXES
+    if scene.floor is not None:
+        builder.add(scene.floor, "")
+    for index, entry in enumerate(scene.bodies):
+        builder.add(entry, "" if is_model else f"{scene.path}: body[{index}].")
+    if builder.undrawn:
+        listed = joined_names(sorted(builder.undrawn))
+        warn(f"{scene.path}: MuJoCo reads no such meshes, which are not drawn: {listed}")
+    add_spare_welds(spec)
+    try:
+        model = spec.compile()
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        raise SceneError(f"{scene.path} cannot be loaded: {error}") from error
+    data = mujoco.MjData(model)
+    data.time = scene.time
+    described = ModelReader(model, None, None, part_names=builder.part_names).bodies()
+    by_name = {body.name: body for body in described}
+    entries = [(added, by_name[added.name]) for added in builder.entries]
+    for added, body in entries:
+        _begin(added, body, model, data)
+    mujoco.mj_forward(model, data)
+    return LoadedModel(
+        spec=spec,
+        model=model,
+        data=data,
+        kinds={added.name: added.spec.kind for added, _ in entries if added.spec.kind},
+        switched_off=(
+            [body.handle for added, body in entries if not added.spec.enabled],
+            [body.handle for added, body in entries if not added.spec.visible],
+        ),
+        part_names=builder.part_names,
+    )
+
+
+def _check_supported(scene: Scene) -> None:
+    """Raises an error for what a scene has that MuJoCo's model does not get.
+
+    Raises:
+        UnsupportedError: there is such a thing.
+    """
+    sources = {body.source for body in scene.bodies}
+    reasons = {
+        "elastic = true": scene.elastic,
+        "an engine": scene.engine != Engine(),
+        "constraints": bool(scene.constraints),
+        "an SDF file": "sdf" in sources,
+        "an MJCF file beside other things": "mjcf" in sources,
+    }
+    found = [reason for reason, applies in reasons.items() if applies]
+    if found:
+        raise UnsupportedError(
+            f"{scene.path}: MuJoCo loads scenes of URDF files and primitives, and MJCF files by "
+            f"themselves; this scene has {joined_names(found)}: describe everything in one MJCF "
+            "file, or load the scene with PyBullet; World.save(folder, 'mujoco') writes a scene of "
+            "PyBullet as MJCF"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    """A body of the scene and of the model.
+
+    Attributes:
+        spec: the entry of the scene.
+        name: the name of its base in the model.
+        place: its place in errors.
+    """
+
+    spec: BodySpec
+    name: str
+    place: str
+
+
+@dataclass(eq=False)
+class _Builder:
+    """A specification that grows body by body.
+
+    Attributes:
+        taken: the names of bodies, links and joints, with those that are still to come.
+        entries: the bodies.
+        undrawn: the files of meshes that are left out of pictures.
+        part_names: the names of links and joints in their files, by those in the model.
+    """
+
+    taken: set[str]
+    entries: list[_Entry] = field(default_factory=list)
+    undrawn: set[str] = field(default_factory=set)
+    part_names: dict[str, str] = field(default_factory=dict)
+    _meshes: dict[tuple[str, tuple[float, ...]], str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.spec = mujoco.MjSpec()
+        compiler = self.spec.compiler
+        compiler.degree, compiler.balanceinertia = False, True
+        # MuJoCo refuses parts that move with less mass, kg, or less moment of inertia, kg m².
+        compiler.boundmass, compiler.boundinertia = 1e-6, 1e-10
+        # Motors are stiff.
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        self.spec.worldbody.add_light(pos=[0, 0, 5], dir=[0, 0, -1])
+
+    def add(self, spec: BodySpec, place: str) -> None:
+        """Adds a body; its place is for errors."""
+        prefix = f"{len(self.entries)}/"  # of names, until they are made unique
+        if isinstance(spec.model, Primitive):
+            name, root = str(spec.name), self.spec.worldbody.add_body()
+            _add_shape(root, spec.model)
+            mass = 0.0 if spec.fixed else spec.model.mass
+        else:
+            urdf = _read_urdf(spec.model, place, self)
+            name = spec.name or unique_name(urdf.name, self.taken)
+            root = self._attach(urdf, prefix)
+            mass = root.mass
+        root.pos, root.quat = spec.position, spec.orientation
+        if not spec.fixed and mass:
+            root.add_freejoint()
+        links = [root, *root.find_all("body")]
+        for part in (*links, *(joint for joint in root.find_all("joint") if joint.name)):
+            own = part.name.removeprefix(prefix) or name
+            part.name = name if part is root else self._unique(own, name)
+            self.part_names[part.name] = own
+        if spec.hold:
+            for joint in root.find_all("joint"):
+                self._add_motor(joint)
+        for one, other in combinations(links, 2):
+            exclusion = self.spec.add_exclude()
+            exclusion.bodyname1, exclusion.bodyname2 = one.name, other.name
+        self.entries.append(_Entry(spec, name, place))
+
+    def _attach(self, urdf: _Urdf, prefix: str) -> Any:
+        """Moves the tree of a URDF file into the model, and returns its root."""
+        root = self.spec.worldbody.add_frame().attach_body(urdf.root, prefix, "")
+        for link in (root, *root.find_all("body")):
+            friction = urdf.frictions.get(link.name.removeprefix(prefix), _FRICTION)
+            for geom in link.geoms:
+                if mesh := geom.meshname.removeprefix(prefix):
+                    geom.meshname = urdf.meshes[mesh]
+                if geom.contype or geom.conaffinity:
+                    geom.group, geom.friction = _COLLIDING, (friction, *_OTHER_FRICTION)
+                else:
+                    geom.group, geom.mass = _DRAWN, 0.0
+        return root
+
+    def mesh(self, file: str, scale: Iterable[float]) -> str:
+        """Returns the name of a mesh, which the model has once."""
+        key = file, tuple(map(float, scale))
+        if key not in self._meshes:
+            name = unique_name(Path(file).stem, self._meshes.values())
+            mesh = self.spec.add_mesh()
+            mesh.name, mesh.file, mesh.scale = name, file, key[1]
+            # A mesh may be flat, or have no inside.
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            self._meshes[key] = name
+        return self._meshes[key]
+
+    def _unique(self, name: str, owner: str) -> str:
+        """Returns the name of a part in the model."""
+        chosen = name if name not in self.taken else unique_name(f"{owner}_{name}", self.taken)
+        self.taken.add(chosen)
+        return chosen
+
+    def _add_motor(self, joint: Any) -> None:
+        """Adds a motor that holds a joint with limits, and brakes one without."""
+        effort = float(joint.actfrcrange[1])
+        if effort <= 0.0 or joint.type not in _SCALAR:
+            return
+        motor, gain = self.spec.add_actuator(), effort / _GIVES_WAY
+        motor.name, motor.target = joint.name, joint.name
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        # The joint limits the effort: the solver stays implicit.
+        if _has_limits(joint):
+            motor.set_to_position(kp=gain, kv=gain * _DELAY)
+        else:
+            motor.set_to_velocity(kv=gain)
+
+
+def _has_limits(joint: Any) -> bool:
+    low, high = joint.range
+    return bool(low < high)
+
+
+def _add_shape(body: Any, primitive: Primitive) -> None:
+    """Gives a body the shape of a primitive."""
+    a, b, c = (*primitive.size, 0.0, 0.0)[:3]
+    sizes = {
+        "box": (a / 2, b / 2, c / 2),
+        "sphere": (a, 0, 0),
+        "plane": (0, 0, 1),
+    }
+    geom, material = body.add_geom(), primitive.material
+    geom.type = _SHAPES[primitive.type]
+    geom.size = sizes.get(primitive.type, (a, b / 2, 0))
+    if primitive.type == "plane":
+        geom.quat = turn_to((a, b, c))
+    else:
+        geom.mass = primitive.mass
+    geom.rgba = material.colour
+    geom.friction = material.friction, material.spinning_friction, material.rolling_friction
+    if material.rolling_friction or material.spinning_friction:
+        geom.condim = 6
+
+
+@dataclass(frozen=True, eq=False)
+class _Urdf:
+    """The content of a URDF file.
+
+    Attributes:
+        name: the name of the robot.
+        spec: the `mujoco.MjSpec` of the file, which has to live as long as the root.
+        meshes: the names of its meshes in the model, by those in the file.
+        frictions: the sliding friction of its links, where the file states one.
+    """
+
+    name: str
+    spec: Any
+    meshes: dict[str, str]
+    frictions: dict[str, float]
+
+    @property
+    def root(self) -> Any:
+        """The base."""
+        return self.spec.worldbody.first_body()
+
+
+def _read_urdf(file: Path, place: str, builder: _Builder) -> _Urdf:
+    """Reads a URDF file; its meshes get into the model of the builder.
+
+    Raises:
+        SceneError: MuJoCo cannot read it.
+    """
+    try:
+        root = parse_xml(file.read_bytes())
+        _find_meshes(root, file, builder)
+        compiler = _child(_child(root, "mujoco"), "compiler")
+        compiler.attrib |= {"fusestatic": "false", "discardvisual": "false", "strippath": "false"}
+        spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+    except (OSError, ET.ParseError, ValueError, RuntimeError, MemoryError) as error:
+        raise SceneError(
+            f"{place}{'urdf: ' if place else ''}{file} cannot be loaded: {error}"
+        ) from error
+    meshes = {mesh.name: builder.mesh(mesh.file, mesh.scale) for mesh in spec.meshes}
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    frictions = {
+        str(link.get("name")): float(found.get("value", _FRICTION))
+        for link in root.iter("link")
+        if (found := link.find("contact/lateral_friction")) is not None
+    }
+    name = body_name(root.get("name", "")) or file.stem
+    return _Urdf(name, spec, meshes, frictions)
+
+
+def _find_meshes(root: ET.Element, file: Path, builder: _Builder) -> None:
+    """Lets the meshes of a URDF file be found, and leaves out what MuJoCo cannot draw."""
+    for link in root.iter("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            name = "" if mesh is None else mesh.get("filename", "")
+            if name and Path(name).suffix.lower() not in _MESHES:
+                builder.undrawn.add(name)
+                link.remove(visual)
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", str(_found(mesh.get("filename", ""), file.parent)))
+
+
+def _found(name: str, folder: Path) -> Path:
+    """Returns the path of a mesh file: in a folder, or in one of those around it."""
+    tail = name.partition("://")[2] or name
+    places = (place / tail for place in (folder, *folder.parents))
+    return next((path for path in places if path.is_file()), folder / tail)
+
+
+def _child(element: ET.Element, tag: str) -> ET.Element:
+    """Returns the child of an element, which it gets if it has none."""
+    found = element.find(tag)
+    return ET.SubElement(element, tag) if found is None else found
+
+
+def _begin(entry: _Entry, body: Body, model: Any, data: Any) -> None:
+    """Puts a body into its initial state.
+
+    Raises:
+        SceneError: it has no such joints.
+    """
+    spec = entry.spec
+    check_joints(spec, [joint for joint in body.joints if joint.type != "free"], entry.place)
+    for joint in body.joints:
+        if joint.type in SCALAR_JOINTS:
+            number = int(model.body_jntadr[body.handle + joint.link])
+            value = spec.joints.get(joint.name, position_nearest_zero(joint))
+            data.qpos[model.jnt_qposadr[number]] = value
+            data.qvel[model.jnt_dofadr[number]] = spec.joint_velocities.get(joint.name, 0.0)
+            hold_positions(model, data, {number: spec.held.get(joint.name, value)})
+    if any(joint.type == "free" for joint in body.joints):
+        first = int(model.body_dofadr[body.handle])
+        turn = rotation_matrices(unit_quaternions(np.array([spec.orientation])))[0]
+        # MuJoCo has the angular velocity in the frame of the body.
+        data.qvel[first : first + 3] = spec.velocity[:3]
+        data.qvel[first + 3 : first + 6] = turn.T @ spec.velocity[3:]
