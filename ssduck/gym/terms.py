@@ -337,6 +337,11 @@ class Judge:
             raise
         if len(program.tree.statements) != 1 or program.tree.explain:
             raise ArgumentError(f"{key}: {text!r} is to be one expression")
+        for doubt in program.tree.suspicions:
+            if doubt.is_grave:
+                raise ArgumentError(
+                    f"{key}: {doubt.message}", text=program.tree.text, span=doubt.span
+                )
         return program
 
     def _tree(self, text: str) -> Node:

@@ -34,6 +34,7 @@ from ssduck.language.tree import (
     Unary,
 )
 from ssduck.recording.replay.past import Past
+from ssduck.sql.relations.registry import RELATIONS
 from ssduck.world.handles import Handle
 from ssduck.world.links import Link, Links
 from ssduck.world.world import World
@@ -51,6 +52,11 @@ _WORDS: dict[Kind, str] = {
 _KIND_OF_TYPE: dict[type, Kind] = {int: "number", float: "number", str: "text", bool: "boolean"}
 # Two names of one relation.
 _SYNONYMS = {"name": "id", "kind": "type"}
+# The relations whose values are lists of numbers.
+_VECTORS = frozenset(
+    name for name, one in RELATIONS.items() if one.result == "list" and one.element == "double"
+)
+_COORDINATES = 3
 # Keys that only one entity has.
 _UNIQUE = frozenset(("id", "obj", "this"))
 
@@ -88,6 +94,7 @@ class Suspects:
         ages: the calls of `least` and `greatest` with an age.
         first_rows: the columns of the first row of a group, with their names if they are bare.
         queries: the nested queries that SELECT has as lists of dicts.
+        sums: the sums of which a side is a position, or another list of numbers of an entity.
     """
 
     comparisons: tuple[Comparison, ...] = ()
@@ -95,6 +102,7 @@ class Suspects:
     ages: tuple[Call, ...] = ()
     first_rows: tuple[tuple[str, SourceSpan], ...] = ()
     queries: tuple[Query, ...] = ()
+    sums: tuple[Binary, ...] = ()
 
     def __bool__(self) -> bool:
         return any(getattr(self, part.name) for part in fields(self))
@@ -109,7 +117,26 @@ def suspects_of(statement: Node) -> Suspects:
         tuple(call for query in queries for item in query.items for call in _ages(item)),
         tuple(site for query in queries for site in _first_rows(query)),
         tuple(table for query in queries for table in _tables(query)),
+        tuple(
+            part
+            for part in statement.walk()
+            if isinstance(part, Binary)
+            and part.operator == "+"
+            and any(map(_vector_of, _sides(part)))
+        ),
     )
+
+
+def _sides(node: Binary) -> tuple[Node, Node]:
+    return node.left, node.right
+
+
+def _vector_of(node: Node) -> str:
+    """Returns the relation whose value, a list of numbers, a part is; "" for another part."""
+    match node:
+        case Call(name=name) | Name(name=name) | QualifiedName(key=name):
+            return name if name in _VECTORS else ""
+    return ""
 
 
 def _tables(query: Query) -> Iterator[Query]:
@@ -326,6 +353,13 @@ def mistakes_in(
             f"{lesser}([a, b])",
             span=call.span,
         )
+    for node in suspects.sums:
+        if all(_is_vector(side, variable, type_of_relation) for side in _sides(node)):
+            yield ArgumentError(
+                "+ joins two lists to a longer one; the sum is [x(a) + x(b), y(a) + y(b), "
+                "z(a) + z(b)], and - of two lists is their difference",
+                span=node.span,
+            )
     for query in suspects.queries:
         yield ArgumentError(
             "the nested query is a list of dicts here; write AS value for its value, or AS list",
@@ -335,6 +369,21 @@ def mistakes_in(
         if not name or variable(name) is None:
             message = "this is of the first row of each group; group by it, too, or aggregate it"
             yield ArgumentError(message, span=span)
+
+
+def _is_vector(
+    node: Node,
+    variable: Callable[[str], Any],
+    type_of_relation: Callable[[str], str | None],
+) -> bool:
+    """Checks whether a part is a list of numbers, such as a position."""
+    if isinstance(node, ListLiteral):
+        return len(node.items) == _COORDINATES
+    value = variable(node.name) if isinstance(node, Name) else None
+    if value is not None:
+        is_list = type(value) is list and len(value) == _COORDINATES
+        return is_list and all(isinstance(part, int | float) for part in value)
+    return type_of_relation(_vector_of(node)) is not None
 
 
 def _is_hidden(site: Comparison, variable: Callable[[str], Any]) -> bool:

@@ -24,38 +24,36 @@ class OperandRow:
         start: where the text of the first operand begins.
         first: the first operand.
         end: where its text ends.
+
+    Attributes:
+        start: where the text of the first operand begins.
+        operators: the operators between them.
+        operands: the operands.
+        ends: where the text of each ends.
     """
 
     def __init__(self, start: int, first: Node, end: int) -> None:
-        self._start = start
-        self._operators: list[str] = []
-        self._operands = [first]
-        self._ends = [end]
-
-    @property
-    def last(self) -> Node:
-        """The first operand, or else the last two with their operator."""
-        if not self._operators:
-            return self._operands[0]
-        span = SourceSpan(self._start, self._ends[-1])
-        return Binary(span, self._operators[-1], *self._operands[-2:])
+        self.start = start
+        self.operators: list[str] = []
+        self.operands = [first]
+        self.ends = [end]
 
     def add(self, operator: str, operand: Node, end: int) -> None:
         """Adds an operand, with the operator before it and the end of its text."""
-        self._operators.append(operator)
-        self._operands.append(operand)
-        self._ends.append(end)
+        self.operators.append(operator)
+        self.operands.append(operand)
+        self.ends.append(end)
 
     def node(self) -> Node:
         """Returns the node of the whole chain."""
-        if len(self._operands) > MAX_NESTING:
-            span = SourceSpan(self._start, self._ends[-1])
+        if len(self.operands) > MAX_NESTING:
+            span = SourceSpan(self.start, self.ends[-1])
             return OperatorChain(
-                span, tuple(self._operators), tuple(self._operands), tuple(self._ends)
+                span, tuple(self.operators), tuple(self.operands), tuple(self.ends)
             )
-        node, *others = self._operands
-        for operator, operand, end in zip(self._operators, others, self._ends[1:], strict=True):
-            node = Binary(SourceSpan(self._start, end), operator, node, operand)
+        node, *others = self.operands
+        for operator, operand, end in zip(self.operators, others, self.ends[1:], strict=True):
+            node = Binary(SourceSpan(self.start, end), operator, node, operand)
         return node
 
 

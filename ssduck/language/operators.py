@@ -128,6 +128,8 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
     except OverflowError as error:
         raise EvaluationError(f"the result of {sign} is too large", span=span) from error
     except TypeError as error:
+        if sign == "-" and type(left) is type(right) is list:
+            return _difference(left, right, span)
         raise ArgumentError(
             f"{sign} does not take {type_in_words(left)} and {type_in_words(right)}", span=span
         ) from error
@@ -138,6 +140,17 @@ def apply(sign: str, left: Any, right: Any, span: SourceSpan | None = None) -> A
     if isinstance(value, complex):
         raise EvaluationError(f"{sign} of these has no real value", span=span)
     return value
+
+
+def _difference(left: list[Any], right: list[Any], span: SourceSpan | None) -> list[Any]:
+    """Returns the difference of two lists of numbers, element by element."""
+    if len(left) != len(right):
+        raise ArgumentError(
+            f"- takes lists of one length, not of {len(left)} and {len(right)} elements", span=span
+        )
+    if not {int, float}.issuperset(map(type, (*left, *right))):
+        raise ArgumentError("- takes lists of numbers", span=span)
+    return [apply("-", a, b, span) for a, b in zip(left, right, strict=True)]
 
 
 def _is_too_large(sign: str, left: Any, right: Any) -> bool:

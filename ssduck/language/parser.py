@@ -20,7 +20,7 @@ from ssduck.language.comments import divisions
 from ssduck.language.operator_chains import OperandRow
 from ssduck.language.quoting import unquoted
 from ssduck.language.sql_suggestions import STATEMENTS
-from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, SqlForms, numbered_column
+from ssduck.language.sql_syntax import CHAIN_OF_EQUALS, RELATIONAL, SqlForms, numbered_column
 from ssduck.language.token_cursor import LEVEL_OF, is_kind, is_word, slice_of, span_of
 from ssduck.language.tokenizer import LETTERS_PER_WORD, tokenize
 from ssduck.language.tree import (
@@ -104,6 +104,8 @@ _SHORT, _LONG = 2_000, 50_000
 
 # What follows a word at the beginning of a statement only if it is a keyword.
 _OPERANDS = frozenset((TokenType.VAR, TokenType.NUMBER, TokenType.STRING))
+_OPENING = frozenset((TokenType.L_PAREN, TokenType.L_BRACKET, TokenType.L_BRACE))
+_CLOSING = frozenset((TokenType.R_PAREN, TokenType.R_BRACKET, TokenType.R_BRACE))
 
 
 class _Parser(SqlForms):
@@ -147,7 +149,7 @@ class _Parser(SqlForms):
         self.descend()
         if self.at_word("SELECT"):
             node: Node = self.query()
-        elif self.at_assignment():
+        elif self.equals != "in a condition" and self.at_assignment():
             node = self.ambiguous_assignment() if self.equals else self.assignment()
         else:
             node = self.expression()
@@ -217,7 +219,7 @@ class _Parser(SqlForms):
         self.is_listed = is_listed
         sources, joined = self.sources()
         self.is_listed = True
-        where = self.where_part() if self.take_words("WHERE") else None
+        where = self.condition() if self.take_words("WHERE") else None
         where = self.conjunction([*joined, *([] if where is None else [where])])
         if distinct and self.at_word("START", "CONNECT"):
             self.fail("expected no CONNECT BY (DISTINCT is of rows; write UNIQUE or NO CYCLE)")
@@ -282,26 +284,13 @@ class _Parser(SqlForms):
         node = replace(self.ambiguous_assignment(), is_bare=True)
         return self.named(start, node)
 
-    def where_part(self) -> Node:
-        """Returns WHERE's condition; it may be an assignment, or a comparison by `=`."""
-        before, self.equals = self.equals, "in a condition"
-        if self.at_assignment():
-            node: Node = replace(self.ambiguous_assignment(), is_bare=True)
-        else:
-            node = self.expression()
-        self.equals = before
-        return node
-
     def ambiguous_assignment(self) -> Assignment:
         """Returns `name = value` in a query: an assignment that may be a comparison."""
         self.descend()
         value = self.ahead(2) if is_kind(self.ahead(), TokenType.EQ) else None
         node = self.assignment()
         self.depth -= 1
-        if value is None:
-            return node
-        is_condition = self.equals == "in a condition"
-        return replace(node, value_start=value.start, is_condition=is_condition)
+        return node if value is None else replace(node, value_start=value.start)
 
     def source(self) -> Source:
         start = self.here()
@@ -412,20 +401,21 @@ class _Parser(SqlForms):
             if self.condition_level() >= 0:
                 left = self.condition_operator(start, left)
                 continue
-            row = OperandRow(start.start, left, self.end())
+            row, places = OperandRow(start.start, left, self.end()), [start]
             is_compared = False
             while self.operator_level() == level and self.condition_level() < 0:
                 word = self.tokens[self.index].text.upper()
                 operator = {"<>": "!=", "=": "=="}.get(word, word)
-                if word == "=" and is_compared:
-                    raise ParseError(CHAIN_OF_EQUALS, text=self.text, span=self.here())
-                is_compared = word == "="
+                is_chain, is_compared = word == "=" and is_compared, word == "="
                 self.index += 1
-                place = self.here()
+                places.append(self.here())
                 right = self.members() if operator == "IN" else self.operation(level + 1)
-                self.check_chain(operator, (row.last, start, right, place))
+                if is_chain:
+                    raise ParseError(CHAIN_OF_EQUALS, text=self.text, span=self.since(start))
+                if operator == "^":
+                    self.check_sign(row, *places[-2:])
                 row.add(operator, right, self.end())
-            left = row.node()
+            left = self.comparison(row, places) if operator in RELATIONAL else row.node()
         return left
 
     def operator_level(self) -> int:
@@ -542,10 +532,35 @@ class _Parser(SqlForms):
     def parts(self) -> tuple[Node, ...]:
         """Statements with commas between them, in brackets."""
         is_listed, self.is_listed = self.is_listed, True
-        equals, self.equals = self.equals, "in a value" if self.equals else ""
         result = self.separated(self.statement)
-        self.is_listed, self.equals = is_listed, equals
+        self.is_listed = is_listed
         return result
+
+    def branch_parts(self) -> tuple[Node, ...]:
+        """The parts of a branch of IF: in a condition, `=` assigns in those before the last."""
+        is_listed, self.is_listed = self.is_listed, True
+        result = self.separated(self.branch_part)
+        self.is_listed = is_listed
+        return result
+
+    def branch_part(self) -> Node:
+        """One of the parts of a branch of IF."""
+        if self.equals != "in a condition" or not (self.at_assignment() and self.is_followed()):
+            return self.statement()
+        self.equals = ""
+        node = self.statement()
+        self.equals = "in a condition"
+        return node
+
+    def is_followed(self) -> bool:
+        """Checks whether a comma ends the part that comes next."""
+        depth = offset = 0
+        while (token := self.ahead(offset)) is not None and depth >= 0:
+            if depth == 0 and token.token_type in (TokenType.COMMA, TokenType.SEMICOLON):
+                return token.token_type == TokenType.COMMA
+            depth += (token.token_type in _OPENING) - (token.token_type in _CLOSING)
+            offset += 1
+        return False
 
     def if_expression(self) -> If:
         """Parses `IF(condition; …; …)`; an `IF` that is the whole else branch becomes a branch."""
@@ -556,7 +571,7 @@ class _Parser(SqlForms):
         depth = 1
         while self.take(TokenType.SEMICOLON) and not self.at(TokenType.R_PAREN):
             if not self.at_last_choice():
-                otherwise = self.parts()
+                otherwise = self.branch_parts()
                 break
             inner = self.here()
             self.index += 2
@@ -574,7 +589,7 @@ class _Parser(SqlForms):
         if self.at(TokenType.R_PAREN):
             return Branch(self.since(start), condition, (Literal(self.since(start), True),))
         self.expect(TokenType.SEMICOLON, "';' or ')' after the condition")
-        return Branch(self.since(start), condition, self.parts())
+        return Branch(self.since(start), condition, self.branch_parts())
 
     def at_last_choice(self) -> bool:
         """Checks whether an `IF(…)` comes next, and then the end of the one that it is in."""

@@ -379,8 +379,7 @@ class _Reading:
         """Checks whether `name = value` in a query is a comparison."""
         if node.value_start is None or self._has_variable(node.name):
             return False
-        is_column = _ENTITIES in aliases and self._names.is_function(node.name)
-        return node.is_condition or is_column
+        return _ENTITIES in aliases and self._names.is_function(node.name)
 
     def _has_columns(self, source: Source) -> bool:
         """Checks whether functions of the elements of a source are its columns: of entities."""

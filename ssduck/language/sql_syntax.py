@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
-from sqlglot.tokenizer_core import TokenType
+from sqlglot.tokenizer_core import Token, TokenType
 
-from ssduck.errors import ParseError, SourceSpan
+from ssduck.errors import SourceSpan
+from ssduck.language.operator_chains import OperandRow
 from ssduck.language.sql_suggestions import HABITS
 from ssduck.language.token_cursor import (
     CLAUSES,
@@ -46,7 +48,7 @@ AGGREGATES = frozenset(("count", "sum", "min", "max", "avg", "uniq"))
 # The result forms whose names are words of the grammar, so in any case.
 FORMS = frozenset(("dict", "dictionary", "list", "val", "value"))
 _CONDITIONS = ("LIKE", "BETWEEN", "IS")
-_RELATIONAL = ("<", "<=", ">", ">=")
+RELATIONAL = ("<", "<=", ">", ">=")
 # The words that may follow a source's alias.
 _BEHIND_SOURCE = (
     *("WHERE", "START", "CONNECT", "GROUP", "HAVING", "ORDER", "LIMIT", "OFFSET", "AS"),
@@ -55,6 +57,8 @@ _BEHIND_SOURCE = (
 CHAIN_OF_EQUALS = "this compares True or False; write x = y AND y = z"
 _BEGINS = (TokenType.VAR, TokenType.NUMBER, TokenType.STRING)
 _SIGNS = (TokenType.DASH, TokenType.PLUS)
+# Messages quote shorter powers.
+MAX_SPELLED = 60
 
 
 def numbered_column(key: Node, items: Sequence[Node]) -> Node:
@@ -84,6 +88,11 @@ class SqlForms(Cursor):
     equals = ""
     # Whether a comma may follow a query's result form.
     is_listed = False
+
+    def __init__(self, text: str, tokens: list[Token]) -> None:
+        super().__init__(text, tokens)
+        # The comparisons that a part consists of: `a < b < c` of two.
+        self.comparisons: dict[Node, list[Any]] = {}
 
     @abstractmethod
     def statement(self) -> Node:
@@ -180,27 +189,64 @@ class SqlForms(Cursor):
             offset += 1
         return False
 
-    def check_chain(self, operator: str, sides: tuple[Node, SourceSpan, Node, SourceSpan]) -> None:
-        """Reports `0 < z < 1`, which compares True or False with 1: in a query it is an error.
+    def comparison(self, row: OperandRow, places: Sequence[SourceSpan]) -> Node:
+        """Returns a comparison; `a < b <= c` is `a < b AND b <= c`.
 
         Args:
-            operator: the operator.
-            sides: its two sides, each with the place of its first token.
-
-        Raises:
-            ParseError: it is in a query.
+            row: the operands, and `<`, `<=`, `>` or `>=` between them.
+            places: the place of the first token of each operand.
         """
-        left, left_start, right, right_start = sides
-        for side, start in ((left, left_start), (right, right_start)):
-            has_no_parentheses = side.span.start == start.start  # not in parentheses
-            is_comparison = isinstance(side, Binary) and side.operator in _RELATIONAL
-            if operator in _RELATIONAL and is_comparison and has_no_parentheses:
-                message = "one side of this comparison is True or False; write a < b AND b < c"
-                span = self.since(left_start)
-                if self.equals:
-                    message += ", or b BETWEEN a AND c"
-                    raise ParseError(message, text=self.text, span=span)
-                self.add_suspicion(span, message)
+        parts: list[Any] = []
+        # A comparison in parentheses begins behind its first token; it is a value like others.
+        first, *others = (
+            (
+                self.comparisons.get(operand, []) if operand.span.start == place.start else [],
+                operand,
+            )
+            for operand, place in zip(row.operands, places, strict=True)
+        )
+        parts += first[0]
+        left = parts[-1].right if parts else first[1]
+        for sign, (inner, operand) in zip(row.operators, others, strict=True):
+            right = inner[0].left if inner else operand
+            parts += [
+                Binary(SourceSpan(left.span.start, right.span.end), sign, left, right),
+                *inner,
+            ]
+            left = inner[-1].right if inner else operand
+        if len(parts) == 1:
+            parts = [node := row.node()]
+        else:
+            joined = OperandRow(places[0].start, parts[0], parts[0].span.end)
+            for part in parts[1:]:
+                joined.add("AND", part, part.span.end)
+            node = joined.node()
+        self.comparisons[node] = parts
+        return node
+
+    def check_sign(self, row: OperandRow, start: SourceSpan, exponent: SourceSpan) -> None:
+        """Reports `-x ^ 2`, which is `(-x) ^ 2`, unless the base is a number.
+
+        Args:
+            row: the operands until the base.
+            start: the place of the first token of the base.
+            exponent: the place of the first token of the exponent, which has been parsed.
+        """
+        base, negated = row.operands[-1], self.text[start.start : row.ends[-1]]
+        unsigned, is_negative = negated, False
+        while isinstance(base, Unary) and unsigned.startswith(("-", "+")):
+            is_negative ^= base.operator == "-"
+            base, unsigned = base.operand, unsigned[1:].lstrip()
+        if is_negative and not isinstance(base, Literal):
+            before, power = (
+                self.text[row.start : start.start],
+                self.text[exponent.start : self.end()],
+            )
+            if len(before) + len(negated) + len(power) > MAX_SPELLED:
+                before, negated, unsigned, power = "", "-x", "x", "n"
+            is_this, other = f"({before}{negated})^{power}", f"{before}-({unsigned}^{power})"
+            message = f"this is {is_this}; write it so, or {other}"
+            self.add_suspicion(self.since(start), message, is_grave=True)
 
     # -- CASE -----------------------------------------------------------------------------
 
@@ -355,9 +401,9 @@ class SqlForms(Cursor):
 
     # -- suspicions -----------------------------------------------------------------------
 
-    def add_suspicion(self, span: SourceSpan, message: str) -> None:
+    def add_suspicion(self, span: SourceSpan, message: str, *, is_grave: bool = False) -> None:
         """Records a probable mistake."""
-        self.suspicions.append(Suspicion(span, message))
+        self.suspicions.append(Suspicion(span, message, is_grave))
 
     def check_condition(self, node: Node | None) -> None:
         """Reports a condition that assigns a constant, and so is the same for all rows."""

@@ -265,10 +265,9 @@ class Assignment(Node):
         name: the name of the variable.
         horizon: the time for which the variable keeps its values.
         value: the new value.
-        is_bare: whether it is a whole item of SELECT or WHERE, where `==` may be meant.
-        value_start: the place of the value in the text where `=` may compare, which is in a query;
-            None elsewhere.
-        is_condition: whether it is a condition of a query, or in brackets in one.
+        is_bare: whether it is a whole item of SELECT, where `==` may be meant.
+        value_start: the place of the value in the text where `=` may compare, which is in SELECT,
+            GROUP BY and ORDER BY; None elsewhere.
     """
 
     name: str
@@ -276,7 +275,6 @@ class Assignment(Node):
     value: Node
     is_bare: bool = False
     value_start: int | None = None
-    is_condition: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,10 +362,12 @@ class Suspicion:
     Attributes:
         span: its place.
         message: the reason, and a correction.
+        is_grave: whether it is an error in a term of success or reward.
     """
 
     span: SourceSpan
     message: str
+    is_grave: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -195,6 +195,10 @@ class Expressions(ExpressionScope):
             return SqlValue(exp.paren(joined, copy=False), STRING)
         if sign == "+" and left_value.sql_type.type == right_value.sql_type.type == "list":
             return concatenation(left_value, right_value)
+        a, b = left_value.elements, right_value.elements
+        if sign == "-" and a is not None and b is not None and len(a) == len(b):
+            parts = [arithmetic(self.context, node, *pair) for pair in zip(a, b, strict=True)]
+            return list_literal(self.context, parts)
         return arithmetic(self.context, node, left_value, right_value)
 
     def _chain(self, node: OperatorChain) -> SqlValue:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -22,12 +23,17 @@ IN, ON = re.findall(r"```sql\n(.*?)```", PAGE, re.DOTALL)
 
 
 @pytest.fixture(scope="module")
-def lab():
+def scene():
     names = {}
     for code in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
         exec(compile(code, "success-words.md", "exec"), names)  # noqa: S102
-    with names["ss"] as ss:
-        yield ss
+    with names["ss"]:
+        yield names
+
+
+@pytest.fixture(scope="module")
+def lab(scene):
+    return scene["ss"]
 
 
 def test_all_rows_are_read():
@@ -41,6 +47,29 @@ def test_a_condition_has_a_value(lab, condition):
     expected = float if condition in [text for _, text in rewards] else bool
     value = lab.eval(f"{condition};")
     assert isinstance(value, int | float) if expected is float else type(value) is bool
+
+
+REWARDS = {
+    "-distance(lab.arm.tool, lab.bowl)": lambda data: (
+        -math.dist(data.site("tool").xpos, data.body("bowl").xpos)
+    ),
+    "joint(lab.cabinet, 'slide') / 0.16": lambda data: float(data.joint("slide").qpos[0]) / 0.16,
+    "exp(-((speed(lab.bowl) - 0.2)^2) / 0.25)": lambda data: math.exp(
+        -((math.hypot(*data.joint(1).qvel[:3]) - 0.2) ** 2) / 0.25
+    ),
+    "int(inContact(lab.arm, lab.bowl)) + 2 * int(z(lab.bowl) > 0.5)": lambda _: 0,
+}
+
+
+def test_rewards_are_what_they_are_by_hand(lab, scene):
+    texts = [text for word, text in ROWS if "reward" in word]
+    assert texts == [*REWARDS]
+    scene["mujoco"].mj_forward(scene["model"], scene["data"])  # velocities of the present state
+    scene["lab"].tick()
+    for text in texts:
+        assert lab.eval(f"{text};") == pytest.approx(REWARDS[text](scene["data"]), rel=1e-12), text
+    # Standing still is 0.2 m/s too slow: exp(-0.04 / 0.25), and not more than 1.
+    assert lab.eval(f"{texts[2]};") == pytest.approx(0.852, abs=1e-3)
 
 
 TRUE = [

@@ -189,6 +189,13 @@ def test_pybullet(wrap, reconnects):
         ({"success": "z(sim.table) > 2"}, ArgumentError, "can never change: no joint moves table"),
         ({"success": "z(sim.ball) >"}, SelectScriptError, "success: "),
         ({"success": "z(sim.ball) > 1; 2"}, ArgumentError, "one expression"),
+        (
+            {"reward": {"a": "-distance(sim.pusher, sim.ball)^2"}},
+            ArgumentError,
+            r"reward\['a'\]: this is \(-distance\(sim.pusher, sim.ball\)\)\^2; .*or "
+            r"-\(distance\(sim.pusher, sim.ball\)\^2\)",
+        ),
+        ({"success": "exp(-x(sim.ball)^2) > 2"}, ArgumentError, r"success: .*-\(x\(sim.ball\)\^2"),
         ({"success": ""}, ArgumentError, "success: a term is a text"),
         ({"success": "x(sim.ball) > 9 AND z(sim.bal) > 1"}, UnknownNameError, "success: .*'ball'"),
         ({"failure": "x(sim.ball) < 9 OR z(sim.bal) > 1"}, UnknownNameError, "failure: .*'ball'"),

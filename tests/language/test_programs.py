@@ -57,15 +57,21 @@ CASES = {
     "n = 1; IF(n == 2; 'a'; (IF(n == 1; 2)));": 2,
     "SELECT IF(this > 1) FROM [1, 2, 3] AS list;": [False, True, True],
     "SELECT IF(this == 1; 'a'; IF(this == 2; 'b'; 'c')) FROM [1, 2, 3] AS list;": ["a", "b", "c"],
+    # lists of numbers have a difference, element by element
+    "[5, 7.5, 9] - [1, 2, 3];": [4, 5.5, 6],
+    "[] - [];": [],
+    "SELECT [this, 3] - [1, this] FROM [1, 2] AS list;": [[0, 2], [1, 1]],
+    "c = [1, 2]; SELECT c - [this, this] FROM [1, 2] AS list;": [[0, 1], [-1, 0]],
+    "sub([3, 4], [1, 1])[1];": 3,
     # assignments: each row that comes to one runs it, in the order of the sources
     "n = 0; SELECT n = n + 1, this FROM [5, 6];": [{"n": 1, "this": 5}, {"n": 2, "this": 6}],
     "n = 0; SELECT n = n + 1, n FROM [5, 6] AS list;": [1, 1, 2, 2],
-    "n = 0; SELECT this FROM [5, 6] WHERE n = n + this AS list; n;": 11,
-    "n = 0; SELECT this FROM [0, 6] WHERE n = this AS list;": [6],
-    "n = 0; SELECT this FROM [1, 2, 3] WHERE (n = n + 1) > 1 AS list;": [2, 3],
+    "n = 0; SELECT this FROM [5, 6] WHERE IF(True; n = n + this, True) AS list; n;": 11,
+    "n = 0; SELECT this FROM [0, 6] WHERE n = this AS list;": [0],
+    "n = 0; SELECT this FROM [1, 2, 3] WHERE IF(True; n = n + 1, n > 1) AS list;": [2, 3],
     "n = 0; SELECT n = n + this FROM [1, 2, 3] WHERE this > 1 AS list; n;": 5,
-    "n = 0; SELECT this FROM [1, 2, 3] WHERE n = n + 1 LIMIT 2 AS list; n;": 2,
-    "n = 0; SELECT a.this, b.this FROM a=[1, 2], b=[3, 4] WHERE n = 10 * n + a.this * b.this > 0 AS list; n;": True,
+    "n = 0; SELECT this FROM [1, 2, 3] WHERE IF(True; n = n + 1, n) LIMIT 2 AS list; n;": 2,
+    "n = 0; SELECT a.this, b.this FROM a=[1, 2], b=[3, 4] WHERE IF(True; n = 10 * n + a.this * b.this > 0, n) AS list; n;": True,
     "m = n = 0; SELECT m = n = n + this FROM [1, 2] AS list; [m, n];": [3, 3],
 }
 
@@ -148,7 +154,7 @@ CHAINS = {
     "and": (" AND ".join(["1"] * MANY) + " AND 0", False),
     "xor": (" XOR ".join(["True"] * (MANY + 1)), True),
     "equal": ("1" + " == 1" * MANY, True),
-    "less": ("0" + " < 2" * MANY, True),
+    "less": ("0 < 2" + " <= 2" * MANY, True),
     "in": ("1" + " IN [True]" * MANY, True),
     "texts": ("'a'" + " + 'b'" * MANY + " == 'a'", False),
     "elements": ("'a'" + "[0]" * MANY, "a"),
@@ -307,7 +313,9 @@ def test_a_users_function_is_what_an_operator_means(ss, sign):
     before = [ss.eval(program) for program in programs]
     with pytest.warns(UserWarning, match=f"'{name}' replaces the operator"):
         ss.add_function(name, lambda a, b: [a, b])
-    nested = reduce(lambda a, _: [a, 1], range(40), 1)
+    nested: object = reduce(lambda a, _: [a, 1], range(40), 1)
+    if sign in ("<", "<=", ">", ">="):  # `a < b < c` is `a < b AND b < c`
+        nested = True
     assert [ss.eval(program) for program in programs] == [[1, 2], [[1, 2], [5, 2]], [1, 5], nested]
     assert ss.eval(f"eval('3 {sign} 4');") == [3, 4]
     ss.del_function(name)

@@ -13,9 +13,32 @@ from tests.support.habits import _interpreter
 @pytest.mark.parametrize(
     ("program", "value"),
     [
-        # A variable that is there is set.
-        ("n = 1; SELECT this FROM [7] WHERE (n = 2) AND n > 1 AS list; n;", 2),
+        # In a condition it compares, whatever variables there are.
+        ("n = 1; SELECT this FROM [7] WHERE (n = 2) AND n > 1 AS list; n;", 1),
+        ("n = 1; SELECT this FROM [7] WHERE n = 1 AND this = 7 AS list;", [7]),
+        ("n = 1; SELECT this FROM [7] WHERE NOT [n = 2][0] AS list; n;", 1),
+        ("n = 1; SELECT this FROM [7] WHERE str(n = 1) = 'True' AS list;", [7]),
+        ("n = 1; SELECT this FROM [7] HAVING n = 2 OR (n = 1) AS list;", [7]),
+        ("n = 1; SELECT a.this FROM [7] a JOIN [8] b ON n = 1 AND (n = 1) AS list;", [7]),
+        ("cube = 1; SELECT this FROM [1, 2] WHERE cube = this AND this > 0 AS list; cube;", 1),
+        ("cube = 1; SELECT this FROM [1, 2] WHERE cube = this AND this > 0 AS list;", [1]),
+        ("name = 1; SELECT id FROM kitchen WHERE name = 'can' AND z > 0.1 AS list; name;", 1),
         ("z = 1; SELECT id FROM kitchen WHERE (z = 0) AS list;", []),
+        (
+            "s = 9; SELECT this FROM [1] START WITH s = 1 CONNECT BY s = s + 1 STOP WITH (s = 2) "
+            "AND s = 2 AS list;",
+            [[1, 1]],
+        ),
+        # A part of a branch of IF before the last sets it.
+        ("n = 1; SELECT this FROM [7] WHERE IF(n = 1; n = 2, n = 2; False) AS list; n;", 2),
+        ("n = 1; SELECT this FROM [7] WHERE IF(n = 1; n = 2; False) AS list;", []),
+        ("n = 1; SELECT this FROM [7, 8] WHERE IF(n = 5; 1; n = n + this, n = 8) AS list; n;", 16),
+        (
+            "n = m = 1; SELECT this FROM [7] WHERE IF(True; n = m = 3, True) AS list; [n, m];",
+            [3, 3],
+        ),
+        ("n = 1; SELECT this FROM [7] WHERE IF(True; n = [2, 3], n[0] = 2) AS list; n;", [2, 3]),
+        # Elsewhere, a variable that is there is set.
         ("n = 0; SELECT n = n + this FROM [1, 2] AS list;", [1, 3]),
         ("SELECT (x = this) FROM [1, 2] AS list; x;", 2),
         ("SELECT (new = this) + 1 FROM [1, 2] AS list; new;", 2),
