@@ -73,6 +73,7 @@ def test_only_a_handle_and_its_world_import_each_other(imports):
     assert cycles(imports, OF_HANDLES) == []
 
 
+@pytest.mark.slow
 def test_nothing_imports_in_circles_when_it_runs():
     graph = grimp.build_graph("ssduck", cache_dir=None, exclude_type_checking_imports=True)
     assert len(graph.modules) > 100

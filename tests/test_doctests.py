@@ -17,6 +17,7 @@ MODULES = sorted(
 OPTIONS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_of_docstrings_give_what_they_say(name, monkeypatch):
     monkeypatch.setattr(registry, "_ADAPTERS", dict(registry._ADAPTERS))

@@ -184,6 +184,7 @@ def test_the_nearer_triangle_hides_the_other_one(order):
     assert drawn.sum() > 100
 
 
+@pytest.mark.slow
 def test_a_mesh_is_hidden_by_what_stands_before_it(room):
     picture = room.eval("SELECT obj FROM room AS mesh;").image()
     area = pixels(picture)[:, :480]
@@ -197,6 +198,7 @@ def test_a_mesh_is_hidden_by_what_stands_before_it(room):
     assert counts["hidden"] == 0
 
 
+@pytest.mark.slow
 def test_points_and_meshes_in_notebooks(room):
     for form in ("points(0.05)", "mesh"):
         value = room.eval(f"SELECT obj FROM room AS {form};")
@@ -211,6 +213,7 @@ def test_points_and_meshes_in_notebooks(room):
     assert flat.size[0] > 0
 
 
+@pytest.mark.slow
 def test_links_are_drawn_by_their_names(room):
     for form in ("mesh", "points(0.05)", "graph"):
         value = room.eval(f"SELECT this FROM links(room) AS {form};")

@@ -164,6 +164,7 @@ def test_types_of_values(value, type):
     assert list(display_table(value).types) == [type]
 
 
+@pytest.mark.slow
 def test_shown_on_a_terminal_fits(monkeypatch):
     """`print(ss.sql(…))` and `ss.show(…)`; the types of columns that SQL gives are told."""
     with ssduck.load("chaos", recording=None) as ss:

@@ -137,6 +137,7 @@ def test_show_prints(chaos, capsys, monkeypatch):
             result.show(**bad)
 
 
+@pytest.mark.slow
 def test_only_the_rows_shown_become_values(chaos, monkeypatch):
     """A result of a million rows is shown at once."""
     result = chaos.sql("SELECT i, 'a' || i AS name FROM range(1000000) r(i)")

@@ -155,6 +155,7 @@ def test_what_is_no_graph(kitchen, query, message):
         kitchen.eval(f"{query} AS graph;")
 
 
+@pytest.mark.slow
 def test_entities_of_several_ticks_are_no_graph(kitchen):
     with ssduck.load("kitchen") as ss:
         ss.call_variable("kitchen").step()
@@ -164,6 +165,7 @@ def test_entities_of_several_ticks_are_no_graph(kitchen):
         assert moved.nodes["table"]["position"] == ss.call_variable("kitchen")["table"].position
 
 
+@pytest.mark.slow
 def test_entities_of_one_name_are_no_graph(kitchen):
     with ssduck.load("kitchen") as other:
         kitchen.add_variable("other", other.call_variable("kitchen"))
@@ -205,6 +207,7 @@ def unquoted(text):
     return "".join(found)
 
 
+@pytest.mark.slow
 @of_pydot
 def test_dot_of_the_kitchen(kitchen):
     columns = "above(a.this, b.this), to(distance(a.this, b.this), 'd'), isRobot(a.this)"
@@ -218,6 +221,7 @@ def test_dot_of_the_kitchen(kitchen):
     assert nodes["table"]["shape"] == "ellipse"
 
 
+@pytest.mark.slow
 @of_pydot
 def test_dot_draws_an_edge_a_row(kitchen):
     several = PAIRS.replace("FROM", "FROM s=[1, 2],")

@@ -90,6 +90,7 @@ def parted(clause):
     return head, [float(number) for number in found]
 
 
+@pytest.mark.slow
 def test_the_clauses_that_the_tutorial_prints(kitchen):
     """Beside them are those of the robots' volumes, 0.0, which Python holds to be False."""
     found = kitchen.eval(QUERY)
@@ -106,6 +107,7 @@ def test_the_clauses_that_the_tutorial_prints(kitchen):
     assert sum(bool(parted(clause)[1]) for clause in rest) == 29 + 25
 
 
+@pytest.mark.slow
 def test_it_is_one_query(kitchen):
     sent = []
     with ssduck.Interpreter(tracer=sent.append) as ss:
@@ -115,6 +117,7 @@ def test_it_is_one_query(kitchen):
         assert len([text for text in sent if "above" in text or "xmin" in text]) == 1
 
 
+@pytest.mark.slow
 def test_row_by_row_is_the_same(kitchen):
     with ssduck.Interpreter(row_by_row=True) as ss:
         ss.add_variable("kitchen", kitchen.call_variable("kitchen"))
@@ -124,6 +127,7 @@ def test_row_by_row_is_the_same(kitchen):
         assert ss.eval(few) == kitchen.eval(few) != []
 
 
+@pytest.mark.slow
 @needs_swipl
 def test_swi_prolog_answers_as_printed(kitchen, tmp_path):
     clauses = kitchen.eval(QUERY)
@@ -376,6 +380,7 @@ def test_what_does_not_fit_when_scaled(value):
         _asp_term(value, 1000)
 
 
+@pytest.mark.slow
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\0")) | st.integers())
 def test_clingo_reads_what_was_meant(value):
     clingo = pytest.importorskip("clingo")
@@ -394,6 +399,7 @@ def test_letters_that_clingo_does_not_know(text):
         _asp_term(text, None)
 
 
+@pytest.mark.slow
 def test_clingo_answers(kitchen):
     clingo = pytest.importorskip("clingo")
     facts = kitchen.eval(QUERY.replace("AS prolog", "AS asp(scale=1000)"))

@@ -200,6 +200,7 @@ def test_a_glb_may_be_forbidden(tmp_path):
 # -- pictures ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limits", "most"),
     [
@@ -243,6 +244,7 @@ def test_the_units_of_the_two_cameras_are_seen_as_theirs(kitchen, name, seen):
     assert high - low == pytest.approx([0.01] * 3)
 
 
+@pytest.mark.slow
 def test_a_picture_shows_what_is_selected(kitchen):
     world = kitchen.call_variable("kitchen")
     picture = kitchen.eval(ROBOTS.format("kitchen"))
@@ -282,6 +284,7 @@ def test_segmentation_is_by_ids(kitchen):
     assert 0 in shown
 
 
+@pytest.mark.slow
 def test_a_sensor_is_shown_by_its_body(kitchen):
     laser = (
         "SELECT obj FROM kitchen WHERE id(this) == 'barrett_4918_laser_scaner' AS image(160, 120);"
@@ -303,6 +306,7 @@ def test_a_picture_of_a_recorded_tick():
         assert (np.abs(past.astype(int) - before).max(axis=2) > 8).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_a_picture_of_a_what_if_world(kitchen):
     world = kitchen.call_variable("kitchen")
     kitchen.add_variable(

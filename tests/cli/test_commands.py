@@ -27,6 +27,7 @@ def test_scenes():
     assert "four robots" in written
 
 
+@pytest.mark.slow
 def test_functions():
     written = answer("functions")
     with ssduck.Interpreter() as ss:
@@ -92,6 +93,7 @@ def test_demo_in_an_empty_folder(tmp_path):
         assert len(picture.getcolors(maxcolors=960 * 720)) > 500
 
 
+@pytest.mark.slow
 def test_demo_of_another_scene(here):
     written = answer("demo", "two.toml", "--output", "picture.jpg")
     assert "big     small" in written
@@ -99,6 +101,7 @@ def test_demo_of_another_scene(here):
         assert picture.format == "JPEG"
 
 
+@pytest.mark.slow
 def test_demo_without_sql_and_picture(here):
     before = sorted(here.iterdir())
     written = answer("demo", "two.toml", "--no-sql", "--no-picture")
@@ -113,6 +116,7 @@ COLOURS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("env", "coloured"), COLOURS)
 def test_colours(here, env, coloured):
     env = {"NO_COLOR": None, "FORCE_COLOR": None, "TERM": "xterm", **env}

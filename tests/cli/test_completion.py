@@ -13,6 +13,7 @@ import pytest
 BASH = shutil.which("bash")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(BASH is None, reason="needs bash")
 def test_bash_completes_commands_after_the_installation(tmp_path: Path) -> None:
     environment = os.environ | {"HOME": str(tmp_path)}

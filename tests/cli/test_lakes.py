@@ -22,6 +22,7 @@ def runs(tmp_path_factory):
     return str(folder)
 
 
+@pytest.mark.slow
 def test_a_table_of_episodes_fits_a_terminal(runs):
     heading = answer("lake", runs).splitlines()[0].split()
     assert heading[:4] == ["path", "world", "episode", "started"]
@@ -30,6 +31,7 @@ def test_a_table_of_episodes_fits_a_terminal(runs):
     assert {"id", "entities", "tables"} <= whole[0].keys()
 
 
+@pytest.mark.slow
 def test_lake_ask_and_tag(runs):
     assert answer("tag", runs, "lab=b12", "--where", "task = 'drop'") == "lab: 1 episode\n"
     program = "held=heldFor(above(kitchen.table, kitchen.can)) >= 0;"
@@ -58,6 +60,7 @@ def test_ask_writes_sql(runs, tmp_path):
     assert "on, which compares shapes, is not written as SQL" in result.stderr
 
 
+@pytest.mark.slow
 def test_errors_of_episodes_end_with_1(runs):
     result = ssduck_("ask", runs, "z(kitchen.spoo);")
     assert result.exit_code == 1
@@ -65,6 +68,7 @@ def test_errors_of_episodes_end_with_1(runs):
     assert "no entity" in result.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_doubt_is_told_and_an_error_of_strict_questions(runs):
     program = "count(SELECT id FROM kitchen WHERE kind=='robto' AS list);"
@@ -76,6 +80,7 @@ def test_a_doubt_is_told_and_an_error_of_strict_questions(runs):
     assert all("did you mean 'robot'?" in row["error"] for row in json.loads(result.stdout))
 
 
+@pytest.mark.slow
 def test_mistakes(runs):
     for arguments, message in (
         (("ask", runs, "1;", "--where", "tsk = 1"), "did you mean"),

@@ -165,6 +165,7 @@ def test_the_parent_ends_as_its_child(code, output, status):
     assert (done.stdout, done.returncode, done.stderr) == (output, status, "")
 
 
+@pytest.mark.slow
 @LINUX
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_both(number):

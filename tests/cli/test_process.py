@@ -94,6 +94,7 @@ def test_interrupted(here, arguments):
     assert (process.returncode, out, err) == (130, "", "")
 
 
+@pytest.mark.slow
 def test_help_waits_for_neither_simulator_nor_database(tmp_path):
     code = """
 import sys

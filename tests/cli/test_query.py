@@ -52,6 +52,7 @@ def test_answers(here, loaded, monkeypatch, arguments, format, expected):
     assert (json.loads(written) if format == "json" else written) == expected
 
 
+@pytest.mark.slow
 def test_a_row_of_json_is_a_line(here):
     assert answer("query", "two.toml", "SELECT id FROM two;", "-F", "json") == (
         '[\n{"id": "big"},\n{"id": "small"}\n]\n'
@@ -74,6 +75,7 @@ def test_many_rows(here, format):
         assert (len(lines), lines[-1]) == (20002, "19999  9999.5  [19999, 19999]")
 
 
+@pytest.mark.slow
 def test_a_table_is_folded_on_a_terminal_and_whole_elsewhere(here):
     sql = f"SELECT '{'long ' * 60}' AS text, name FROM entities"
     assert max(map(len, answer("query", "two.toml", "--sql", sql).splitlines())) > 300
@@ -243,6 +245,7 @@ def test_errors(here, arguments, code, told):
     assert result.stderr.startswith("error: ") == (code == 1)
 
 
+@pytest.mark.slow
 def test_the_mark_stands_under_what_it_marks(here):
     program = "two;\n\t[0] == [abov(two, two)]; '[red]not markup[/red]'"
     for env in ({}, {"FORCE_COLOR": "1", "COLUMNS": "30", "TERM": "xterm"}):
@@ -279,6 +282,7 @@ no entity of two has the name 'bigg'; did you mean 'big'?
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "filter", "code", "prefix"),
     [
@@ -405,6 +409,7 @@ def test_a_table_is_no_picture(here):
     assert not (here / "picture.png").exists()
 
 
+@pytest.mark.slow
 def test_strict_queries_are_confined(here):
     (here / "other.csv").write_text("a\n7\n")
     text = "FROM read_csv('other.csv')"

@@ -16,6 +16,7 @@ from tests.support.command_line import LINUX, answer, ssduck_, start, written
 from tests.support.timing import HANGS
 
 
+@pytest.mark.slow
 @sampled("output", ["run", "run.duckdb"], every=2)
 def test_a_scene_is_recorded_and_asked(here, output):
     written = answer("record", "two.toml", "--seconds", "0.5", "-o", output)
@@ -37,6 +38,7 @@ def test_a_scene_is_recorded_and_asked(here, output):
     assert re.fullmatch(r"two +1  \S+ +3 +0  0.1  entities", lines[3])
 
 
+@pytest.mark.slow
 def test_a_record_of_one_tick(here):
     written = answer("record", "two.toml", "--seconds", "0", "-o", "run")
     assert written == "1 tick of 'two', at 0 s: episode 0 in run\n"
@@ -79,6 +81,7 @@ RECORD_ERRORS = [
 ]
 
 
+@pytest.mark.slow
 @sampled(
     ("arguments", "code", "told"),
     RECORD_ERRORS,
@@ -96,6 +99,7 @@ def test_errors_of_records(here, arguments, code, told):
     assert not Path("out").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_of_the_name_of_a_scene_is_not_taken_for_it(here):
     answer("record", "two.toml", "--seconds", "0.02", "-o", "kitchen")
     assert answer("query", "kitchen", "count(SELECT this FROM kitchen AS list);") == "37\n"
@@ -130,6 +134,7 @@ def test_an_interrupted_recording_is_whole(here, output, number, told):
     assert episode.ticks > 10
 
 
+@pytest.mark.slow
 def test_a_bar_on_a_terminal(here):
     terminal = {"FORCE_COLOR": "1", "COLUMNS": "60", "TERM": "xterm"}
     result = ssduck_("record", "two.toml", "--seconds", "0.2", "-o", "run", env=terminal)

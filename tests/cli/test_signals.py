@@ -13,6 +13,7 @@ import typer
 
 import ssduck
 from ssduck.cli import signals
+from tests.support.cases import sampled
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -70,7 +71,7 @@ COMMANDS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", ENDING)
+@sampled("number", ENDING, every=3)
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_export_that_a_signal_ends_leaves_nothing(tmp_path, name, number):
     count = 20_000

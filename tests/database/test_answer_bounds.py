@@ -114,6 +114,7 @@ def test_answers_that_are_surely_small_are_fetched_by_column(program, limits, ru
     assert len(fetched) >= runs if runs else not fetched
 
 
+@pytest.mark.slow
 def test_more_rows_than_allowed_are_an_error_when_fetched_by_column():
     program = "SELECT a.id, b.id, a.z FROM a=kitchen, b=kitchen WHERE a.z <= height AS list;"
     limits = ssduck.Limits.strict(progress=False, rows=1_000)

@@ -126,6 +126,7 @@ def test_a_world_bound_twice_has_two_schemas(sim):
     )
 
 
+@pytest.mark.slow
 def test_a_name_is_rebound_in_both_languages(sim):
     interpreter, _, _ = sim
     with ssduck.load("kitchen") as ss:
@@ -136,6 +137,7 @@ def test_a_name_is_rebound_in_both_languages(sim):
         assert len(interpreter.sql("FROM sim.entities")) == len(kitchen)
 
 
+@pytest.mark.slow
 def test_worlds_whose_names_differ_in_case_only_are_refused(sim):
     interpreter, _, _ = sim
     with ssduck.load("kitchen") as ss:
@@ -216,6 +218,7 @@ def test_selectscript_pairs_are_a_range_join_too(ss):
     assert any(join in plan for join in ("IE JOIN", "PIECEWISE MERGE JOIN"))
 
 
+@pytest.mark.slow
 def test_statements_a_run():
     """A compiled query is one statement; its plan is kept until the tables change."""
     told = []
@@ -249,6 +252,7 @@ def test_statements_a_run():
     interpreter.close()
 
 
+@pytest.mark.slow
 @sampled(
     "columns",
     [
@@ -307,6 +311,7 @@ def test_a_users_prepared_statement_never_reads_old_buffers(sim):
     assert interpreter.sql("EXECUTE mine").fetchone() == (4,)
 
 
+@pytest.mark.slow
 def test_views_of_on_demand_tables_stay_up_to_date(sim):
     interpreter, client, _ = sim
     world = interpreter.call_variable("sim")
@@ -330,6 +335,7 @@ def test_stepping_is_seen_by_the_next_query(sim):
     assert len(set(heights)) == 3
 
 
+@pytest.mark.slow
 def test_many_texts_do_not_pile_up(ss, monkeypatch):
     monkeypatch.setattr("ssduck.interpreter.planner.MAX_PLANS", 10)
     for number in range(25):
@@ -369,6 +375,7 @@ def test_a_query_and_what_is_nested_in_it_are_of_one_tick(sim):
             assert all(interpreter.eval(answers))
 
 
+@pytest.mark.slow
 def test_a_forgotten_plan_is_made_anew(sim):
     """Here while it runs: the function that it calls makes another world known."""
     interpreter, _, _ = sim
@@ -382,6 +389,7 @@ def test_a_forgotten_plan_is_made_anew(sim):
             ]
 
 
+@pytest.mark.slow
 def test_a_function_may_look_at_links_and_joints():
     with ssduck.load("kitchen") as ss:
         ss.add_function("axes", lambda e: len(e.joints))
@@ -503,6 +511,7 @@ def test_parameters(ss, sql, parameters, rows):
     assert ss.sql(sql, parameters).fetchall() == rows
 
 
+@pytest.mark.slow
 def test_other_statements(ss):
     ss.sql("CREATE TABLE kept AS SELECT 1 AS i")
     assert ss.sql("FROM kept").fetchall() == [(1,)]
@@ -538,6 +547,7 @@ def test_a_file_keeps_nothing_of_worlds_that_are_gone(tmp_path, sim):
         assert ss.sql("SELECT sim.collides(e, e) FROM sim.entities e").fetchall() == [(False,)] * 3
 
 
+@pytest.mark.slow
 def test_tables_columns_and_functions_are_commented(sim):
     sim, *_ = sim
     assert sim.sql(
@@ -591,6 +601,7 @@ def test_a_letter_that_is_another_in_upper_case_only(ss):
         ss.sql("SELECT * FROM entitie\u017f")
 
 
+@pytest.mark.slow
 def test_a_closed_interpreter_says_so(tmp_path):
     ss = ssduck.load("kitchen")
     ss.close()

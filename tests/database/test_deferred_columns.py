@@ -38,6 +38,7 @@ STATEMENTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sql", STATEMENTS)
 @pytest.mark.parametrize(
     "recording",

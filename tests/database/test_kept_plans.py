@@ -153,6 +153,7 @@ PROGRAMS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", PROGRAMS)
 def test_programs_have_the_values_of_a_new_interpreter(traced, text):
     ss, client, statements = traced
@@ -206,6 +207,7 @@ def test_a_cast_that_duckdb_never_makes_is_no_error(traced, sql):
         move(ss, client)
 
 
+@pytest.mark.slow
 def test_a_users_macro_sees_whole_rows(traced):
     ss, _, _ = traced
     ss.sql("CREATE MACRO letters(e) AS length(typeof(e))")
@@ -350,6 +352,7 @@ def test_no_plan_is_kept_of_many_combinations(traced, monkeypatch, maximum, kept
     assert is_kept(ss) == kept
 
 
+@pytest.mark.slow
 def test_a_users_table_takes_the_place_of_a_worlds(traced):
     ss, _, _ = traced
     sql = "SELECT count(*) FROM entities"

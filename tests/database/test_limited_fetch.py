@@ -48,6 +48,7 @@ def test_no_more_rows_are_fetched_than_asked():
     assert rows == wanted[:7]
 
 
+@pytest.mark.slow
 def test_long_rows_are_fetched_in_small_batches():
     _, sizes, _ = fetched("SELECT repeat('x', 1_000_000) || n FROM range(50) t(n)")
     assert max(sizes) < 15_000_000
@@ -70,6 +71,7 @@ def test_the_types_of_a_kept_statement_are_read_once():
         assert found == free.eval(PAIRS)
 
 
+@pytest.mark.slow
 def test_a_statement_that_is_prepared_anew_has_its_own_types():
     with ssduck.load("kitchen", limits=ssduck.Limits.strict(progress=False)) as ss:
         program = ss.compile(PAIRS)
@@ -146,6 +148,7 @@ def test_a_statement_whose_table_changes_has_its_own_types():
                 assert found == plain.execute("FROM rows").fetchall()
 
 
+@pytest.mark.slow
 def test_limits_end_an_answer_by_column():
     statements, sql = RepeatedStatements(), "SELECT n || ' words' FROM range(getvariable('n')) t(n)"
 

@@ -89,6 +89,7 @@ def _functions(ss: ssduck.Interpreter) -> set[str]:
     return set(ss._database.connection._functions)
 
 
+@pytest.mark.slow
 def test_a_program_makes_what_it_names(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     count = Count(monkeypatch)
     with ssduck.open(run) as ss:
@@ -121,6 +122,7 @@ def _macros(ss: ssduck.Interpreter) -> set[tuple[str, str]]:
     return set(ss._database.connection.internal_rows(sql))
 
 
+@pytest.mark.slow
 def test_a_users_query_makes_what_it_names(run: Path) -> None:
     with ssduck.open(run) as ss:
         assert ss.sql("SELECT 1").fetchall() == [(1,)]
@@ -145,6 +147,7 @@ def file(client: int, tmp_path: Path) -> Path:
     return tmp_path / "run.duckdb"
 
 
+@pytest.mark.slow
 def test_a_query_of_a_file_makes_what_it_names(file: Path) -> None:
     with ssduck.open(file) as ss:
         assert ss.sql("SELECT count(*) FROM entities_history").fetchall() == [(2,)]
@@ -205,6 +208,7 @@ def test_a_message_suggests_names_that_no_statement_had(
         ss.sql(sql)
 
 
+@pytest.mark.slow
 def test_a_users_own_views_and_macros_find_everything(run: Path) -> None:
     with ssduck.open(run) as ss:
         ss.sql("SELECT 'entities'").fetchall()
@@ -214,6 +218,7 @@ def test_a_users_own_views_and_macros_find_everything(run: Path) -> None:
         assert ss.sql(query).fetchall() == [(0,)]
 
 
+@pytest.mark.slow
 def test_macros_follow_the_worlds(run: Path) -> None:
     touching = "SELECT count(*) FROM lab.entities a, lab.entities b WHERE {}clearance(a, b) < 5"
     with ssduck.open(run) as ss:
@@ -250,6 +255,7 @@ def test_a_program_and_a_statement_agree_in_any_order(run: Path) -> None:
     assert all(answer == answers[0] for answer in answers)
 
 
+@pytest.mark.slow
 def test_a_recording_that_begins_anew_has_new_views(client: int) -> None:
     pybullet.createMultiBody(1, physicsClientId=client)
     with ssduck.Interpreter(recording=Recording(tables=("entities",))) as ss:
@@ -266,6 +272,7 @@ def test_a_recording_that_begins_anew_has_new_views(client: int) -> None:
 # -- databases that are used again ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_database_is_used_again(run: Path, pool: InstancePool) -> None:
     instances = []
     for _ in range(3):
@@ -293,6 +300,7 @@ def test_a_database_that_a_user_wrote_to_is_not(run: Path, pool: InstancePool) -
     assert not pool._waiting
 
 
+@pytest.mark.slow
 def test_a_database_whose_memory_was_limited_has_no_limit(run: Path, pool: InstancePool) -> None:
     """Opening a record and SelectScript do not seal it, as users' SQL does."""
     select = "SELECT name, value FROM duckdb_settings()"
@@ -338,6 +346,7 @@ def test_recorded_ticks_leave_nothing(client: int, pool: InstancePool, changed: 
     pool.close()
 
 
+@pytest.mark.slow
 def test_an_opened_record_leaves_nothing(run: Path, pool: InstancePool) -> None:
     """Schemas that ssduck made are known, those of other connections are asked for."""
     for _ in range(2):
@@ -353,6 +362,7 @@ def test_an_opened_record_leaves_nothing(run: Path, pool: InstancePool) -> None:
     pool.close()
 
 
+@pytest.mark.slow
 def test_few_databases_wait(run: Path, pool: InstancePool) -> None:
     opened = [ssduck.open(run) for _ in range(MAX_WAITING + 2)]
     for ss in opened:

@@ -198,6 +198,7 @@ def test_the_schemas_that_may_be_omitted(ss):
         ss.sql("SET schema = $1", ["room_record_0"])
 
 
+@pytest.mark.slow
 def test_a_failing_transaction_is_undone(ss):
     with pytest.raises(SqlError, match="no"):
         ss.sql("BEGIN; CREATE TABLE mine (a INTEGER); SELECT error('no'); COMMIT")

@@ -253,6 +253,7 @@ def test_every_relation_has_a_name_that_needs_no_quotes(one, name, schema):
     one.sql(f"SELECT {before}{call} FROM entities a, entities b WHERE {before}{call} IS NOT NULL")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "second"), [("on", "onTop"), ("position", "positionOf"), ("time", "timeOf")]
 )

@@ -295,6 +295,7 @@ def test_no_query_of_with_writes_a_file_into_a_record(tmp_path):
     assert now == files
 
 
+@pytest.mark.slow
 def test_no_query_of_with_changes_a_table_of_a_file(tmp_path):
     with ssduck.Interpreter(str(tmp_path / "own.duckdb")) as ss:
         ss.sql("CREATE TABLE mine AS SELECT 1 AS a")
@@ -357,6 +358,7 @@ def test_a_statement_ends_in_time_and_memory(text, words):
         assert ss.sql("SELECT 42").fetchall() == [(42,)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", ["range, 'a' || range AS a", "range, DATE '2026-01-01' AS a"])
 def test_many_rows_are_the_same_under_limits(columns):
     """They are fetched in parts, as tuples or as an Arrow table."""
@@ -386,6 +388,7 @@ def test_duckdb_tells_of_texts_that_it_cannot_parse(strict):
         strict.sql("SELECT " + "+".join("1" * 5000))
 
 
+@pytest.mark.slow
 def test_a_permitted_text_is_checked_again_when_names_change():
     with ssduck.load("kitchen", limits=ssduck.Limits.strict()) as ss:
         for _ in range(2):
@@ -425,6 +428,7 @@ def test_records_open_under_limits(tmp_path):
                     ss.sql(f"COPY (SELECT 1) TO '{tmp_path / 'run' / 'new.csv'}'")
 
 
+@pytest.mark.slow
 def test_no_permitted_function_is_another_name_of_one_that_is_not():
     with ssduck.Interpreter() as ss:
         rows = ss.sql("SELECT DISTINCT function_name, alias_of FROM duckdb_functions()").fetchall()
@@ -434,6 +438,7 @@ def test_no_permitted_function_is_another_name_of_one_that_is_not():
     assert [(name, of) for name, of in others if of not in names] == []
 
 
+@pytest.mark.slow
 def test_permitted_functions_are_those_of_this_duckdb():
     with ssduck.Interpreter() as ss:
         rows = ss.sql("SELECT function_name FROM duckdb_functions()").fetchall()

@@ -275,6 +275,7 @@ def test_a_text_without_a_word_is_no_select(strict, text):
         strict.sql(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "place"), [("\ud800", 1), ("SELECT '\udc00\ud800'", 9)])
 def test_half_a_surrogate_pair_is_refused_before_anything_is_done(text, place):
     words = f"half of a surrogate pair as its letter {place}:"

@@ -205,6 +205,7 @@ def test_selectscript_has_the_same_pairs(ss, relation):
     assert "ssduck pairs" in query(ss, sql)
 
 
+@pytest.mark.slow
 def test_unknown_pairs_are_unknown(ss):
     sql = "SELECT a.name, b.name FROM entities a, entities b WHERE collides(a, b) IS NULL"
     found = check(ss, sql)
@@ -253,6 +254,7 @@ def test_a_semi_join_has_the_rows_of_the_join(ss, relation):
     assert ss.sql(RANGE_JOINS).fetchall() == [(5,)]
 
 
+@pytest.mark.slow
 def test_a_view_may_have_a_semi_join(traced):
     ss, _, _ = traced
     expected = rows(ss.sql("SELECT DISTINCT a.id FROM entities a, entities b WHERE collides(a, b)"))
@@ -260,6 +262,7 @@ def test_a_view_may_have_a_semi_join(traced):
     assert [rows(ss.sql("FROM v")) for _ in range(4)] == [expected] * 4
 
 
+@pytest.mark.slow
 def test_pairs_by_a_parameter_need_no_statement(traced):
     ss, _, told = traced
     text = "SELECT a.name, b.name FROM entities a, entities b WHERE near(b, a, $d) AND a.id < b.id"
@@ -366,6 +369,7 @@ def test_views_of_an_earlier_session(client, tmp_path):
         assert ss.sql(RANGE_JOINS).fetchall() != [(5,)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "sql",
     [
@@ -388,6 +392,7 @@ def test_errors_are_those_of_the_macro(ss, sql):
         assert found.value.message == expected.value.message
 
 
+@pytest.mark.slow
 def test_a_row_selected_by_name_is_compared_alone(ss):
     sql = "SELECT b.name FROM entities a, entities b WHERE a.name = 'b1' AND collides(a, b)"
     ss.call_variable("sim").tick()
@@ -437,6 +442,7 @@ def test_a_statement_is_prepared_once_after_some_runs(traced, sql):
     assert [sql.split()[0] for sql in statements] == ["EXECUTE"]
 
 
+@pytest.mark.slow
 def test_a_new_body_or_function_makes_new_plans(traced):
     ss, client, statements = traced
     for _ in range(RUNS):
@@ -460,6 +466,7 @@ def test_a_new_body_or_function_makes_new_plans(traced):
     assert prepared(statements) == 1
 
 
+@pytest.mark.slow
 def test_the_search_for_pairs_is_that_of_selectscript(traced):
     ss, _, _ = traced
     world = ss.call_variable("sim")
@@ -544,6 +551,7 @@ def test_merge_joins_which_crash_prepared_statements_stay_off(traced, setting):
     assert ss.sql(value).fetchall() == [(10**9,)]
 
 
+@pytest.mark.slow
 def test_results_of_many_rows_types_and_parameters(traced):
     ss, _, _ = traced
     cases = {
@@ -585,6 +593,7 @@ def test_a_limit_of_rows_holds_for_kept_plans(client):
         assert len(ss.sql("SELECT name FROM entities LIMIT 5")) == 5
 
 
+@pytest.mark.slow
 def test_limits_of_many_texts_hold_at_each_run_and_are_measured_by_batch(monkeypatch):
     fetched = []
     measured = connection.limited_rows

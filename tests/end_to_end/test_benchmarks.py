@@ -11,7 +11,7 @@ from benchmarks.random_scenes import FORMS, KINDS, NEIGHBOURS, Piece, RandomScen
 from benchmarks.referee import bounds, may_touch, verdict
 from ssduck.recording.folder_check import check_folder
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2.0
 BOX = Piece("box", (0.5, 0.5, 0.5), CORNERS)

@@ -289,6 +289,7 @@ def test_a_cup_is_taken_to_the_sink(tmp_path):
     assert any("On the table: no cup" in line for line in said)
 
 
+@pytest.mark.long
 def test_a_cup_that_cannot_be_dropped_is_put_back():
     world = kitchen_of(FEW)
     cup = world["cup_58a2"]
@@ -313,6 +314,7 @@ def test_a_cup_that_cannot_be_dropped_is_put_back():
     assert tilt < 0.02  # upright
 
 
+@pytest.mark.long
 def test_what_cannot_be_reached_is_said(monkeypatch):
     monkeypatch.setattr(cleaner_module, "PLACES", 200)  # there is none, however many are tried
     said = []

@@ -176,6 +176,7 @@ def rounded(value):
     return value
 
 
+@pytest.mark.slow
 def test_values_that_the_readme_shows():
     """`expression  # value` lines are true."""
     with ssduck.load("kitchen") as ss:
@@ -236,6 +237,7 @@ CODE = [path for top in ("ssduck", "tools", "benchmarks") for path in (ROOT / to
 MENTION = re.compile(r"\bdocs/[\w/.-]*\.(?:md|png)\b")
 
 
+@pytest.mark.slow
 def test_pages_that_the_code_mentions_exist():
     mentions = {
         (path.relative_to(ROOT).as_posix(), name)

@@ -209,6 +209,7 @@ def test_the_cube_left_the_table(hour: tuple[Loop, ssduck.Interpreter]) -> None:
     assert time == pytest.approx(last * STEP, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_how_long_the_cube_rests(hour: tuple[Loop, ssduck.Interpreter]) -> None:
     loop, ss = hour
     start = STEPS + 1

@@ -55,6 +55,7 @@ def test_an_error_is_its_message_and_its_place(hall):
     assert len(lines) < 12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "told"),
     [

@@ -146,6 +146,7 @@ def test_a_model_that_pybullet_cannot_be_told(tmp_path):
         ssduck.load(path)
 
 
+@pytest.mark.slow
 def test_a_duckdb_file_in_a_folder_with_a_question_mark(client, tmp_path):
     for name in ("a?b", "?"):
         (tmp_path / name).mkdir()

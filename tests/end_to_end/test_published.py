@@ -78,6 +78,7 @@ def test_the_small_map_has_48_colourings():
     assert counted(SMALL, 3) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", COLOURED)
 def test_flat_map(ss, size):
     assert ss.eval(problems.flat(MAPS[size])) == COLOURED[size]
@@ -94,6 +95,7 @@ def test_a_map_is_one_statement(told, write):
     assert len([text for text in statements if "SELECT" in text]) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [problems.flat, problems.nested])
 def test_neighbours_of_another_map_with_the_same_interpreter(told, write):
     """The lists in variables may change between two runs of what was compiled."""

@@ -47,6 +47,7 @@ def scene(seed):
     return boxes, positions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_once", [3, 500_000])
 def test_the_pairs_are_those_of_all_comparisons(monkeypatch, at_once):
     monkeypatch.setattr(box_relations, "_CANDIDATES_AT_ONCE", at_once)

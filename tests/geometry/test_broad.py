@@ -51,6 +51,7 @@ def test_the_same_as_all_pairs(seed, sizes, apart):
     assert found(boxes, apart) == brute(boxes, apart)
 
 
+@pytest.mark.slow
 @given(
     arrays(np.int8, (3, 12), elements=st.integers(-4, 4)),
     arrays(np.int8, (3, 12), elements=st.integers(-1, 30)),

@@ -72,6 +72,7 @@ MIXED = ["box"] * 20 + ["sphere"] * 10 + ["capsule"] * 6 + ["cylinder"] * 6 + ["
 SCENES = {"boxes": ["box"] * 60, "mixed": MIXED, "on the ground": ["plane", *MIXED]}
 
 
+@pytest.mark.slow
 @sampled("seed", range(3), every=3)
 @pytest.mark.parametrize("kinds", SCENES.values(), ids=SCENES)
 def test_at_once_is_one_by_one(client, ask, kinds, seed):
@@ -124,6 +125,7 @@ IN_ORDER = {
 }
 
 
+@pytest.mark.slow
 @sampled(
     ("sources", "condition"),
     [(key, one) for key, some in IN_ORDER.items() for one in some],

@@ -167,6 +167,7 @@ def test_entities_of_several_shapes_are_on_each_other_as_one_by_one(seed):
     assert False in expected
 
 
+@pytest.mark.slow
 def test_convex_pairs_need_neither_fcl_nor_a_polytope(monkeypatch):
     random = np.random.default_rng(3)
     kinds = ("box", "capsule", "cylinder", "hull")

@@ -58,6 +58,7 @@ def test_rotation_matrices(quaternion):
     assert matrix == pytest.approx(of(quaternion).as_matrix(), abs=1e-14)
 
 
+@pytest.mark.slow
 @given(quaternions, quaternions)
 def test_multiply(first, second):
     product = multiply(first[None], second[None])[0]
@@ -67,6 +68,7 @@ def test_multiply(first, second):
     assert np.linalg.norm(product) == pytest.approx(1.0, abs=1e-14)
 
 
+@pytest.mark.slow
 @given(vectors, vectors)
 def test_cross(first, second):
     assert cross(first[None], second[None])[0] == pytest.approx(np.cross(first, second), abs=1e-11)
@@ -81,6 +83,7 @@ def test_compose_is_one_pose_after_the_other(position, orientation, inner, turn,
     assert by_one == pytest.approx(by_two, abs=1e-11)
 
 
+@pytest.mark.slow
 @given(vectors, quaternions)
 def test_invert_undoes_a_pose(position, orientation):
     pose = position[None], orientation[None]
@@ -246,6 +249,7 @@ def test_the_same_boxes_for_one_pose_after_another(seed):
     assert again.tolist() == boxed(shapes, groups, 5, positions, orientations).tolist()
 
 
+@pytest.mark.slow
 @given(vectors, st.sampled_from(sorted(SOLID)), quaternions)
 def test_a_shifted_shape_has_a_shifted_box(shift, name, turn):
     shape = [PlacedGeometry(0, SOLID[name], np.array([0.1, -0.2, 0.3]), turn)]
@@ -254,6 +258,7 @@ def test_a_shifted_shape_has_a_shifted_box(shift, name, turn):
     assert there == pytest.approx(here + shift, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(quaternions, quaternions, vectors)
 def test_a_shape_turned_in_its_frame_is_one_in_a_turned_frame(frame, turn, place):
     inside = [PlacedGeometry(0, CYLINDER, place, turn)]

@@ -51,12 +51,14 @@ def undecided(two, bounds=BOUNDS):
     return np.concatenate(left)
 
 
+@pytest.mark.slow
 @sampled("kinds", COMBINATIONS, every=3, ids=" ".join)
 def test_verdicts_are_what_gaps_say(kinds):
     left = undecided([pairs.pair(kinds, seed) for seed in range(60)])
     assert (np.abs(left) > 1e-6).sum() <= 0.01 * 60 * 2 * len(BOUNDS)
 
 
+@pytest.mark.slow
 @given(
     kinds=st.sampled_from(COMBINATIONS),
     seed=st.integers(0, 2**32),
@@ -235,6 +237,7 @@ def boxes_apart(tick, i, j):
     return gaps.min(initial=math.inf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_round", [False, True])
 @sampled("seed", range(4), every=4)
 def test_all_pairs_of_a_tick(seed, is_round):

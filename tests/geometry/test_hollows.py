@@ -32,6 +32,7 @@ def tick_of(shapes):
     return narrow(*([(one.geometry, one.position, one.quaternion)] for one in shapes))
 
 
+@pytest.mark.slow
 @sampled("seed", SEEDS, every=7)
 def test_gaps_in_holes_are_what_the_oracle_says(seed):
     for a, b in itertools.combinations(hollows.scene(seed), 2):

@@ -108,6 +108,7 @@ def test_kept_parts_change_no_verdict(min_height, monkeypatch):
     assert {UPWARD, NOT_UPWARD} <= set(known.verdicts.tolist())
 
 
+@pytest.mark.slow
 def test_kept_parts_cover_their_triangles():
     """Each direction in a triangle that was divided is in one of its parts."""
     kept = KeptParts()
@@ -170,6 +171,7 @@ def test_parts_that_mostly_have_to_be_divided_again_are_given_up_for_a_while():
     assert absent == _PAUSE
 
 
+@pytest.mark.slow
 def test_shapes_that_move_far_are_divided_anew(monkeypatch):
     """Where parts do not pay, as many directions are computed as without them."""
     counts, compute = [], contact_directions._Differences.points

@@ -78,6 +78,7 @@ def test_verdicts_and_rooms_are_what_gaps_say(bound):
     assert (found.verdicts[far] != UNDECIDED).mean() > 0.7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bound", BOUNDS)
 @pytest.mark.parametrize("size", [1e-9, 1e-3, 0.1, 10.0])
 def test_wrong_proposals_give_no_wrong_verdict(bound, size):
@@ -91,6 +92,7 @@ def test_wrong_proposals_give_no_wrong_verdict(bound, size):
     check(*decisions(random_pairs(6, 3), bound, spoil), bound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [0.0, 1e-3, 0.1, 10.0])
 def test_whatever_is_kept_of_pairs_bounds_their_signed_distances(size):
     scene, random = Scene(random_pairs(12, 4)), np.random.default_rng(13)
@@ -212,6 +214,7 @@ def test_pairs_are_proved_one_after_another_as_together(spoilt):
     assert {True, False} == set(proof.meet.tolist())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("far", [1e-3, 0.02])
 def test_the_way_of_proving_changes_no_verdict(far, monkeypatch):
     random, verdicts = np.random.default_rng(4), {}

@@ -163,6 +163,7 @@ def test_every_pair_at_rest(yard):
     check(settled(yard), pairs)
 
 
+@pytest.mark.slow
 def test_everything_on_a_plane(yard):
     yard.add("ground", "plane", 1.0, [0, 0, 0])
     for n, kind in enumerate(OVER):

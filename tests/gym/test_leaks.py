@@ -9,10 +9,10 @@ import pytest
 
 from ssduck.gym import QueryWrapper
 from ssduck.world.world import World
-from tests.support.cases import sampled
+from tests.support.cases import generated, sampled
 from tests.support.gym_environments import Drop, Push
 
-RESETS = 100
+RESETS = generated(25)
 
 
 def kilobytes():

@@ -123,6 +123,7 @@ def test_a_wrong_name_is_an_error(few):
         next(score(few, success="x(sim.bal) > 0"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -218,6 +219,7 @@ def test_an_element_is_of_its_own_variable(few, tmp_path):
     assert all(next(iter(score(folder, success=right))).success)
 
 
+@pytest.mark.slow
 def test_terms_may_end_with_comments(few):
     """All terms are one statement."""
     plain = {

@@ -136,6 +136,7 @@ def test_a_scene_that_is_a_link_outside_is_not_read(folder, tmp_path_factory, sc
     assert "secret" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_a_link_inside_is_read(folder):
     (folder / "sub").mkdir()
     (folder / "sub" / "scene.toml").symlink_to(folder / "other.toml")
@@ -159,6 +160,7 @@ def test_files_of_the_scene_stay_in_the_folder(folder):
         make_task(folder / "task.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "message"),
     [
@@ -247,6 +249,7 @@ def test_a_task_is_a_file(folder, kind):
         make_task(task)
 
 
+@pytest.mark.slow
 def test_terms_have_strict_limits(folder):
     (folder / "task.toml").write_text(
         TASK.replace('"x(sim.ball) > goal"', "\"eval('1') == x(sim.ball)\"")
@@ -255,6 +258,7 @@ def test_terms_have_strict_limits(folder):
         make_task(folder / "task.toml")
 
 
+@pytest.mark.slow
 def test_a_closed_task_takes_no_step(folder):
     env = make_task(folder / "task.toml")
     env.reset(seed=1)

@@ -43,6 +43,7 @@ def episode(env, seed, steps=20, action=1.0):
             return
 
 
+@pytest.mark.slow
 def test_agrees_with_the_environment(wrap):
     env = wrap(
         Push(),
@@ -141,6 +142,7 @@ def test_the_past_has_the_tables_that_terms_read(wrap):
     assert {True, False} == set(held)
 
 
+@pytest.mark.slow
 def test_a_reset_without_steps_begins_an_episode(wrap, tmp_path):
     env = wrap(Push(), success="x(sim.ball) > 0.02", record_to=tmp_path)
     for _ in range(3):
@@ -242,6 +244,7 @@ class Moving(Push):
         return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("reward", "value"),
     [
@@ -264,6 +267,7 @@ def test_a_list_that_changes_in_place_is_read_at_each_step(wrap, tmp_path, rewar
     assert list(scored.rewards) == rewards
 
 
+@pytest.mark.slow
 def test_a_score_tells_which_variables_are_recorded(wrap, tmp_path):
     for name, variables in (("without", {}), ("with", {"goal": lambda env: env.goal})):
         env = wrap(

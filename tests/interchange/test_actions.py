@@ -66,6 +66,7 @@ def test_actions_and_rewards_of_each_step(pushed, tmp_path):
     assert stats["action"]["max"] == pytest.approx(np.concatenate(actions).max(axis=0).tolist())
 
 
+@pytest.mark.slow
 def test_the_observation_is_that_before_the_action(pushed, tmp_path):
     record, _ = pushed
     info, rows = dataset(record, tmp_path)

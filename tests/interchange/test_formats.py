@@ -58,6 +58,7 @@ def rows(place: Path, episode: int | None = None) -> list[tuple[Any, ...]]:
         ).fetchall()
 
 
+@pytest.mark.slow
 def test_what_moves_in_an_episode(record: Path) -> None:
     motion = motion_of(FolderRun(record, "lab", 0))
     assert motion.names == ["board", "ball", "other", "arm", "arm.link1"]
@@ -140,6 +141,7 @@ def test_statistics_are_those_of_the_frames(dataset: Path) -> None:
                 assert one[kind] == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_dataset_is_imported_again(record: Path, dataset: Path, tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="has no shapes.*; not read: observation.state"):
         episodes = ssduck.import_poses(dataset, tmp_path / "r", world="lab")
@@ -163,6 +165,7 @@ def test_frames_per_second_choose_ticks(record: Path, tmp_path: Path) -> None:
     assert (values == motion_of(run).poses[::8].reshape(7, -1)).all()
 
 
+@pytest.mark.slow
 def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
     uneven = np.array([0.0, 0.1, 0.2, 0.35])
     ssduck.write_record(tmp_path / "a", ["cup"], np.zeros((4, 1, 3)), uneven)
@@ -192,6 +195,7 @@ def test_what_is_no_dataset_is_an_error(record: Path, tmp_path: Path) -> None:
         write_dataset(tmp_path / "e", [motion_of(runs[0])], 10)
 
 
+@pytest.mark.slow
 def test_an_entity_that_comes_later_is_no_dataset(tmp_path: Path) -> None:
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:
@@ -296,6 +300,7 @@ def test_each_form_of_shapes_is_in_the_scene(forms: FolderRun, tmp_path: Path) -
     assert not [*drawn.cubes, *drawn.spheres, *drawn.cylinders, *drawn.triangles]
 
 
+@pytest.mark.slow
 def test_entities_that_go_are_deleted_from_the_scene(tmp_path: Path) -> None:
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     client = pybullet.connect(pybullet.DIRECT)
@@ -309,6 +314,7 @@ def test_entities_that_go_are_deleted_from_the_scene(tmp_path: Path) -> None:
     assert len(updates[2][1].entities) == 1
 
 
+@pytest.mark.slow
 def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="tells of poses; its record has no shapes"):
         (episode,) = ssduck.import_poses(mcap_file, tmp_path / "r")
@@ -327,6 +333,7 @@ def test_an_mcap_file_is_imported_again(record: Path, mcap_file: Path, tmp_path:
         assert imported.eval(asked) == original.eval(asked)
 
 
+@pytest.mark.slow
 def test_ticks_of_one_nanosecond_keep_their_times(tmp_path: Path) -> None:
     pytest.importorskip("foxglove_schemas_protobuf", reason="the extra mcap is not installed")
     times = [0.0, 1e-10, 2e-10, 1.0, 1.0 + 4e-16, 1.5]
@@ -550,6 +557,7 @@ def test_each_form_of_shapes_is_in_a_recording_of_rerun(forms: FolderRun, tmp_pa
 # -- the commands -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # the command writes them
 def test_the_commands_export_and_import(record: Path, tmp_path: Path) -> None:
     out = str(tmp_path / "d")
@@ -563,6 +571,7 @@ def test_the_commands_export_and_import(record: Path, tmp_path: Path) -> None:
     assert result.stderr.startswith("warning: ")
 
 
+@pytest.mark.slow
 def test_a_part_of_a_record_in_a_file_is_exported(record: Path, tmp_path: Path) -> None:
     answer("export", str(record), "-o", str(tmp_path / "d"), "--format", "lerobot",
            "--entities", "ball", "--start", "0.05", "--end", "0.1")  # fmt: skip

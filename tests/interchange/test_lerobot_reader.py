@@ -66,6 +66,7 @@ ORDERS = ([3, 1, 2, 0, 4], [4, 3, 2, 1, 0], [1, 0, 2, 3, 4])
 NESTED = [[[0.0, 1.0], [2.0, 3.0], [frame, 4.0]] for frame in range(COUNT)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_number", [True, False])
 @pytest.mark.parametrize("order", ORDERS, ids=str)
 def test_the_order_of_stored_rows_does_not_count(
@@ -87,6 +88,7 @@ VALID: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VALID)
 def test_valid_datasets_are_read(tmp_path: Path, name: str) -> None:
     assert imported(written(tmp_path / "d", **VALID[name])) == RIGHT
@@ -197,6 +199,7 @@ def test_a_dataset_that_contradicts_itself_is_an_error(tmp_path: Path, name: str
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["data", "meta/episodes"])
 def test_a_small_file_of_very_many_rows_is_not_read(tmp_path: Path, place: str) -> None:
     dataset = written(tmp_path / "d")

@@ -124,6 +124,7 @@ def test_each_macro_answers_as_ssduck(
     assert not wrong, wrong[:5]
 
 
+@pytest.mark.slow
 def test_some_answers_differ_from_row_to_row(plain: Any) -> None:
     """Equal answers could be those of nothing at all."""
     for call in (
@@ -164,11 +165,13 @@ def test_without_a_record_there_are_formulas() -> None:
         assert f" {name}" in script.text.partition("CREATE")[0]
 
 
+@pytest.mark.slow
 def test_with_a_record_only_shapes_and_joints_are_missing(record: Path) -> None:
     script = macro_script(run=folder_run(record, "lab", 0))
     assert set(script.missing) == SHAPES | JOINTS
 
 
+@pytest.mark.slow
 def test_what_is_not_recorded_is_missing(tmp_path: Path) -> None:
     ssduck.write_record(tmp_path / "r", ["a", "b"], {"a": [0, 0, 1], "b": [0, 0, 0]}, [0.0])
     script = macro_script(run=folder_run(tmp_path / "r", None, None))
@@ -183,6 +186,7 @@ def test_what_is_not_recorded_is_missing(tmp_path: Path) -> None:
         assert rows == ss.sql(asked).fetchall() != []
 
 
+@pytest.mark.slow
 def test_frames_of_pandas_and_polars_are_asked_by_duckdb(record: Path) -> None:
     files = sorted((record / "entities").rglob("*.parquet"))
     polars_frame = pl.concat([pl.read_parquet(file, glob=False) for file in files])
@@ -234,6 +238,7 @@ def test_the_table_of_pairs_has_all_that_are_near(record: Path, plain: Any) -> N
         file.with_name("kept").rename(file)
 
 
+@pytest.mark.slow
 def test_pairs_of_a_part_of_a_record(record: Path, tmp_path: Path) -> None:
     with ssduck.open(record) as ss:
         ss.export(tmp_path / "r", entities=["board", "other"], start=0.05, end=0.1, pairs=0.1)
@@ -276,6 +281,7 @@ def test_the_command_writes_a_script(record: Path, tmp_path: Path) -> None:
     assert answer("macros", "above").count("CREATE") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_a_relation_that_is_not_written_is_a_warning() -> None:
     result = ssduck_("macros", "above", "near")

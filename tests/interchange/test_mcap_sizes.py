@@ -149,6 +149,7 @@ def test_a_message_that_is_no_pose_is_an_error_of_the_file(tmp_path: Path, name:
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 def test_many_empty_messages_are_not_kept(tmp_path: Path) -> None:
     transforms: dict[str, Any] = {"transforms": [{}] * 300_000}
     file = forged(tmp_path / "a.mcap", transforms, {})

@@ -132,6 +132,7 @@ def test_each_form_of_poses_gives_the_same_record(tmp_path: Path, kind: str) -> 
     assert ssduck.episodes(tmp_path / "r")[0].tags == {"task": "fall"}
 
 
+@pytest.mark.slow
 def test_positions_alone_and_no_shapes(tmp_path: Path) -> None:
     ssduck.write_record(tmp_path / "r", ["a", "b"], POSES[..., :3], TIMES)
     with ssduck.open(tmp_path / "r") as ss:
@@ -141,6 +142,7 @@ def test_positions_alone_and_no_shapes(tmp_path: Path) -> None:
             ss.sql("SELECT * FROM contacts_history")
 
 
+@pytest.mark.slow
 def test_velocities_are_kept(tmp_path: Path) -> None:
     given = np.arange(60, dtype=float).reshape(5, 2, 6)
     ssduck.write_record(tmp_path / "a", TWO, POSES, TIMES, velocities=given)
@@ -154,6 +156,7 @@ def test_velocities_are_kept(tmp_path: Path) -> None:
         assert [list(row) for row in rows] == given[:, 2 - expected // 5 :].reshape(-1, 6).tolist()
 
 
+@pytest.mark.slow
 def test_an_entity_that_is_missing_at_a_tick_is_not_there(tmp_path: Path) -> None:
     rows = table_of(TIMES, POSES)
     gone = rows.filter(pa.array([number != 5 for number in range(10)]))
@@ -165,6 +168,7 @@ def test_an_entity_that_is_missing_at_a_tick_is_not_there(tmp_path: Path) -> Non
         assert ss.eval(asked) == [1, 2, 4, 5]
 
 
+@pytest.mark.slow
 def test_shapes_of_every_form(tmp_path: Path) -> None:
     mesh = tmp_path / "wedge.obj"
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
@@ -192,6 +196,7 @@ def test_shapes_of_every_form(tmp_path: Path) -> None:
         assert ss.eval("clearance(world.sphere, world.none);") == np.inf  # it has no shape
 
 
+@pytest.mark.slow
 def test_links_have_poses_and_shapes_of_their_own(tmp_path: Path) -> None:
     arm = {
         "kind": "robot",

@@ -343,6 +343,7 @@ LATE = [
 ]
 
 
+@pytest.mark.slow
 @sampled("program", LATE, every=3)
 def test_a_program_that_python_prepares_is_ended_in_time(hasty, program):
     fails(hasty, program, LimitError, "took more than|memory|values of more than")
@@ -390,6 +391,7 @@ def test_variables_of_one_program_after_another_are_counted(patient):
     patient.eval("clear('x');")
 
 
+@pytest.mark.slow
 def test_grids_and_worlds_that_variables_keep_are_counted(patient):
     """Those of one program after another."""
     for number in range(4):
@@ -417,6 +419,7 @@ def test_a_history_counts_with_all_its_values(patient):
     patient.eval("clear('trace');")
 
 
+@pytest.mark.slow
 def test_without_limits_worlds_are_replaced():
     with ssduck.load("kitchen") as ss:
         assert ss.eval("kitchen = 1; kitchen;") == 1

@@ -93,6 +93,7 @@ def test_an_item_is_no_attribute(ss):
     assert copy.copy(ss["room"]["can"]) == ss["room"]["can"]
 
 
+@pytest.mark.slow
 def test_a_world_is_no_table(ss):
     with pytest.raises(
         SqlError, match=r"no table 'room'; of the world, there are room\.entities, "
@@ -130,6 +131,7 @@ def test_errors_of_sql_name_what_there_is(ss, sql, hint):
         assert len(ss.sql(right).fetchall()) >= 6
 
 
+@pytest.mark.slow
 def test_tables_that_are_shown_are_those_of_worlds_and_users(ss):
     ss.sql("CREATE OR REPLACE TABLE mine AS SELECT 1 AS one")
     shown = [name for (name,) in ss.sql("SHOW TABLES").fetchall()]
@@ -140,6 +142,7 @@ def test_tables_that_are_shown_are_those_of_worlds_and_users(ss):
     ss.sql("DROP TABLE mine")
 
 
+@pytest.mark.slow
 def test_explain_of_sql_logs_nothing(ss, caplog):
     plan = ss.sql('EXPLAIN SELECT "name" FROM entities WHERE "name" = \'can\'').fetchall()
     assert "name = 'can'" in plan[0][1]

@@ -196,6 +196,7 @@ def outcome(ss, program):
         return str(error)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:your function")
 def test_a_program_reads_what_its_variables_are_at_each_run(lab, monkeypatch):
     other, ss, reads = Lab(), lab.ss, []

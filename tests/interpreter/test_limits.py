@@ -154,6 +154,7 @@ SQL = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("text", "words"), SQL, every=8)
 def test_sql_ends(strict, text, words):
     fails(strict, lambda: strict.sql(text), LimitError, words)

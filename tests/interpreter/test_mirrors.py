@@ -67,6 +67,7 @@ def test_a_mirror_answers_sql_as_the_world(pair, statement):
     assert rows
 
 
+@pytest.mark.slow
 def test_a_mirror_of_the_past_goes_to_each_tick(pair):
     ss, _ = pair
     past = Mirror(ss, ss["kitchen"], "kitchen", Limits(), is_past=True)
@@ -80,6 +81,7 @@ def test_a_mirror_of_the_past_goes_to_each_tick(pair):
     past.close()
 
 
+@pytest.mark.slow
 def test_the_steps_of_the_world_do_not_change_a_mirror():
     with ssduck.load("kitchen") as ss:
         mirror = Mirror(ss, ss["kitchen"], "kitchen", Limits())
@@ -106,6 +108,7 @@ def test_dropped_and_moved_parts_are_followed():
         mirror.close()
 
 
+@pytest.mark.slow
 def test_entities_come_and_go():
     with ssduck.load("kitchen") as ss:
         mirror = Mirror(ss, ss["kitchen"], "kitchen", Limits())
@@ -120,6 +123,7 @@ def test_entities_come_and_go():
         mirror.close()
 
 
+@pytest.mark.slow
 def test_a_recording_that_began_anew_is_another_one():
     with ssduck.load("kitchen") as ss:
         mirror = Mirror(ss, ss["kitchen"], "kitchen", Limits())

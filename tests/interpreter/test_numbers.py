@@ -328,6 +328,7 @@ def test_a_number_of_the_wrong_kind(things, name):
     assert things.state() == before
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:arm. the motors are")
 @pytest.mark.parametrize("name", CALLS)
 def test_a_number_of_the_right_kind(things, name):

@@ -125,6 +125,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @sampled("selection, condition, end", CASES, every=4)
 def test_clauses(ways, selection, condition, end):
     check(ways, f"SELECT {selection} FROM a=w, b=w WHERE collides(a, b){condition} {end};")
@@ -153,6 +154,7 @@ def test_what_rests_on_the_other_follows_the_order_of_the_arguments(ways):
     assert below == ["table"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", ["-1", "0 - 1", "below"])
 def test_errors_are_those_of_the_sql(ways, depth):
     for ss in ways.values():
@@ -174,6 +176,7 @@ def test_a_parameter_may_change_its_value_and_its_type(ways):
         assert count is None or len(results["looked up"]) == count
 
 
+@pytest.mark.slow
 def test_a_pair_query_runs_no_statement():
     stage = Stage()
     fill(stage)
@@ -198,6 +201,7 @@ def test_a_pair_query_runs_no_statement():
     stage.close()
 
 
+@pytest.mark.slow
 def test_limits_count_the_rows():
     stage = Stage()
     fill(stage)
@@ -210,6 +214,7 @@ def test_limits_count_the_rows():
     stage.close()
 
 
+@pytest.mark.slow
 def test_bodies_come_and_go():
     stage = Stage()
     fill(stage)

@@ -75,6 +75,7 @@ def _shown(monkeypatch: pytest.MonkeyPatch, ss: ssduck.Interpreter, stream: io.S
     return stream.getvalue()
 
 
+@pytest.mark.slow
 def test_a_terminal_shows_how_many_are_done(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
@@ -89,6 +90,7 @@ def test_a_terminal_shows_how_many_are_done(
         assert _shown(monkeypatch, ss, Terminal()) == ""
 
 
+@pytest.mark.slow
 def test_what_is_no_terminal_shows_nothing(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
@@ -96,6 +98,7 @@ def test_what_is_no_terminal_shows_nothing(
         assert _shown(monkeypatch, ss, io.StringIO()) == ""
 
 
+@pytest.mark.slow
 def test_it_can_be_switched_off(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
@@ -103,6 +106,7 @@ def test_it_can_be_switched_off(
         assert _shown(monkeypatch, ss, Terminal()) == ""
 
 
+@pytest.mark.slow
 def test_a_short_program_shows_nothing(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
@@ -111,6 +115,7 @@ def test_a_short_program_shows_nothing(
         assert _shown(monkeypatch, ss, Terminal()) == ""
 
 
+@pytest.mark.slow
 def test_other_threads_show_nothing(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
@@ -122,6 +127,7 @@ def test_other_threads_show_nothing(
         assert found == [""]
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_a_line(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:
@@ -168,6 +174,7 @@ def _at_batch(monkeypatch: pytest.MonkeyPatch, number: int, action: Any) -> list
     return begun
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_all_as_it_was(
     monkeypatch: pytest.MonkeyPatch, world: ssduck.World, slow: None
 ) -> None:

@@ -330,6 +330,7 @@ def test_functions_get_copies(ss):
     assert ss.eval("numbers = [3]; spoil(numbers); numbers;") == [3]
 
 
+@pytest.mark.slow
 def test_functions_see_the_tick_of_the_query():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
@@ -340,6 +341,7 @@ def test_functions_see_the_tick_of_the_query():
         ) == pytest.approx(5)
 
 
+@pytest.mark.slow
 def test_a_function_cannot_step_the_world_under_a_query():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")

@@ -188,6 +188,7 @@ def test_relations_are_the_same(monkeypatch, ss, name):
         assert ours == theirs
 
 
+@pytest.mark.slow
 def test_what_occurs_again_is_computed_once(monkeypatch):
     calls, margins = [], functions._margins
     monkeypatch.setattr(functions, "_margins", lambda *of: calls.append(1) or margins(*of))

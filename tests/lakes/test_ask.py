@@ -79,7 +79,7 @@ def children():
     return {process.pid for process in multiprocessing.active_children()}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL")
 def test_processes_are_kept_until_one_is_killed(recorded):
     forget_readers()
@@ -100,6 +100,7 @@ def test_processes_are_kept_until_one_is_killed(recorded):
     assert children() == others
 
 
+@pytest.mark.slow
 def test_long_answers_come_through_files(recorded, tmp_path):
     """A pipe would be left with half a message by a process that is killed."""
     entries = ssduck.lake(recorded)._entries
@@ -132,6 +133,7 @@ def test_processes_are_as_many_as_gain(monkeypatch, episodes, kept, expected):
     forget_readers()
 
 
+@pytest.mark.slow
 def test_kept_answers_are_read_and_not_computed(recorded, tmp_path, monkeypatch):
     lake, program = ssduck.lake(recorded), PROGRAMS["last tick"]
     whole = lake.ask(program, processes=1, resume=tmp_path)

@@ -45,6 +45,7 @@ def test_the_manifest_has_size_and_checksum(file):
     assert lake.episodes["size"].to_pylist() == sizes
 
 
+@pytest.mark.slow
 def test_a_file_that_did_not_change_is_not_opened_again(file, scene, monkeypatch):
     before = ssduck.lake(file.parent).entries
     opened = []
@@ -59,6 +60,7 @@ def test_a_file_that_did_not_change_is_not_opened_again(file, scene, monkeypatch
     assert after[1].ticks > before[1].ticks
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_one_error(file):
     lake = ssduck.lake(file.parent)
     answers = ask(lake)
@@ -75,6 +77,7 @@ def test_a_damaged_file_is_one_error(file):
         assert f"{file} is damaged" in error
 
 
+@pytest.mark.slow
 def test_a_file_that_was_written_since_is_read_as_it_is(file, scene):
     lake = ssduck.lake(file.parent)
     (kept, _), (before, _) = ask(lake)
@@ -84,6 +87,7 @@ def test_a_file_that_was_written_since_is_read_as_it_is(file, scene):
     assert after > before
 
 
+@pytest.mark.slow
 def test_a_file_is_summed_once_for_all_questions(file, monkeypatch):
     lake, summed = ssduck.lake(file.parent), []
     sums = workers.checksum_of

@@ -56,6 +56,7 @@ def test_what_is_right_is_no_doubt(recorded):
     assert doubts == []
 
 
+@pytest.mark.slow
 def test_streams_and_tags_warn_too(folder):
     lake, (word, program, _) = ssduck.lake(folder), DOUBTS["kind"]
     tables, (doubt,) = asked(lambda: list(lake.stream(program, batch=1, processes=1)))

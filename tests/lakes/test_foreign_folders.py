@@ -56,6 +56,7 @@ def test_processes_of_a_lake_start_no_file_of_the_folder(foreign: Path) -> None:
     assert not (foreign.parent / "run").exists()
 
 
+@pytest.mark.slow
 def test_the_trial_of_a_scene_starts_no_file_of_the_folder(foreign: Path) -> None:
     for name in ("pybullet", "numpy", "pickle", "hashlib"):
         (foreign / f"{name}.py").write_text(f"open({str(foreign.parent / 'run')!r}, 'a')\n")

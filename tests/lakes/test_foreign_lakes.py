@@ -80,6 +80,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
 @pytest.mark.parametrize("change", CHANGES)
 def test_links_and_pipes_are_not_read(folder, change):
@@ -92,6 +93,7 @@ def test_links_and_pipes_are_not_read(folder, change):
         assert error is None or error in errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
 @pytest.mark.parametrize("change", [pipe(FILE), linked(FILE, "/dev/zero"), linked(FILE, "../a")])
 def test_a_manifest_is_a_file(folder, change):
@@ -144,6 +146,7 @@ def test_a_forged_manifest_changes_no_answer_and_names_nothing_outside(folder, v
 ROWS = "count(SELECT id FROM sim{} AS list);"
 
 
+@pytest.mark.slow
 def test_a_file_beside_the_parts_is_not_read(folder):
     wanted = ssduck.lake(folder).ask(ROWS, processes=1)
     part = folder / ENTITIES / "part-000000.parquet"
@@ -152,6 +155,7 @@ def test_a_file_beside_the_parts_is_not_read(folder):
         assert ssduck.lake(folder).ask(ROWS, processes=1) == wanted
 
 
+@pytest.mark.slow
 def test_a_file_that_a_manifest_lists_twice_is_read_once(folder):
     wanted = ssduck.lake(folder).ask(ROWS, processes=1)
     row = pq.read_table(folder / FILE).to_pylist()[1]
@@ -175,6 +179,7 @@ def test_a_condition_nested_too_deeply_is_an_error(recorded, text):
         ssduck.lake(recorded).select(text)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes in folders")
 @pytest.mark.parametrize("change", [pipe(STEPS), linked(STEPS, "/dev/zero")])
 def test_steps_that_are_no_file_are_not_scored(folder, change):
@@ -306,6 +311,7 @@ def test_a_manifest_of_too_many_values_is_read_anew(folder, monkeypatch):
         assert len(read_manifest(folder / FILE)) == entries
 
 
+@pytest.mark.slow
 def test_columns_of_other_types_are_the_error_of_one_episode(folder):
     entries = list(ssduck.lake(folder).entries)
     name = f"{ENTITIES}/part-000000.parquet"
@@ -349,6 +355,7 @@ class CameraQuestion(ProgramQuestion):
         return lambda present, _: list(present.worlds[0].camera.eye)
 
 
+@pytest.mark.slow
 def test_a_batch_has_the_recorded_camera_of_each_episode(folder, monkeypatch):
     eyes = {number: [1.0 + number % 2, 2.0, 3.0] for number in range(EPISODES)}
     for number, eye in eyes.items():
@@ -363,6 +370,7 @@ def test_a_batch_has_the_recorded_camera_of_each_episode(folder, monkeypatch):
     assert [json.loads(answer.text) for answer in answers] == list(eyes.values())
 
 
+@pytest.mark.slow
 def test_a_manifest_that_groups_other_cameras_changes_none(folder):
     file = folder / "episodes/sim-1.json"
     camera = {"eye": [5.0, 5.0, 5.0], "target": [0.0, 0.0, 0.0], "fov": 40.0}

@@ -52,6 +52,7 @@ def test_a_statement_tells_of_a_forged_footer(tmp_path: Path, table: str) -> Non
     assert answers == [one for n, one in enumerate(wanted) if n != FORGED]
 
 
+@pytest.mark.slow
 def test_the_footers_of_a_record_are_read_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -76,6 +76,7 @@ def test_written_read_and_rebuilt(folder, monkeypatch):
         assert pq.read_table(file).num_rows == EPISODES
 
 
+@pytest.mark.slow
 def test_new_changed_and_missing_episodes(folder):
     ssduck.lake(folder)
     with ssduck.open(folder, "sim", 1) as ss:
@@ -154,6 +155,7 @@ def test_a_newer_version_is_an_error_of_its_episodes(folder, recorded, tmp_path)
     assert errors[str(tmp_path / "today")] is None
 
 
+@pytest.mark.slow
 def test_a_half_written_episode(folder):
     content = json.loads((folder / "episodes/sim-4.json").read_text())
     del content["parts"]
@@ -167,6 +169,7 @@ def test_tags_of_two_lakes_are_kept(folder):
     assert tags_by_two_lakes(folder) == [(1, 2), (1, 2)]
 
 
+@pytest.mark.slow
 def test_patterns_files_and_folders(recorded, tmp_path):
     for name in ("a/night", "b/day", "b/night", "c[1]/night"):
         shutil.copytree(recorded, tmp_path / name)
@@ -182,6 +185,7 @@ def test_patterns_files_and_folders(recorded, tmp_path):
         ssduck.lake(tmp_path / "nothing")
 
 
+@pytest.mark.slow
 def test_records_in_the_folder_of_a_record(recorded, folder):
     for name in ("night", "night/late/again"):
         shutil.copytree(recorded, folder / name)
@@ -210,6 +214,7 @@ def test_a_terminal_shows_how_many_episodes_a_long_listing_has_read(folder, monk
     assert (f"{EPISODES}/?" in terminal.getvalue()) == (patience == 0)
 
 
+@pytest.mark.slow
 def test_tags_are_for_all_episodes_or_none(tmp_path):
     scene = write_scene(tmp_path) / "two.toml"
     (tmp_path / "lake").mkdir()
@@ -241,6 +246,7 @@ def test_tags_that_differ_in_case_only(folder):
         lake.ask("1;", where="GOAL = 1")
 
 
+@pytest.mark.slow
 def test_tags(folder):
     lake = ssduck.lake(folder)
     assert lake.set_tags({"task": "pick", "grade": 2}, "episode < 3") == 3

@@ -46,6 +46,7 @@ def first(folder):
     return max(parts, key=lambda one: len(one.content))
 
 
+@pytest.mark.slow
 def test_another_label_and_run(folder, first):
     part, sizes = part_of(folder, 1), set()
     for run in (0, 1, 1 << 32, *range(RUN + 40, RUN + 100)):
@@ -57,6 +58,7 @@ def test_another_label_and_run(folder, first):
     assert True in sizes
 
 
+@pytest.mark.slow
 def test_no_other_byte_may_differ(folder, first):
     part = part_of(folder, 1)
     others = (rewritten(part, run=[n] * part.run.num_rows) for n in range(RUN, RUN + 40))

@@ -114,6 +114,7 @@ def test_each_file_of_an_episode_is_read_once_a_question(record, read, program) 
     assert not any(name.startswith("models/") for name in read)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("together")
 def test_the_next_question_decodes_what_is_new_only(record, monkeypatch) -> None:
     opened: list[str] = []

@@ -137,6 +137,7 @@ def test_wrong_rows_are_an_error_of_their_episode(
     assert words in answers[FORGED][2]
 
 
+@pytest.mark.slow
 def test_equal_rows_are_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     checked: list[str] = []
 

@@ -14,6 +14,7 @@ from sqlglot import exp
 
 import ssduck
 from ssduck.errors import ArgumentError, SelectScriptError, UnknownNameError, UnsupportedError
+from tests.support.cases import sampled
 
 # Programs of formulas, of each kind.
 PROGRAMS = (
@@ -75,13 +76,14 @@ def lake(recorded):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("program", PROGRAMS)
+@sampled("program", PROGRAMS, every=2)
 def test_duckdb_answers_as_the_episodes(lake, program):
     wanted = asked(lake, program)
     assert wanted
     assert answered(lake, program) == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_the_statement_for_spark_is_one(lake, program):
     text = lake.sql(program, dialect="spark")
@@ -170,6 +172,7 @@ def test_records_with_other_entities(mixed, program):
     assert answered(lake, program) == wanted
 
 
+@pytest.mark.slow
 def test_a_forged_manifest_changes_no_answer(mixed):
     lake, program = ssduck.lake(mixed), "SELECT time, this, z FROM lab WHERE z > z(lab.cup_0);"
     wanted = asked(lake, program)
@@ -179,6 +182,7 @@ def test_a_forged_manifest_changes_no_answer(mixed):
     assert answered(lake, program) == wanted
 
 
+@pytest.mark.slow
 def test_a_damaged_model_is_a_row_with_its_error(mixed):
     lake = ssduck.lake(mixed)
     file = mixed / "three/models/entities/world=lab/episode=0/part-000000.parquet"
@@ -188,6 +192,7 @@ def test_a_damaged_model_is_a_row_with_its_error(mixed):
     assert [row[2].endswith("three") for row in rows if row[4]] == [True]
 
 
+@pytest.mark.slow
 def test_a_damaged_episode_is_a_row_with_its_error(mixed):
     (mixed / "three/episodes/lab-0.json").write_text("{")
     for program in ("z(lab.cup_0);", "SELECT id, z FROM lab;"):
@@ -197,6 +202,7 @@ def test_a_damaged_episode_is_a_row_with_its_error(mixed):
         assert answered(lake, program) == wanted
 
 
+@pytest.mark.slow
 def test_of_ticks_of_the_same_time_the_last_counts(tmp_path, monkeypatch):
     # Other writers may write such ticks; ours does not.
     monkeypatch.setattr("ssduck.interchange.pose_batches._check_order", lambda *_: None)
@@ -218,6 +224,7 @@ def test_of_ticks_of_the_same_time_the_last_counts(tmp_path, monkeypatch):
     assert answers == [[[0.0, False], [0.1, True]], [[0.1, 0.2]], False, [0.1, 2.0]]
 
 
+@pytest.mark.slow
 def test_only_the_selected_episodes(lake):
     with duckdb.connect() as connection:
         rows = connection.execute(lake.sql("z(sim.cup);", "episode IN (1, 3)")).fetchall()

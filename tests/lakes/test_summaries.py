@@ -170,6 +170,7 @@ def test_a_copy_with_other_times_is_read_anew(recorded, tmp_path, computed):
     assert computed == list(range(EPISODES))
 
 
+@pytest.mark.slow
 def test_tags_and_further_files_leave_a_summary_right(folder, computed):
     (folder / "ssduck-manifest.parquet").unlink(missing_ok=True)
     with ssduck.open(folder, "sim", 1) as ss:
@@ -182,6 +183,7 @@ def test_tags_and_further_files_leave_a_summary_right(folder, computed):
     assert computed == []
 
 
+@pytest.mark.slow
 def test_several_recorders_at_once_and_one_that_is_not_closed(tmp_path, computed):
     def run(name):
         client = pybullet.connect(pybullet.DIRECT)

@@ -509,6 +509,7 @@ def test_large_values_are_told_in_few_words(ss, program, kind, offending, words)
     fails(ss, program, kind, offending, words)
 
 
+@pytest.mark.slow
 def test_a_long_name_is_told_in_few_letters(ss):
     ss.add_variable("long", "a" * 10**6)
     for program in ("eval(long);", "eval('SELECT a.this FROM ' + long);"):
@@ -539,6 +540,7 @@ def test_zeros_are_one_group(ss, key):
 # -- long runs ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
     monkeypatch.setattr(evaluate, "MAX_COMPILED", 50)
     evaluate._COMPILED.clear()
@@ -547,6 +549,7 @@ def test_what_programs_were_made_into_is_forgotten(ss, monkeypatch):
     assert len(evaluate._COMPILED) <= 50
 
 
+@pytest.mark.slow
 def test_relations_of_programs_that_are_gone_are_forgotten(ss, monkeypatch):
     from ssduck.language.parser import _short_program
 

@@ -75,6 +75,7 @@ def _evaluated(lab: Any, program: str) -> Any:
 # -- against what a loop finds ----------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(st.lists(st.booleans(), max_size=40))
 def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
     times = [0.5 * number for number in range(len(holding))]
@@ -88,6 +89,7 @@ def test_intervals_are_those_of_a_loop(holding: list[bool]) -> None:
     assert all(start <= end for start, end in found)
 
 
+@pytest.mark.slow
 @given(st.lists(st.sampled_from([True, False, 1, 0, "a", None, 1.5]), max_size=30))
 def test_changes_are_those_of_a_loop(values: list[Any]) -> None:
     times = list(map(float, range(len(values))))
@@ -155,6 +157,7 @@ def test_holds_is_what_a_loop_over_ticks_finds(lab: Any, near: float) -> None:
     assert found == intervals_of([time for time, _ in ticks], told)
 
 
+@pytest.mark.slow
 def test_since_when_and_how_long(lab: Any) -> None:
     _put(lab[2], [0.5, 0.21, 0.22, 0.21])
     now = lab[2].time
@@ -166,6 +169,7 @@ def test_since_when_and_how_long(lab: Any) -> None:
     assert _evaluated(lab, "since(isKinbody(ball) OR z(ball) > 0);") == 0.0
 
 
+@pytest.mark.slow
 @sampled("ticks", [239, 240, 241, 720, 1000], every=3)
 def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     ss, _, world = lab
@@ -181,6 +185,7 @@ def test_since_looks_back_as_far_as_it_has_to(lab: Any, ticks: int) -> None:
     assert len(blocks) == (1 if ticks < 240 else 2 if ticks < 719 else 3)
 
 
+@pytest.mark.slow
 def test_since_is_what_a_loop_over_ticks_finds(lab: Any, monkeypatch: Any) -> None:
     """The ticks are read in several pieces, and the first two have the same time."""
     monkeypatch.setattr(temporal_functions, "FIRST_TICKS", 2)
@@ -232,6 +237,7 @@ def test_rows_are_asked_about_one_by_one(lab: Any) -> None:
     assert _evaluated(lab, program) in ([], ["ball"])
 
 
+@pytest.mark.slow
 def test_an_entity_that_was_not_there_ends_what_holds(lab: Any) -> None:
     ss, _, world = lab
     client = world._simulator.client

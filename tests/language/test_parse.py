@@ -271,6 +271,7 @@ def test_signs_and_indices_beside_each_other_are_not_nested(text):
     assert len(statement.items) == 30
 
 
+@pytest.mark.slow
 def test_a_long_flat_program_is_no_deep_one():
     (statement,) = parse(" + ".join(["1"] * 2000) + ";").statements
     assert len(statement.operands) == 2000
@@ -290,6 +291,7 @@ def test_any_text_is_a_program_or_a_parse_error(text):
         assert str(error)
 
 
+@pytest.mark.slow
 @given(st.text(max_size=40))
 def test_any_unicode_is_a_program_or_a_parse_error(text):
     try:

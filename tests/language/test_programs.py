@@ -388,6 +388,7 @@ def test_wherever_it_is_named_the_users_function_is_meant(kitchen, program):
     assert (found["42"][:1] if isinstance(found, dict) else found) == [42]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["time", "tick"])
 def test_what_looks_at_other_ticks_uses_the_languages_own(name):
     with ssduck.load("kitchen") as found:
@@ -509,6 +510,7 @@ def test_errors_are_not_remembered(ss):
     assert ss.eval("SELECT picky(this) FROM [1, 3] AS list;") == [1, 3]
 
 
+@pytest.mark.slow
 def test_entities_at_other_ticks_are_others():
     with ssduck.load("kitchen") as ss:
         world = ss.call_variable("kitchen")
@@ -527,6 +529,7 @@ def test_entities_at_other_ticks_are_others():
         assert len(set(found)) > 1
 
 
+@pytest.mark.slow
 def test_many_distinct_arguments_are_no_trouble(ss):
     double = Counted(lambda n: 2 * n)
     ss.add_function("double", double)

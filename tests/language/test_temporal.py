@@ -514,6 +514,7 @@ def check(model, held, now):
             assert past_value("v", held, (time,), lambda: now) == expected
 
 
+@pytest.mark.slow
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(operations=OPERATIONS)
 def test_programs_are_like_the_model(ss, operations):

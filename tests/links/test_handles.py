@@ -107,6 +107,7 @@ def test_handles_of_the_past_stay_at_their_tick(cell):
         ss.eval("clear('then');")
 
 
+@pytest.mark.slow
 def test_variables_hold_links(cell):
     for ss in cell.interpreters:
         program = f"hand = {HAND}; SELECT id FROM sim WHERE near(this, hand, 0.1) AS list;"
@@ -229,6 +230,7 @@ def test_links_of_a_removed_body(client):
         assert link.entity
 
 
+@pytest.mark.slow
 def test_methods_of_worlds_and_entities_take_links_or_say_so(client):
     """A sensor and a held body are fixed to a link; all else is about whole entities."""
     pybullet.setAdditionalSearchPath(pybullet_data.getDataPath(), client)

@@ -103,6 +103,7 @@ def test_single_pairs_turn_into_one_search(cell):
     assert mixed == owners
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relation", ["clearance(a.this, b.this)", "near(a.this, b.this, 0.0)"])
 def test_links_that_overlap_are_found_at_once(cell, calls, monkeypatch, relation):
     """Neighbours overlap; one by one, each of them takes long."""
@@ -131,6 +132,7 @@ def test_results_are_in_the_order_of_links(cell):
     assert all(one < other for one, other in pairwise(places))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "condition"),
     [

@@ -105,6 +105,7 @@ def test_contacts_at_every_tick(cell, name):
     assert [force for _, force in rows] == pytest.approx([force for force in forces if force > 0])
 
 
+@pytest.mark.slow
 def test_forces_on_the_links_of_a_body_sum_up_to_that_on_the_body(cell):
     whole = cell.ss.eval("force(sim.panda);")
     parts = cell.ss.eval("SELECT force FROM links(sim.panda) AS list;")
@@ -142,6 +143,7 @@ def chain():
 NUMBERS = st.floats(-1, 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(
     position=st.tuples(NUMBERS, NUMBERS, NUMBERS),

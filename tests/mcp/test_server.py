@@ -85,6 +85,7 @@ def test_the_schema_tells_all_names(kitchen):
         assert name in text
 
 
+@pytest.mark.slow
 def test_the_queries_of_the_guide_run(kitchen):
     server = create_server(kitchen)
     queries = [" ".join(query.split()) for query in re.findall(r"`(SELECT [^`]*;)`", GUIDE)]
@@ -195,6 +196,7 @@ def test_a_mistake_says_what_to_write_instead(kitchen, tool, arguments, words):
     assert words in error_of(create_server(kitchen), tool, **arguments)
 
 
+@pytest.mark.slow
 def test_results_have_a_largest_size(kitchen):
     server = create_server(kitchen)
     program = "SELECT id(this) FROM kitchen AS list;"
@@ -289,6 +291,7 @@ def test_what_has_no_id_that_can_be_written_is_not_answered():
     assert set(requests(*others, '{"method": "x\\ud800"}', "{no JSON", "[" * 5000)) == {1}
 
 
+@pytest.mark.slow
 def test_a_picture_highlights_what_is_selected(kitchen):
     query = "SELECT obj FROM kitchen WHERE isRobot(this)"
     is_error, content = asked(create_server(kitchen), "picture", query=query, width=240, height=180)
@@ -298,6 +301,7 @@ def test_a_picture_highlights_what_is_selected(kitchen):
     assert (np.asarray(picture) == OUTLINE).all(axis=2).any()
 
 
+@pytest.mark.slow
 def test_a_record_has_episodes(tmp_path):
     with ssduck.load("hall") as ss:
         ss.call_variable("hall").step(4)

@@ -92,6 +92,7 @@ def test_two_recordings_begin_at_the_same_time(monkeypatch: pytest.MonkeyPatch) 
     assert [one.number for one in ssduck.episodes("s3://lake/both")] == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_objects_are_created_once_and_changed() -> None:
     place = ObjectPath("s3://lake/a b/one[1]%20.txt")
     with pytest.raises(FileNotFoundError, match="the store says"):

@@ -41,6 +41,7 @@ def files_in(place: Path) -> dict[Path, bytes]:
     return {file: file.read_bytes() for file in place.rglob("*") if file.is_file()}
 
 
+@pytest.mark.slow
 def test_an_upgraded_record_appears_when_it_is_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,6 +61,7 @@ def test_an_upgraded_record_appears_when_it_is_whole(
     assert len(ssduck.lake(tmp_path).episodes) == 4
 
 
+@pytest.mark.slow
 def test_an_upgrade_that_fails_leaves_nothing(damaged: Path, tmp_path: Path) -> None:
     """The first episode was written already."""
     with pytest.raises(RecordError, match="a row is twice there"):
@@ -71,6 +73,7 @@ def test_an_upgrade_that_fails_leaves_nothing(damaged: Path, tmp_path: Path) -> 
     assert not list((tmp_path / "empty").iterdir())
 
 
+@pytest.mark.slow
 def test_steps_that_cannot_be_written_leave_no_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,6 +95,7 @@ def test_steps_that_cannot_be_written_leave_no_episode(
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["add_members", "add", "finish"])
 def test_an_export_that_fails_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
@@ -133,6 +137,7 @@ def test_of_several_worlds_all_are_exported_or_none(
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_pairs_that_cannot_be_written_leave_no_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

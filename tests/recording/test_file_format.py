@@ -68,6 +68,7 @@ def test_an_episode_takes_few_bytes(world: ssduck.World, tmp_path: Path) -> None
     assert [episode.ticks for episode in ssduck.episodes(path)] == [TICKS] * 5
 
 
+@pytest.mark.slow
 def test_a_file_of_another_format_is_written_on(world: ssduck.World, tmp_path: Path) -> None:
     path = tmp_path / "run.duckdb"
     duckdb.connect(str(path)).execute("CREATE TABLE mine AS SELECT 7 AS seven").close()

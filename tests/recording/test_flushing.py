@@ -102,6 +102,7 @@ def _contents(ss: ssduck.Interpreter) -> dict[str, list[tuple[object, ...]]]:
     }
 
 
+@pytest.mark.slow
 def test_ticks_of_a_folder_are_in_the_log_in_time(
     world: ssduck.World, clock: Clock, tmp_path: Path
 ) -> None:
@@ -128,6 +129,7 @@ def test_ticks_of_a_folder_are_in_the_log_in_time(
         assert copy.past("lab").ticks == list(range(1, 8))
 
 
+@pytest.mark.slow
 def test_ticks_of_a_file_are_committed_in_time(
     world: ssduck.World, clock: Clock, tmp_path: Path
 ) -> None:
@@ -177,6 +179,7 @@ def test_a_log_has_what_parts_have(world: ssduck.World, clock: Clock, tmp_path: 
         assert _contents(ssduck.open(run)) == _contents(ss) == live
 
 
+@pytest.mark.slow
 def test_a_world_that_stands_still_is_stored(world: ssduck.World, tmp_path: Path) -> None:
     run = tmp_path / "run"
     with ssduck.Interpreter(recording=None) as ss:
@@ -213,6 +216,7 @@ def test_the_timer_leaves_a_recorder_that_is_in_use(
         assert recorder.buffers["ticks"].count == 0
 
 
+@pytest.mark.slow
 def test_a_log_becomes_a_part_when_it_is_long_enough(
     world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,7 +276,7 @@ class Killed(BaseException):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("step", range(16))
+@sampled("step", range(16), every=3)
 def test_a_recorder_that_is_killed_at_any_file(
     world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: int
 ) -> None:
@@ -316,6 +320,7 @@ def test_a_recorder_that_is_killed_at_any_file(
             assert found[table] == [row for row in rows if row[place] <= ticks[-1]]
 
 
+@pytest.mark.slow
 def test_what_the_disk_does_not_take_waits(
     world: ssduck.World, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -355,6 +360,7 @@ def _swap(log: Path) -> None:
     (log / "between").rename(other)
 
 
+@pytest.mark.slow
 @sampled(
     ("damage", "told"),
     [
@@ -383,6 +389,7 @@ def test_a_damaged_log_is_noticed(
         ssduck.open(run)
 
 
+@pytest.mark.slow
 def test_a_log_whose_part_is_complete_does_not_count(
     world: ssduck.World, clock: Clock, tmp_path: Path
 ) -> None:
@@ -417,6 +424,7 @@ def test_an_invalid_time(value: object) -> None:
         Recording(flush_every=value)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_record_opens_while_bodies_come(
     world: ssduck.World, client: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -330,6 +330,7 @@ def test_another_type_of_file_loads_no_extension(tmp_path: Path) -> None:
         ssduck.open(tmp_path / "run.duckdb")
 
 
+@pytest.mark.slow
 def test_a_table_that_does_not_fit_is_not_read(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(file, f"UPDATE {GEOMETRIES} SET vertices = [[x, x, x] for x in range(500)]")
     monkeypatch.setattr(record_file, "MAX_VALUES", 1000)

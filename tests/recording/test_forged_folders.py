@@ -229,6 +229,7 @@ def test_odd_numbers_are_answers(folder: Path) -> None:
         use(folder)
 
 
+@pytest.mark.slow
 def test_further_columns_do_not_matter(folder: Path) -> None:
     for table in ("ticks", "entities", "models/entities", "models/shapes"):
         rewrite(
@@ -275,6 +276,7 @@ def mutations(value: Any) -> Iterator[Any]:
             yield from ([*value[:n], changed, *value[n + 1 :]] for changed in mutations(part))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "every"),
     [(name, 6) for name in ("ssduck.json", ABOUT)]
@@ -393,6 +395,7 @@ def test_a_forged_log_is_an_error(
     assert "unfinished" in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_log_of_random_bytes(made: Path, tmp_path: Path) -> None:
     """Each byte that differs is an error, or one that nobody reads."""
     record = Path(shutil.copytree(made / "unfinished", tmp_path / "unfinished"))
@@ -445,6 +448,7 @@ def test_a_log_of_too_many_bytes_is_not_read(
         ssduck.open(record)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("raw", [b"\xff\xfe", b"\xed\xa0\x80"])
 def test_a_name_that_is_no_text_is_an_error(folder: Path, raw: bytes) -> None:
     def change(rows: pa.Table) -> pa.Table:

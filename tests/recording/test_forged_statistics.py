@@ -100,6 +100,7 @@ FORGERIES: list[tuple[str, str, Callable[[pa.ChunkedArray], Any]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "column", "bound"),
     FORGERIES,
@@ -131,6 +132,7 @@ def refused(folder: Path, table: str, column: str) -> None:
         assert re.search(words, " ".join(one.problem for one in ssduck.check(folder)))
 
 
+@pytest.mark.slow
 def test_a_forged_number_of_nulls_is_an_error(folder: Path) -> None:
     file = part(folder, "entities")
     rows = pq.ParquetFile(file).read()
@@ -157,6 +159,7 @@ def _ticks(folder: Path) -> pa.ChunkedArray:
     return pq.ParquetFile(part(folder, "entities")).read()["tick"]
 
 
+@pytest.mark.slow
 def test_nan_beside_statistics_is_unknown(folder: Path) -> None:
     """Statistics leave it out; to plain SQL it is the greatest number, in ssduck's views NULL."""
     file = part(folder, "entities")
@@ -175,6 +178,7 @@ def test_times_that_are_nan_are_an_error_beside_statistics(folder: Path) -> None
         ss.sql("SELECT count(*) FROM entities_history")
 
 
+@pytest.mark.slow
 def test_bloom_filters_are_refused(folder: Path) -> None:
     file = part(folder, "entities")
     written_by_duckdb(file, "WRITE_BLOOM_FILTER true")
@@ -217,6 +221,7 @@ def test_page_indexes_are_refused(folder: Path) -> None:
         ss.sql("FROM entities_history")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["own", "folder"])
 def test_true_statistics_are_none(made: Path, kind: str) -> None:
     assert ssduck.check(made / kind) == []
@@ -269,6 +274,7 @@ def _place(file: Path, column: str) -> int:
     return pq.read_schema(file).names.index(column)
 
 
+@pytest.mark.slow
 def test_other_writers_and_row_groups(folder: Path) -> None:
     """DuckDB writes other statistics, and a part may have any number of row groups."""
     pq.write_table(
@@ -295,6 +301,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
     return read
 
 
+@pytest.mark.slow
 def test_own_parts_are_not_read_again(made: Path, read: list[tuple[str, list[str]]]) -> None:
     """They have statistics of ticks and times only, which the check of their rows has read."""
     with ssduck.open(made / "own") as ss:
@@ -305,6 +312,7 @@ def test_own_parts_are_not_read_again(made: Path, read: list[tuple[str, list[str
     assert read == []
 
 
+@pytest.mark.slow
 def test_several_row_groups_are_read_each_by_itself(
     folder: Path, read: list[tuple[str, list[str]]]
 ) -> None:

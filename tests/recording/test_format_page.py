@@ -28,6 +28,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "fallen"
 
 
+@pytest.mark.slow
 def test_the_example_opens_and_is_asked(written: Path) -> None:
     (episode,) = ssduck.episodes(written)
     assert (episode.ticks, episode.complete, episode.tags) == (5, True, {"task": "fall"})
@@ -46,6 +47,7 @@ def test_the_example_has_all_columns_of_its_tables(written: Path) -> None:
         assert set(pq.read_schema(file).names) == set(part_columns(table)), table
 
 
+@pytest.mark.slow
 def test_the_example_can_be_exported_upgraded_and_read_again(written: Path, tmp_path: Path) -> None:
     with ssduck.open(written) as ss:
         ss.export(tmp_path / "copy")

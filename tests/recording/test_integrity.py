@@ -98,6 +98,7 @@ def test_other_tools_can_verify_pages(run: Path) -> None:
         pq.ParquetFile(file, page_checksum_verification=True).read()
 
 
+@pytest.mark.slow
 def test_an_episode_says_whether_it_is_complete(records: Path) -> None:
     for name in flip.RECORDS:
         (episode,) = ssduck.episodes(records / name)
@@ -107,6 +108,7 @@ def test_an_episode_says_whether_it_is_complete(records: Path) -> None:
 # -- check ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_whole_records_are_intact(records: Path) -> None:
     for name in flip.RECORDS:
         assert ssduck.check(records / name) == []
@@ -119,6 +121,7 @@ def _rows(run: Path) -> list[int]:
     return ticks
 
 
+@pytest.mark.slow
 def test_a_repair_takes_out_damaged_parts_alone(run: Path) -> None:
     before, files = _rows(run), {file.name for file in run.rglob("*")}
     size = sum(file.stat().st_size for file in run.rglob("*.parquet"))
@@ -150,6 +153,7 @@ def test_a_repair_takes_out_damaged_parts_alone(run: Path) -> None:
     assert read_description(run / "episodes" / "lab-0.json")["removed"] == [1, 3]
 
 
+@pytest.mark.slow
 def test_a_record_can_be_opened_without_its_damaged_parts(run: Path) -> None:
     before = _rows(run)
     flip_bit(run / "entities" / PLACE / "part-000000.parquet", 0.4)
@@ -179,6 +183,7 @@ def test_models_cannot_be_repaired(run: Path) -> None:
     assert (damage.is_repaired, damage.loss) == (False, "all of episode 0 of 'lab'")
 
 
+@pytest.mark.slow
 def test_a_damaged_log_ends_earlier(records: Path, tmp_path: Path) -> None:
     run = flip.copy_of(records / "unfinished", tmp_path)
     before = _rows(run)
@@ -237,6 +242,7 @@ def _opens(file: Path) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_the_command(run: Path) -> None:
     assert answer("check", str(run)) == f"{run} is intact\n"
     flip_bit(run / "ticks" / PLACE / "part-000001.parquet", 0.4)

@@ -156,6 +156,7 @@ def linked(file: Path, tmp_path: Path) -> Path:
     return link
 
 
+@pytest.mark.slow
 def test_a_link_to_the_file_itself_is_followed(linked: Path, file: Path) -> None:
     count = len(ssduck.episodes(file))
     _record(linked)
@@ -176,6 +177,7 @@ def test_the_log_is_then_beside_the_file(linked: Path, file: Path, tmp_path: Pat
     assert victim.read_text() == "my thesis"
 
 
+@pytest.mark.slow
 def test_the_log_of_a_linked_file_does_not_grow_without_end(
     linked: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

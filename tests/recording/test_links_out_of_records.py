@@ -186,6 +186,7 @@ def with_steps(made: Path, to: Path) -> tuple[Path, EpisodeSteps]:
     return record, steps
 
 
+@pytest.mark.slow
 def test_an_upgraded_record_has_the_steps(made: Path, tmp_path: Path) -> None:
     record, steps = with_steps(made, tmp_path)
     ssduck.upgrade(record, tmp_path / "new")

@@ -120,6 +120,7 @@ def test_impossible_sizes_in_a_listing_are_an_error_of_their_episode(
     assert lake.episodes["size"].to_pylist() == [0]
 
 
+@pytest.mark.pairwise
 @pytest.mark.slow
 @pytest.mark.parametrize("ask", ASKING)
 @pytest.mark.parametrize(

@@ -132,6 +132,7 @@ def _begin(path: Path, client: int) -> None:
         ss.add_variable("lab", ssduck.World.attach(client))
 
 
+@pytest.mark.slow
 def test_an_episode_of_a_file_begins_without_the_texts_of_the_others(
     tmp_path: Path, client: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -198,6 +198,7 @@ def test_a_part_is_checked_when_it_is_read(run: Path, checks: list[str]) -> None
         assert sorted(checks) == sorted(f"entities {part}" for part in range(PARTS))
 
 
+@pytest.mark.slow
 def test_a_question_about_ticks_of_one_of_few_parts_checks_it_alone(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +230,7 @@ def _at(ss: ssduck.Interpreter, time: float, selected: str = "tick") -> list[Any
     return ss.eval(f"SELECT {selected} FROM lab{{T}} AS list;")
 
 
+@pytest.mark.slow
 def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks: list[str]) -> None:
     """Ten parts are groups of three; any other statement has all of them checked."""
     with ssduck.open(run) as ss:
@@ -250,6 +252,7 @@ def test_a_question_about_a_tick_checks_the_group_of_its_part(run: Path, checks:
         assert checks == []
 
 
+@pytest.mark.slow
 def test_answers_about_a_tick_are_those_of_all(run: Path, checks: list[str]) -> None:
     with ssduck.open(run) as ss:
         found = [_at(ss, time, "z(this)") for time in ss.past("lab").times]
@@ -257,6 +260,7 @@ def test_answers_about_a_tick_are_those_of_all(run: Path, checks: list[str]) -> 
     assert found == [[z] for (z,) in whole]
 
 
+@pytest.mark.slow
 def test_the_log_of_a_record_of_many_parts_is_read(
     run: Path, checks: list[str], client: int
 ) -> None:
@@ -312,6 +316,7 @@ def test_rows_of_other_ticks_are_in_no_answer(
         assert [_at(ss, times[n]) for n in (0, 1, 8, 19)] == [[1], [2], [9], [20]]
 
 
+@pytest.mark.slow
 def test_parts_of_other_ticks_are_not_read(run: Path, checks: list[str]) -> None:
     """Of another group DuckDB reads the first file, for its columns; the others may be anything."""
     other = run / "entities" / PLACE.format(1) / "part-000007.parquet"

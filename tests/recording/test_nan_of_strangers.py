@@ -259,6 +259,7 @@ def test_a_record_that_ssduck_writes_has_null(record: Path, table: str, tmp_path
         assert nulls > 0
 
 
+@pytest.mark.slow
 def test_macros_over_the_files_have_null(records, tmp_path):
     record = shutil.copytree(records / "folder", tmp_path / "folder")
     store_nan(record, "entities")

@@ -71,7 +71,7 @@ def test_the_same_files_are_there(places: tuple[str, Path]) -> None:
     assert "/ticks/world=lab/episode=0/part-000003.parquet" in names(local)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_rows_and_answers(places: tuple[str, Path]) -> None:
     remote, local = places
     programs = [
@@ -168,7 +168,7 @@ def test_poses_from_anywhere_tags_and_further_episodes(server) -> None:
         assert ss.eval("SELECT x FROM lab AS value;") == 0.125
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_commands_take_addresses(places: tuple[str, Path], tmp_path: Path) -> None:
     remote, _ = places
     assert "task=drop" in answer("episodes", remote)
@@ -216,6 +216,7 @@ def test_strict_limits_read_the_record_and_nothing_else(places: tuple[str, Path]
                 ss.sql(f"SELECT * FROM read_parquet('{other}')")
 
 
+@pytest.mark.slow
 def test_without_fsspec_the_error_says_what_to_install(
     places: tuple[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -245,6 +246,7 @@ def test_an_address_is_a_path() -> None:
     assert not isinstance(expand_path("./s3:/x"), ObjectPath)
 
 
+@pytest.mark.slow
 def test_objects_are_listed_and_read(server) -> None:
     place = ObjectPath("s3://lake/plain")
     assert (place.exists(), place.is_dir(), place.is_file()) == (False, False, False)
@@ -266,7 +268,7 @@ def test_objects_are_listed_and_read(server) -> None:
     assert not place.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_live_worlds_that_change_are_recorded_to_the_store(server) -> None:
     client = pybullet.connect(pybullet.DIRECT)
     with ssduck.Interpreter(recording=ALL) as ss:

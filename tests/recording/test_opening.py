@@ -96,6 +96,7 @@ def test_whatever_is_read_first(runs: dict[str, Path], number: int) -> None:
         assert lazily == eagerly
 
 
+@pytest.mark.slow
 def test_raw_sql_reads_the_current_tick(runs: dict[str, Path]) -> None:
     with ssduck.open(runs["file"]) as ss:
         rows = ss.sql("SELECT name, tick FROM lab.entities ORDER BY name").fetchall()

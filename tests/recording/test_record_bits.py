@@ -123,6 +123,7 @@ def test_the_present_of_an_opened_record_is_as_it_was(recorded, name: str) -> No
             assert told(ss, PRESENT) == live[time]
 
 
+@pytest.mark.slow
 def test_so_is_what_follows_from_poses_alone(recorded) -> None:
     place, live = recorded
     with ssduck.open(place / "poses") as ss:

@@ -66,6 +66,7 @@ def test_a_folder_in_the_working_directory_is_no_address(client, tmp_path, monke
     assert sorted(file.name for file in tmp_path.iterdir()) == sorted({*names, "s3:"} - {"s3:/x"})
 
 
+@pytest.mark.slow
 def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch) -> None:
     there = tmp_path / "there"
     there.mkdir()
@@ -86,6 +87,7 @@ def test_a_record_stays_where_it_began(client, tmp_path, monkeypatch) -> None:
         assert len(opened.eval("SELECT id FROM lab{} AS list;")) == 3
 
 
+@pytest.mark.slow
 @POSIX
 def test_a_tilde_is_the_home_folder_through_every_door(client, tmp_path, monkeypatch) -> None:
     home, here = tmp_path / "home", tmp_path / "here"
@@ -124,6 +126,7 @@ def test_a_file_is_the_one_of_that_name(client, tmp_path: Path, monkeypatch) -> 
         assert ticks(Path(name)) == (length + 1, length + 1)
 
 
+@pytest.mark.slow
 @POSIX
 @sampled("name", ["a\\b", "a\\", "a\0b", "a\\*"], every=4)
 def test_a_name_that_duckdb_does_not_take_is_an_error(client, tmp_path: Path, name: str) -> None:

@@ -111,6 +111,7 @@ def ask_of_parts(ss):
         yield str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_strict", [False, True])
 @pytest.mark.parametrize("name", ["run", "a [run]"])
 @pytest.mark.parametrize("is_asked", [False, True])
@@ -181,6 +182,7 @@ DOORS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 @pytest.mark.parametrize("mode", [0o000, 0o644], ids=oct)
 @pytest.mark.parametrize("door", DOORS)
@@ -262,6 +264,7 @@ def test_a_lake_without_permission(run):
     run.chmod(0o755)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has other permissions")
 @pytest.mark.parametrize("place", ["entities", "ticks", "episodes"])
 @pytest.mark.parametrize("is_listed", [False, True])

@@ -109,6 +109,7 @@ def test_each_episode_answers_for_its_own_rows(folder) -> None:
                 asked(ss, "clearance(a, b)", rows_of(folder, 1 - episode))
 
 
+@pytest.mark.slow
 def test_another_world_answers_for_none_of_them(folder) -> None:
     with ssduck.load("kitchen") as ss:
         for what in ("clearance(a, b)", "collides(a, b)"):

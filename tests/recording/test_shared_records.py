@@ -61,6 +61,7 @@ def test_a_world_with_the_name_of_a_schema_of_duckdbs_is_refused_when_it_is_name
         assert ss.sql(f"SELECT count(*) > 1 FROM {name}_2.entities").fetchall() == [(True,)]
 
 
+@pytest.mark.slow
 def test_a_file_has_one_writer_in_a_process(tmp_path):
     path = tmp_path / "run.duckdb"
     with ssduck.Interpreter(path):
@@ -70,6 +71,7 @@ def test_a_file_has_one_writer_in_a_process(tmp_path):
     ssduck.Interpreter(path).close()
 
 
+@pytest.mark.slow
 def test_recorders_that_begin_in_one_new_folder_at_once_all_get_an_episode(tmp_path):
     """50 starts: ten in each of five new folders."""
     folders, starts = 5, 10

@@ -163,6 +163,7 @@ def test_a_query_and_a_commit_wait_for_each_other(
     assert found == [_whole(RING + 1)]
 
 
+@pytest.mark.slow
 def test_nothing_is_made_good_amid_a_query(
     recorded: ssduck.Interpreter, world: ssduck.World
 ) -> None:
@@ -204,6 +205,7 @@ def test_queries_see_whole_ticks_while_they_are_stored(
     assert world.snapshot.number > 3 * RING
 
 
+@pytest.mark.slow
 def test_entities_that_come_while_others_are_stored(
     recorded: ssduck.Interpreter, world: ssduck.World, client: int, gate: Gate
 ) -> None:
@@ -277,6 +279,7 @@ def test_flush_and_close_wait(
         assert _counts(then) == _whole(RING + 4)
 
 
+@pytest.mark.slow
 def test_a_world_that_is_recorded_anew_while_it_is_stored(world: ssduck.World, gate: Gate) -> None:
     with ssduck.Interpreter(recording=Recording(changed=True)) as ss:  # in memory, yet in tables
         ss.add_variable("lab", world)

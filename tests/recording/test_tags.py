@@ -34,6 +34,7 @@ def recorded(scene: Path, place: Path, tags: dict | None = None) -> ssduck.Episo
     return ssduck.episodes(place)[-1]
 
 
+@pytest.mark.slow
 def test_each_run_has_an_id_of_its_own_that_stays(scene: Path, tmp_path: Path) -> None:
     made = [recorded(scene, tmp_path / name) for name in ("a", "b", "b")]
     assert len({UUID(episode.id) for episode in made}) == 3
@@ -42,6 +43,7 @@ def test_each_run_has_an_id_of_its_own_that_stays(scene: Path, tmp_path: Path) -
     assert ssduck.check(tmp_path / "b") == []
 
 
+@pytest.mark.slow
 def test_tags_are_read_back_with_their_types(scene: Path, tmp_path: Path) -> None:
     assert recorded(scene, tmp_path / "a", TAGS).tags == TAGS
     assert [type(tag) for tag in recorded(scene, tmp_path / "a", TAGS).tags.values()] == [
@@ -92,6 +94,7 @@ def test_threads_and_processes_tag_an_episode_that_ends(scene: Path, tmp_path: P
     assert episode.complete
 
 
+@pytest.mark.slow
 def test_a_database_has_ids_and_tags_and_an_export_keeps_the_tags(
     scene: Path, tmp_path: Path
 ) -> None:
@@ -108,6 +111,7 @@ def test_a_database_has_ids_and_tags_and_an_export_keeps_the_tags(
     assert copied.id != stored.id
 
 
+@pytest.mark.slow
 def test_a_memory_record_is_exported_with_its_tags(scene: Path, tmp_path: Path) -> None:
     with ssduck.load(scene) as ss:
         ss.record("two", ENTITIES, tags=TAGS)
@@ -176,6 +180,7 @@ def test_a_tag_without_a_name_or_value_is_an_error(text: str) -> None:
         parsed_tag(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("output", ["r", "r.duckdb"])
 def test_the_commands_take_tags_and_list_them(scene: Path, tmp_path: Path, output: str) -> None:
     place = str(tmp_path / output)

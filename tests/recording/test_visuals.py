@@ -43,6 +43,7 @@ def kitchen(tmp_path_factory):
     return place, *expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["run", "run.duckdb", "exported", "again"])
 def test_a_record_has_what_was_drawn(kitchen, name):
     place, expected, camera = kitchen
@@ -54,6 +55,7 @@ def test_a_record_has_what_was_drawn(kitchen, name):
     assert len(colours) > 10
 
 
+@pytest.mark.slow
 def test_a_colour_that_is_not_finite_is_none(tmp_path):
     client = pybullet.connect(pybullet.DIRECT)
     shape = pybullet.createCollisionShape(
@@ -74,6 +76,7 @@ def test_a_colour_that_is_not_finite_is_none(tmp_path):
         assert ssduck.check(tmp_path / name) == []
 
 
+@pytest.mark.slow
 def test_an_old_record_is_drawn_by_its_shapes_without_colours(tmp_path):
     import tarfile
 
@@ -94,6 +97,7 @@ def test_an_old_record_is_drawn_by_its_shapes_without_colours(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_a_history_in_memory_reads_no_mesh_for_it():
     with ssduck.load("kitchen") as ss:
         rows = ss.sql("SELECT visuals FROM kitchen.entities_model").fetchall()

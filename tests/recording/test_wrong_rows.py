@@ -111,6 +111,7 @@ def test_a_check_finds_them(
     assert words in found[0].problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forge", [forged_file, forged_folder])
 @pytest.mark.parametrize("name", FORGERIES)
 def test_sql_refuses_them(
@@ -142,6 +143,7 @@ REPEATED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("table", "column", "value"), REPEATED)
 def test_what_rows_repeat_is_that_of_their_model(
     made: Path, tmp_path: Path, table: str, column: str, value: str
@@ -185,6 +187,7 @@ def test_each_part_is_read_once(
     assert sorted(files) == [part(made / "folder", name) for name in read]
 
 
+@pytest.mark.slow
 def test_links_that_no_replay_reads(made: Path, tmp_path: Path) -> None:
     """A folder has the links of bodies that have one: SQL reads them, SelectScript does not."""
     select = (

@@ -116,6 +116,7 @@ def test_edges_are_smooth(picture):
     assert ((reddish > 0.05) & (reddish < 0.25)).sum() > 4
 
 
+@pytest.mark.slow
 def test_highlighted_entities_stand_out(scene, picture):
     path = scene.parent / "marked.png"
     query = "SELECT id(this) FROM desk WHERE z(this) > 1;"
@@ -129,6 +130,7 @@ def test_highlighted_entities_stand_out(scene, picture):
     assert (drawn(path) == marked).all()
 
 
+@pytest.mark.slow
 def test_a_film_of_a_record_shows_each_time(record, tmp_path):
     film = Film(span=(0.0, 0.6), fps=10, size=SIZE, camera=VIEW)
     path = render(record, tmp_path / "film.gif", film)
@@ -165,6 +167,7 @@ def test_speed_and_rate_give_the_number_of_pictures(record, tmp_path):
         assert path.stat().st_size
 
 
+@pytest.mark.slow
 def test_an_mp4_has_the_size_and_the_pictures(record, tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     film = Film(fps=10, size=(64, 48), camera=VIEW)
@@ -175,6 +178,7 @@ def test_an_mp4_has_the_size_and_the_pictures(record, tmp_path):
     assert path.read_bytes()[4:8] == b"ftyp"
 
 
+@pytest.mark.slow
 def test_a_world_in_use_is_drawn_as_it_is(scene, picture, tmp_path):
     with ssduck.load(scene) as ss:
         world = ss.worlds[0]
@@ -187,6 +191,7 @@ def test_a_world_in_use_is_drawn_as_it_is(scene, picture, tmp_path):
         assert world.time == time
 
 
+@pytest.mark.slow
 def test_a_world_in_use_is_filmed(scene, tmp_path):
     with ssduck.load(scene) as ss:
         world = ss.worlds[0]
@@ -203,6 +208,7 @@ def test_a_world_in_use_is_filmed(scene, tmp_path):
         assert path.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_bodies_that_come_and_go_are_drawn(scene, tmp_path):
     with ssduck.load(scene) as ss:
         world = ss.worlds[0]
@@ -232,6 +238,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("values", "name", "error", "message"), WRONG)
 def test_errors_leave_no_file(record, tmp_path, values, name, error, message):
     with pytest.raises(error, match=message):
@@ -277,6 +284,7 @@ def test_a_film_of_too_many_pictures(end):
         Film().times(-end, end)
 
 
+@pytest.mark.slow
 def test_ffmpeg_that_fails_leaves_the_file_as_it_was(record, tmp_path, monkeypatch):
     film = tmp_path / "film.mp4"
     film.write_text("old")
@@ -287,6 +295,7 @@ def test_ffmpeg_that_fails_leaves_the_file_as_it_was(record, tmp_path, monkeypat
     assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
 
 
+@pytest.mark.slow
 def test_the_command_draws(scene, record, tmp_path):
     options = ["--size", f"{WIDTH}x{HEIGHT}", "--eye", "4,-6,4", "--target", "0,0,1.4"]
     output = answer("render", str(scene), "-o", str(tmp_path / "a.png"), *options)

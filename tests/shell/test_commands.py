@@ -181,6 +181,7 @@ def test_the_command_reads_a_pipe(tmp_path):
     assert "Binder Error" in result.stderr
 
 
+@pytest.mark.slow
 def test_strict(tmp_path):
     program = f"COPY (SELECT 1) TO '{tmp_path}/a.csv';"
     result = ssduck_("shell", "hall", "--sql", "--strict", input=program)

@@ -41,6 +41,7 @@ def magics(**names):
 PROGRAM = "SELECT id(this) FROM hall WHERE id(this) == 'goal' AS list;"
 
 
+@pytest.mark.slow
 def test_a_cell_and_a_line(ss):
     found = magics(ss=ss, _=ss, same=ss)
     assert found["selectscript"]("", PROGRAM) == ["goal"]

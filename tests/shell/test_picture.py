@@ -2,6 +2,8 @@
 
 import re
 
+import pytest
+
 from tools import draw_shell
 
 
@@ -9,6 +11,7 @@ def texts(path):
     return re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_the_manuals_picture_of_the_shell_is_up_to_date(tmp_path):
     drawn = texts(draw_shell.draw(tmp_path))
     assert len(drawn) > 20

@@ -58,6 +58,7 @@ def stepped(client, count=1):
         pybullet.stepSimulation(client)
 
 
+@pytest.mark.slow
 def test_each_tick_is_a_step_later(client, bouncing):
     """Of intervals, changes and triggers a plain loop over PyBullet tells the times."""
     ss, world = bouncing
@@ -98,6 +99,7 @@ def test_each_tick_is_a_step_later(client, bouncing):
     assert [time for _, time in told] == times
 
 
+@pytest.mark.slow
 def test_where_something_rests_is_told_in_time(client, bouncing):
     """`on` of a cube that was put down holds from its step on, not `[[0, 0]]`."""
     ss, world = bouncing
@@ -226,6 +228,7 @@ def test_a_sensors_period_is_of_that_time(client, bouncing):
     assert sorted(set(measured)) == pytest.approx([STEP, *(0.1 * k + STEP for k in range(1, 5))])
 
 
+@pytest.mark.slow
 def test_a_record_has_the_times(client, bouncing, tmp_path):
     ss, world = bouncing
     with ss.record_to(tmp_path / "run"):
@@ -256,6 +259,7 @@ def late_start(act):
     return [str(w.message) for w in caught if "were not recorded" in str(w.message)]
 
 
+@pytest.mark.slow
 def test_ticks_before_a_world_is_bound_are_told_of_once(client, bouncing):
     _, world = bouncing
     late = ssduck.World.attach(client, names={0: "floor", 1: "ball"})
@@ -339,6 +343,7 @@ def test_a_step_of_no_length(client, bouncing):
     assert world.tick(time=1).time == 1.0
 
 
+@pytest.mark.slow
 def test_other_worlds_take_no_time_by_a_tick(tmp_path):
     """Of a world that ssduck steps, of one that is not simulated, and of a record."""
     with ssduck.load("chaos", recording=None) as ss:
@@ -387,6 +392,7 @@ def test_the_last_of_ticks_at_the_same_time_counts(client, bouncing):
     assert [round(z) for (z,) in rows] == [1, 3, 4, 5, 5]
 
 
+@pytest.mark.slow
 def test_pieces_of_ticks_at_the_same_time_stay_together(client, bouncing):
     """`since` reads the last ticks first, some hundred at a time."""
     ss, world = bouncing

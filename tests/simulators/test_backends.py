@@ -104,6 +104,7 @@ def backend(monkeypatch):
     monkeypatch.setitem(BACKENDS, "two_boxes", module.__name__)
 
 
+@pytest.mark.slow
 def test_queries_ask_a_simulator_of_two_boxes(tmp_path, backend):
     world = World.load(Scene("boxes", tmp_path / "scene.toml"), simulator="two_boxes")
     with Interpreter() as ss:

@@ -109,6 +109,7 @@ def _row(bodies, links, points, normal, depth, force, friction):
     return (*sides[first], *sides[1 - first], *numbers)
 
 
+@pytest.mark.slow
 def test_rows_are_sorted():
     ss = ssduck.load("kitchen", recording=None)
     ss.call_variable("kitchen").step(30)

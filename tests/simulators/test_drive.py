@@ -50,6 +50,7 @@ def at(entity, name):
     return next(j for j in entity.joints if j.name == name)
 
 
+@pytest.mark.slow
 def test_motors_take_joints_to_positions_and_hold_them(crane):
     world = crane.world
     before = world.snapshot.number
@@ -81,6 +82,7 @@ def test_motors_turn_joints_at_velocities(crane):
     assert at(crane, "spin").position == pytest.approx(-7.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_what_is_not_named_goes_on(crane):
     crane.drive({"push": 0.3}, velocities={"spin": 2.0})
     crane.world.step(480)

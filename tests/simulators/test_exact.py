@@ -516,6 +516,7 @@ def test_the_mark_is_a_column(marked):
     assert marked.sql(MARKS.format("other", "")).fetchall() == expected
 
 
+@pytest.mark.slow
 @sampled("changed", [False, True], every=2)
 @sampled("kind", ["folder", "file"], every=2)
 def test_records_keep_the_mark(marked, tmp_path, kind, changed):
@@ -614,6 +615,7 @@ def test_explain_says_where_an_answer_is_not_exact(marked, query, relations, row
     assert ("not exact" in said) is (relations is not None)
 
 
+@pytest.mark.slow
 def test_nothing_is_said_where_all_is_exact():
     with ssduck.load("kitchen") as ss:
         assert "not exact" not in ss.eval(

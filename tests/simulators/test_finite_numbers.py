@@ -39,6 +39,7 @@ def test_a_mesh(tmp_path: Path, kind: str, number: str, concave: str) -> None:
         ssduck.load(tmp_path / "x.urdf")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["obj", "stl", "dae"])
 def test_large_numbers_are_numbers(tmp_path: Path, kind: str) -> None:
     (tmp_path / f"m.{kind}").write_bytes(mesh(kind, "1e6"))

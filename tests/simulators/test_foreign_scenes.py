@@ -143,6 +143,7 @@ def test_files_beside_it_are_read(place: Path, name: str, text: str) -> None:
         assert ss.sql("SELECT type FROM geometries").fetchall() in ([("hull",)], [("mesh",)])
 
 
+@pytest.mark.slow
 def test_shipped_scenes_load_with_strict_limits() -> None:
     with ssduck.load("kitchen", limits=Limits.strict()) as ss:
         assert ss.eval("count(SELECT this FROM kitchen AS list);") == 37
@@ -208,6 +209,7 @@ WRONG = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @sampled(("name", "text", "words"), WRONG, every=3)
 def test_what_is_wrong_is_an_error(tmp_path: Path, name: str, text: str, words: str) -> None:
     (tmp_path / "m.obj").write_text(CUBE)

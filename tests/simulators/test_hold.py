@@ -61,6 +61,7 @@ def between(world):
     return np.array(world["ball"].position) - hand.position
 
 
+@pytest.mark.slow
 def test_what_is_held_goes_where_the_hand_goes(yard):
     gripper, ball = yard["gripper"], yard["ball"]
     before = np.array(ball.position)

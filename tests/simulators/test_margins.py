@@ -73,6 +73,7 @@ WAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row_by_row", [False, True])
 @sampled("way", WAYS, every=4)
 def test_changed_margins_count_from_the_next_tick(sim, client, way, row_by_row):
@@ -103,6 +104,7 @@ def test_what_touches_by_changed_margins_can_be_held(sim, client):
     assert sim["low"].name == "low"
 
 
+@pytest.mark.slow
 def test_recorded_ticks_go_by_those_that_a_body_came_with_and_tell(sim, client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)
@@ -122,6 +124,7 @@ def test_recorded_ticks_go_by_those_that_a_body_came_with_and_tell(sim, client):
         assert ss.eval(ask.format(before)) is True  # told once
 
 
+@pytest.mark.slow
 def test_margins_of_a_body_that_is_gone(sim, client):
     with ssduck.Interpreter() as ss:
         ss.add_variable("sim", sim)
@@ -132,6 +135,7 @@ def test_margins_of_a_body_that_is_gone(sim, client):
         assert ss.sql("SELECT margin FROM sim.shapes").fetchall() == [(0.001,)]
 
 
+@pytest.mark.slow
 def test_a_row_of_no_entity_is_an_error(sim):
     other = "(SELECT * REPLACE (id + 1000 AS id) FROM entities)"
     with ssduck.Interpreter() as ss:

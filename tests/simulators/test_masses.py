@@ -97,6 +97,7 @@ def test_masses_of_bodies_that_come_and_go(sim, client):
     assert len(ss.sql("SELECT mass FROM entities")) == 0
 
 
+@pytest.mark.slow
 def test_masses_of_a_world_that_ssduck_made():
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")
@@ -171,6 +172,7 @@ PAST = {
 IN_PROGRAMS = [way for way in PAST if way not in ("entity", "links", "history", "star", "model")]
 
 
+@pytest.mark.slow
 @sampled(
     ("way", "row_by_row"),
     [*((way, False) for way in PAST), *((way, True) for way in IN_PROGRAMS)],
@@ -224,6 +226,7 @@ def test_a_mass_that_changed_before_recording_begins(sim, client, tmp_path):
             assert opened.eval("mass(sim.cube);") == 7.5
 
 
+@pytest.mark.slow
 @sampled("place", ["export", "folder", "file"], every=3)
 def test_a_record_of_a_mass_that_was_changed_comes_with_a_warning(sim, client, tmp_path, place):
     ss = ssduck.Interpreter(tmp_path / "run.duckdb" if place == "file" else ":memory:")

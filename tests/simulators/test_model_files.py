@@ -58,6 +58,7 @@ def states(client, bodies, get=pybullet.getDynamicsInfo):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "file", "text"), [("sdf", "a.sdf", SDF), ("mjcf", "a.xml", MJCF)])
 def test_the_bodies_of_a_file_are_those_of_pybullet(load, write, client, key, file, text):
     _, world = load(f'[[body]]\n{key} = "{file}"\nhold = false\n', **{file.replace(".", "_"): text})
@@ -91,6 +92,7 @@ def test_the_names_of_sdf_bodies(load):
     assert [link.name for link in world["arm_model"].links] == ["base", "arm"]
 
 
+@pytest.mark.slow
 def test_the_names_of_mjcf_bodies(load, tmp_path):
     """The file names three of them; the others have the name of its model."""
     _, world = load('[[body]]\nmjcf = "a.xml"\n', a_xml=MJCF)
@@ -187,6 +189,7 @@ def test_joints_of_a_file(load):
     assert joint.position == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "file", "text"), [("sdf", "a.sdf", SDF), ("mjcf", "a.xml", MJCF)])
 def test_a_saved_file_is_read_back(load, tmp_path, key, file, text):
     """As URDF files, with the same names, poses, masses and shapes."""
@@ -211,6 +214,7 @@ def test_a_saved_file_is_read_back(load, tmp_path, key, file, text):
             )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("key", "file", "text"), [("sdf", "a.sdf", SDF), ("mjcf", "a.xml", MJCF)])
 def test_an_excerpt_of_a_file_goes_on_as_the_original(load, key, file, text):
     ss, world = load(f'[[body]]\n{key} = "{file}"\n{POSE}', **{file.replace(".", "_"): text})
@@ -398,6 +402,7 @@ def test_a_file_without_such_parts_is_not_warned_of(load, format, recwarn):
     assert not recwarn.list
 
 
+@pytest.mark.slow
 def test_other_warnings_about_files(load):
     """What MuJoCo reads otherwise, what PyBullet says, and each file once."""
     body = mjcf_body(

@@ -111,6 +111,7 @@ def test_material_and_velocity_arrive_in_pybullet(load):
     assert colours[ball] == pytest.approx((0, 0.5, 1, 0.5), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_bodies_rest_on_the_floor(load):
     ss, world = load(STACK + '[[body]]\nname = "low"\nbox = [1, 1, 0.1]\nposition = [3, 0, 1]\n')
     assert world["floor"].position == [0, 0, 0]
@@ -122,6 +123,7 @@ def test_bodies_rest_on_the_floor(load):
     assert ss.eval("inContact(room.floor, room.low);")
 
 
+@pytest.mark.slow
 def test_the_table_of_the_floor(load):
     _, world = load(
         "[floor]\nheight = -0.5\nfriction = 0.2\nrestitution = 1\ncolour = [0, 1, 0]\n"
@@ -148,6 +150,7 @@ def test_restitution_takes_both_bodies(load, floor, height):
     assert max(heights) == pytest.approx(height, abs=0.04)
 
 
+@pytest.mark.slow
 def test_without_a_floor_bodies_fall(load):
     for text in ("", "floor = false\n"):
         _, world = load(text + '[[body]]\nname = "box"\nbox = [1, 1, 1]\n')
@@ -163,6 +166,7 @@ def test_a_floor_is_drawn(load):
     assert green > blue + 50
 
 
+@pytest.mark.slow
 def test_a_saved_primitive_is_read_back(load, tmp_path):
     _, world = load(STACK)
     world.step(60)
@@ -189,6 +193,7 @@ def test_a_saved_primitive_is_read_back(load, tmp_path):
             assert ours == theirs
 
 
+@pytest.mark.slow
 def test_an_excerpt_of_primitives_goes_on_as_the_original(load):
     ss, world = load(STACK)
     world.step(30)
@@ -198,6 +203,7 @@ def test_an_excerpt_of_primitives_goes_on_as_the_original(load):
         assert other.pose == pytest.approx(one.pose, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_saved_excerpt_has_the_same_primitives(load, tmp_path):
     ss, world = load(STACK)
     world.step(30)
@@ -211,6 +217,7 @@ def test_a_saved_excerpt_has_the_same_primitives(load, tmp_path):
     assert scene.bodies[1].position == pytest.approx(world["crate"].position, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_sensors_and_constraints_on_primitives(load):
     text = STACK + (
         '[[sensor]]\nname = "eye"\ntype = "range_finder"\non = "crate"\nmax_range = 3\n'
@@ -318,6 +325,7 @@ def test_boundaries(write, keys):
     assert body.model == BOUNDARIES[keys]
 
 
+@pytest.mark.slow
 def test_a_scene_of_primitives_is_recorded(load, tmp_path):
     ss, world = load(STACK)
     ss.record_to(tmp_path / "run")
@@ -331,6 +339,7 @@ def test_a_scene_of_primitives_is_recorded(load, tmp_path):
             assert np.allclose(record.call_variable("room")[name].pose, pose, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_primitives_at_a_past_tick_and_in_a_duckdb_file(write, tmp_path):
     path = write("room.toml", STACK.replace("0, 0, 0.5]", "0, 0, 2]"))
     above = "SELECT id FROM room{{{}}} WHERE above(room.floor, this) AND clearance(this, room.crate) > {} AS list;"
@@ -348,6 +357,7 @@ def test_primitives_at_a_past_tick_and_in_a_duckdb_file(write, tmp_path):
         ]
 
 
+@pytest.mark.slow
 def test_what_if_a_primitive_were_elsewhere(load):
     _, world = load(STACK)
     moved = world.what_if({"crate": [1, 0, 0, 0, 5, 5, 0.1]})

@@ -160,6 +160,7 @@ def test_files_inside_are_read(folder, outside, form):
         assert ss.eval("SELECT id(this) FROM stage AS list;") == ["stolen"]
 
 
+@pytest.mark.slow
 def test_a_link_inside_is_followed(folder, outside):
     pytest.importorskip("mujoco")
     files = {"stage.xml": f"<asset>{MESH}</asset>", "meshes/n.obj": OBJ}
@@ -257,6 +258,7 @@ def test_a_file_of_that_name_elsewhere_is_refused(folder, outside, monkeypatch, 
         strict(folder / "t.urdf")
 
 
+@pytest.mark.slow
 def test_materials_inside_are_read(folder, outside):
     files = {
         "t.urdf": URDF,
@@ -309,6 +311,7 @@ def test_a_uri_of_sdf_is_one_plain_text(folder, outside, text, main):
         strict(folder / main, simulator="pybullet")
 
 
+@pytest.mark.slow
 def test_a_plain_uri_of_sdf_is_read(folder, outside):
     pytest.importorskip("pybullet")
     write(folder, outside, {"t.sdf": SDF.format("m.obj"), "m.obj": OBJ})
@@ -340,6 +343,7 @@ def test_a_scene_that_is_a_link_outside_is_not_read(folder, outside, main, conte
     assert "TOML" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_scene_that_is_a_link_inside_is_read(folder):
     (folder / "other.toml").write_text(ELSEWHERE)
     (folder / "scene.toml").symlink_to(folder / "other.toml")
@@ -400,7 +404,7 @@ def test_files_whose_check_would_take_long_are_refused(tmp_path, make, words, mo
             ssduck.load(scene, limits=ssduck.Limits.strict(trial=trial))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_bounds_of_what_is_checked(tmp_path, monkeypatch):
     scene = find_scene(many_names(tmp_path))
     monkeypatch.setattr(scene_files, "MAX_PLACES", 10**7)

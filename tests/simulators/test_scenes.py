@@ -162,6 +162,7 @@ def test_bodies_fall_as_the_scene_says(scene):
         assert cup.position == pytest.approx([0, fall, -2.5 * fall], rel=2e-2, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_joints_begin_where_they_may_and_stay_there(scene):
     text = '[[body]]\nname = "arm"\nurdf = "arm.urdf"\nfixed = true\njoints = {swing = 0.25}\n'
     with ssduck.load(scene(text)) as ss:
@@ -207,6 +208,7 @@ def test_bodies_of_an_elastic_scene_lose_no_energy(write, elastic):
 # -- the manual -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_manuals_example_is_a_scene(write):
     page = (ROOT / "docs" / "reference" / "scenes.md").read_text(encoding="utf-8")
     toml, simple, files = re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
@@ -485,6 +487,7 @@ def test_the_shipped_scenes_are_all_sound():
         assert find_scene(name) == read_scene(path)
 
 
+@pytest.mark.slow
 def test_the_hall_stands_still_and_nothing_is_in_anything():
     with ssduck.load("hall") as ss:
         hall = ss.call_variable("hall")
@@ -498,6 +501,7 @@ def test_the_hall_stands_still_and_nothing_is_in_anything():
             assert entity.position == pytest.approx(before[entity.name], abs=1e-3), entity.name
 
 
+@pytest.mark.slow
 def test_what_flies_about_begins_apart_and_stays_in_its_box():
     with ssduck.load("chaos") as ss:
         chaos = ss.call_variable("chaos")

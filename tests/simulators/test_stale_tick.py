@@ -170,6 +170,7 @@ def test_a_joint_that_moves_counts(client: int, write: Callable[..., Any]) -> No
         assert len(warned(lambda: ss.eval("SELECT id FROM sim;"))) == 1
 
 
+@pytest.mark.slow
 def test_a_world_that_ssduck_steps_is_never_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     with ssduck.load("kitchen") as ss:
         kitchen = ss.call_variable("kitchen")

@@ -60,6 +60,7 @@ def test_a_crash_is_an_error_that_names_the_file(folder: Path) -> None:
         assert ss.eval("SELECT id FROM lab AS list;") == ["b"]
 
 
+@pytest.mark.slow
 def test_a_file_of_any_size_is_not_read_to_see_whether_it_changes(folder: Path) -> None:
     (folder / "b.urdf").write_text(BOX.replace("</robot>", TEXTURE + "</robot>"))
     with (folder / "big.png").open("wb") as file:
@@ -108,6 +109,7 @@ def test_errors_are_those_of_loading(folder: Path) -> None:
     assert errors[0][1]
 
 
+@pytest.mark.slow
 def test_warnings_come_once(folder: Path) -> None:
     (folder / "plane.urdf").write_text(robot(link("base"), '<transmission name="t"/>'))
     with warnings.catch_warnings(record=True) as told:
@@ -166,6 +168,7 @@ def test_a_task_tries_its_scene_again_if_a_file_is_another(folder: Path, tried: 
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["trial", "loading"])
 def test_files_that_change_meanwhile(
     folder: Path, monkeypatch: pytest.MonkeyPatch, moment: str

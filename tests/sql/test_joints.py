@@ -212,6 +212,7 @@ def test_a_share_is_from_0_to_1(scene, name, share):
         ss.sql(f"SELECT {name}(e, 'drawer', {share}) FROM entities e WHERE name = 'cabinet'")
 
 
+@pytest.mark.slow
 def test_a_condition_before_it_leaves_out_what_has_no_such_joint(scene):
     ss, slow, world, closed = scene
     put(world, closed, drawer=0.3)
@@ -277,6 +278,7 @@ def test_what_if(scene):
         assert one.eval(program.format("sim")) == [False, pytest.approx(0.0)]
 
 
+@pytest.mark.slow
 def test_joints_that_were_not_recorded(write):
     stage = Stage()
     stage.urdf("cabinet", write("cabinet.urdf", cabinet()))

@@ -215,6 +215,7 @@ def test_a_grasp_is_pressed_from_opposite_sides(angle):
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_a_thing_that_rests_is_not_grasped(tmp_path):
     client = pybullet.connect(pybullet.DIRECT)
     here = {"physicsClientId": client}

@@ -182,6 +182,7 @@ def test_random_scenes_agree_with_a_loop(relation):
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_planes_are_solid_below_and_endless():
     """A ground plane has everything above it, and nothing below or within its box but depths."""
     client = pybullet.connect(pybullet.DIRECT)

@@ -158,6 +158,7 @@ def test_of_a_cup_in_a_box_only_one_is_in_the_other(stage, write, scale):
         assert ss.eval("[enclosed(box, cup), enclosed(cup, box)];") == [True, False]
 
 
+@pytest.mark.slow
 def test_a_convex_shape_around_the_centre_is_no_wall(stage):
     """Blocks in each other are in each other's hull; nothing is within walls."""
     stage.box("block")
@@ -179,6 +180,7 @@ PAST = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("half", "holds"), PAST, every=4)
 def test_what_reaches_past_the_walls_at_both_ends_is_not_in_them(stage, write, half, holds):
     stage.urdf("tube", write("tube.urdf", of_boxes(FRONT, BACK, LEFT, RIGHT)))
@@ -224,6 +226,7 @@ def drawer(write):
     )
 
 
+@pytest.mark.slow
 def test_a_drawer_is_of_its_cabinet(stage, write):
     stage.urdf("cabinet", write("cabinet.urdf", drawer(write)))
     stage.sphere("ball", radius=0.02)
@@ -318,6 +321,7 @@ CARRIED = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("place", "holds"), CARRIED, every=3)
 def test_supports_at_its_edges(stage, place, holds):
     stage.box("block", (0, 0, -0.1), half=[0.5, 0.5, 0.1])
@@ -365,6 +369,7 @@ def test_what_carries_together(stage, name):
         assert set(found) == carriers
 
 
+@pytest.mark.slow
 def test_a_ball_on_three_balls(stage):
     """Settled by the physics: the pushes are 35 degrees off up, and each one is needed."""
     for number in range(3):
@@ -380,6 +385,7 @@ def test_a_ball_on_three_balls(stage):
     assert pairs_of(ss, "inContact(p, q) AND q.name = 'top'") == pairs_of(ss, "supports(p, q)")
 
 
+@pytest.mark.slow
 def test_what_rests_in_a_circle_ends(stage):
     """As of two hooks, each of whose ends lies on the other's foot."""
     stage.box("a", half=[0.5, 0.5, 0.1])

@@ -115,6 +115,7 @@ CONDITIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("handle", ["board", "guest"])
 @pytest.mark.parametrize("long", [10, 10_000])
 @sampled("condition", CONDITIONS, every=3)

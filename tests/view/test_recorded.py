@@ -56,6 +56,7 @@ def frames(world, numbers):
         yield Frame.of(world.source_record.at(number).snapshot)
 
 
+@pytest.mark.slow
 def test_a_track_has_the_poses_of_each_tick(ss):
     world = ss.worlds[0]
     numbers = world.source_record.ticks.numbers.tolist()
@@ -137,6 +138,7 @@ def _rounded(value):
     return round(value, 3) + 0.0 if isinstance(value, float) else value
 
 
+@pytest.mark.slow
 def test_a_scan_of_a_wrong_program_is_an_error(record):
     with ssduck.open(record) as ss:
         scan = Scan(ss, ss.worlds[0], "kitchen.frigde;", "selectscript")
@@ -196,6 +198,7 @@ def test_a_wrong_track_is_none(socket, first, count):
     assert asked(socket, type="track", first=first, count=count)["none"]
 
 
+@pytest.mark.slow
 def test_a_scan_is_sent_bit_by_bit(socket, ss):
     program = PROGRAMS[0]
     socket.send(json.dumps({"type": "scan", "id": "s", "text": program}))
@@ -241,6 +244,7 @@ def test_a_column_is_plotted(socket, ss):
     assert asked(socket, type="plot", entity=id, column='z" FROM x --')["error"]
 
 
+@pytest.mark.slow
 def test_a_robot_has_its_links_and_joints(socket, ss):
     robot = ss.worlds[0]["barrett_4918"]
     answer = asked(socket, type="pick", entity=robot.id)
@@ -252,6 +256,7 @@ def test_a_robot_has_its_links_and_joints(socket, ss):
     assert len(points) == len(ss.worlds[0].source_record.ticks)
 
 
+@pytest.mark.slow
 def test_unknown_velocities_are_not_told(tmp_path):
     """NaN is no number of JSON: a page would not understand the answer."""
     ssduck.write_record(tmp_path / "r", ["cup", "pot"], np.zeros((2, 2, 3)), [0.0, 0.1])

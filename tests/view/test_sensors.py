@@ -64,6 +64,7 @@ def check_same(ss, page):
     return table
 
 
+@pytest.mark.slow
 def test_the_page_tells_what_sensors_perceive(ss, page):
     world = ss.worlds[0]
     first = check_same(ss, page)
@@ -75,6 +76,7 @@ def test_the_page_tells_what_sensors_perceive(ss, page):
     assert check_same(ss, page) != second
 
 
+@pytest.mark.slow
 def test_a_switch_counts_at_once(ss, page):
     sensor = ss.worlds[0][LASER]
     seen = check_same(ss, page)
@@ -85,6 +87,7 @@ def test_a_switch_counts_at_once(ss, page):
     assert check_same(ss, page) == seen
 
 
+@pytest.mark.slow
 def test_a_field_of_view_is_the_same(ss, page):
     program = "SELECT obj FROM kitchen WHERE isSensor(this) AS sensorgrid(0.24, 0.05);"
     ss.worlds[0].step(2)
@@ -94,6 +97,7 @@ def test_a_field_of_view_is_the_same(ss, page):
     assert answer["picture"] is not None
 
 
+@pytest.mark.slow
 def test_a_page_that_asks_nothing_of_sensors_casts_no_rays(ss, page):
     world = ss.worlds[0]
     asked(page, "SELECT id FROM kitchen;")
@@ -119,6 +123,7 @@ def test_the_past_of_sensors_is_told_or_refused(ss, page):
     assert asked(page, SEEN, at=at) == expected
 
 
+@pytest.mark.slow
 def test_a_copy_has_no_reading_of_a_sensor(ss, page):
     asked(page, SEEN)
     copy = page._source.mirror(None).world

@@ -240,6 +240,7 @@ def test_names_are_completed(socket):
     assert [each[0] for each in found["completions"]] == ["fridge", "fridge_webcam"]
 
 
+@pytest.mark.slow
 def test_an_entity_has_its_facts(ss, socket):
     table = ss["kitchen"]["table"]
     answer = asked(socket, type="pick", entity=table.id)
@@ -268,6 +269,7 @@ def test_the_poses_are_those_of_the_world_and_only_what_moved_is_sent(ss, url):
         kitchen["cup_905a"].move([x, y, z])
 
 
+@pytest.mark.slow
 def test_nobody_is_told_when_nobody_looks():
     ss = ssduck.load("kitchen")
     page = ss.view()

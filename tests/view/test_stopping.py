@@ -69,6 +69,7 @@ def messages_until(socket, last):
     return found
 
 
+@pytest.mark.slow
 def test_a_query_ends_when_its_page_asks_anew(url, running):
     with opened(url) as socket:
         begin(socket, running)
@@ -91,6 +92,7 @@ def test_only_the_last_of_many_queries_runs(url, running):
     assert all("took" not in answer["error"]["message"] for answer in found.values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ask", "scan"])
 def test_a_query_ends_when_its_page_has_gone(url, running, kind):
     with opened(url) as socket, opened(url) as other:
@@ -101,6 +103,7 @@ def test_a_query_ends_when_its_page_has_gone(url, running, kind):
     assert running.errors == [STOPPED]
 
 
+@pytest.mark.slow
 def test_a_query_ends_when_the_page_is_closed(running):
     with ssduck.load("kitchen") as ss, ss.view() as served:
         with opened(served.url) as socket:

@@ -69,6 +69,7 @@ def test_they_are_of_the_present_tick(lab, read):
     assert len(set(heights)) == 5
 
 
+@pytest.mark.slow
 def test_a_tick_computes_none(lab, monkeypatch):
     _, _, model, data = lab
     with ssduck.Interpreter(recording=None) as other:
@@ -150,6 +151,7 @@ def test_contacts_are_of_the_present_tick(lab):
     assert any(seen)
 
 
+@pytest.mark.slow
 def test_a_condition_puts_no_contacts_in_order(lab, monkeypatch):
     _, _, model, data = lab
     with ssduck.Interpreter(recording=None) as other:
@@ -170,6 +172,7 @@ def test_a_condition_puts_no_contacts_in_order(lab, monkeypatch):
         assert calls == [1]
 
 
+@pytest.mark.slow
 def test_a_condition_on_positions_computes_no_velocities(lab, monkeypatch):
     _, _, model, data = lab
     with ssduck.Interpreter(recording=None) as other:
@@ -204,6 +207,7 @@ SHAPES = """
 """
 
 
+@pytest.mark.slow
 def test_a_shape_is_where_the_table_has_it():
     model = mujoco.MjModel.from_xml_string(SHAPES)
     data = mujoco.MjData(model)
@@ -225,6 +229,7 @@ def test_a_shape_is_where_the_table_has_it():
             assert arrays.tolist() == list(map(list, rows))
 
 
+@pytest.mark.slow
 def test_rows_that_are_read_one_by_one_are_those_of_all(monkeypatch):
     """The boxes of few entities are computed alone, to the last bit."""
     model = mujoco.MjModel.from_xml_string(SHAPES)
@@ -248,6 +253,7 @@ def test_rows_that_are_read_one_by_one_are_those_of_all(monkeypatch):
             assert calls == [1]
 
 
+@pytest.mark.slow
 def test_boxes_of_ellipsoids_are_the_same_alone():
     """Squares are summed in one order: with another, a last bit differs at every third tick."""
     bodies = "".join(
@@ -269,6 +275,7 @@ def test_boxes_of_ellipsoids_are_the_same_alone():
         assert list(alone) == [float(table[name][row]) for name in names]
 
 
+@pytest.mark.slow
 def test_many_rows_are_computed_at_once(monkeypatch):
     bodies = "".join(
         f'<body pos="{n} 0 1"><freejoint/><geom type="box" size=".1 .2 .3"/></body>'
@@ -357,6 +364,7 @@ def test_shapes_of_bodies_that_stay_are_placed_once(monkeypatch):
     assert groups.count(layout.moving_bodies) == 4
 
 
+@pytest.mark.slow
 def test_a_pair_of_shapes_places_no_others(monkeypatch):
     model = mujoco.MjModel.from_xml_string(SHAPES)
     data = mujoco.MjData(model)

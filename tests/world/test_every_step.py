@@ -143,6 +143,7 @@ def test_ticks_that_nobody_gets_are_not_taken(twins: tuple[int, int]) -> None:
             what_if.step(2)
 
 
+@pytest.mark.slow
 def test_worlds_in_lockstep_keep_their_own_steps() -> None:
     clients = falling_ball(), falling_ball()
     pybullet.setTimeStep(1 / 100, clients[1])

@@ -16,7 +16,7 @@ from tests.support.cases import sampled
 PLACES = ["memory", "file"]
 
 
-@pytest.fixture(params=PLACES)
+@pytest.fixture(params=["memory", pytest.param("file", marks=pytest.mark.long)])
 def lab(request, client, tmp_path: Path):
     """An interpreter on a world of three boxes, in memory or in a file that is called so, too."""
     box = pybullet.createCollisionShape(
@@ -110,6 +110,7 @@ def test_a_world_of_the_users_name_goes_with_its_name(lab, how: str) -> None:
     assert len(lab._database._worlds.bound) == 2
 
 
+@pytest.mark.slow
 def test_what_somebody_has_stays(lab) -> None:
     kept = lab.eval("e = SELECT this FROM lab AS environment; SELECT this FROM e AS list;")
     past = lab.eval("e{};")

@@ -108,6 +108,7 @@ def test_tables_are_forgotten_after_a_while(spied):
     assert spy.read["contacts"] == read + 1
 
 
+@pytest.mark.slow
 def test_all_tables_of_a_query_are_of_one_moment(attached, client):
     """Even if the simulator moved on between the tick and the first question for a table."""
     with ssduck.Interpreter() as ss:
@@ -226,6 +227,7 @@ def test_ticks_are_numbered_and_timed(attached):
     assert set(attached.snapshot.tables["entities"]["tick"].tolist()) == {first + 1}
 
 
+@pytest.mark.slow
 def test_poses_that_are_no_numbers_become_null_and_are_told_once(attached, client):
     pybullet.resetBasePositionAndOrientation(0, [float("nan")] * 3, [0, 0, 0, 1], client)
     with pytest.warns(UserWarning, match="body_0.*NULL") as caught:

@@ -442,6 +442,7 @@ def test_a_lost_body_stays_lost(client):
 # -- queries ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("row_by_row", [False, True], every=2)
 def test_programs(kitchen, row_by_row):
     low, high = kitchen["table"].aabb
@@ -628,6 +629,7 @@ def test_axes_are_those_of_the_link_frames(client, write):
     assert found.axis == pytest.approx((0, 0.6, 0.8), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_many_what_ifs_at_once(kitchen):
     """They hold no simulation: hundreds are cheap, and each is its own."""
     worlds = [kitchen.what_if({"can": [1, 0, 0, 0, x, 0, 0]}) for x in range(200)]

@@ -97,6 +97,7 @@ def test_move(kitchen, name):
     assert entity.position == pytest.approx(before, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_what_was_moved_is_at_rest(kitchen):
     kitchen["can"].move(position=[0, 0, 50])
     kitchen.step(60)
@@ -144,6 +145,7 @@ def test_steps_and_time(kitchen):
     assert kitchen.time == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_pictures(kitchen):
     picture = kitchen.render(160, 120)
     assert picture.shape == (120, 160, 3)
@@ -179,6 +181,7 @@ def test_closing_twice(kitchen):
         kitchen.tick()
 
 
+@pytest.mark.slow
 def test_an_interpreter_closes_only_the_world_that_it_loaded(client):
     pybullet.createMultiBody(physicsClientId=client)
     world = ssduck.World.attach(client)
@@ -193,6 +196,7 @@ def test_an_interpreter_closes_only_the_world_that_it_loaded(client):
 # -- collisions, drawing ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row_by_row", [False, True])
 def test_flags_are_seen_by_the_next_query(kitchen, row_by_row):
     with ssduck.Interpreter(row_by_row=row_by_row) as ss:
@@ -271,6 +275,7 @@ def test_a_robot_that_is_not_enabled_meets_nothing(write):
     world.close()
 
 
+@pytest.mark.slow
 def test_what_is_hidden_is_not_drawn_and_gets_its_colours_back(kitchen):
     camera = Camera(eye=(2.5, 2.0, 2.5), target=(1.0, 0.4, 0.9))
     before = kitchen.render(160, 120, camera)
@@ -328,6 +333,7 @@ def test_sensors_and_closed_worlds_have_no_such_state(kitchen):
     assert (can.enabled, can.visible) == (True, True)
 
 
+@pytest.mark.slow
 def test_nothing_is_set_while_a_query_runs(kitchen):
     with ssduck.Interpreter() as ss:
         ss.add_variable("kitchen", kitchen)
@@ -552,6 +558,7 @@ def test_time_does_not_run_backwards(kitchen, count):
     assert kitchen.step(0).time == 0.0
 
 
+@pytest.mark.slow
 def test_the_name_of_a_part_is_told_as_a_program_writes_it(tmp_path):
     """Names may be words of the language: each advice is a program."""
     words = (*CLAUSES, *RESERVED_WORDS, "THIS", "TRUE", "NULL", "CASE", "IF", "arm", "it's", "a b")

@@ -44,6 +44,7 @@ def test_a_map_as_others_read_it(grid, tmp_path):
     assert OccupancyGrid.load(path) == grid
 
 
+@pytest.mark.slow
 def test_a_map_of_a_range_of_heights(tmp_path, kitchen):
     grid = kitchen.eval(f"{ALL} map([0.2, 1.5], 0.05);")
     assert grid.z == (0.2, 1.5)
@@ -216,6 +217,7 @@ def test_the_box_of_an_entity_as_bounds(kitchen):
     assert grid.shape == tuple(np.ceil((np.array(high) - low)[:2] / 0.05).astype(int))
 
 
+@pytest.mark.slow
 def test_a_ground_without_end():
     with Boxes(([0.5, 0.5, 0.5], [0, 0, 0]), others=[GROUND]) as boxes:
         with pytest.raises(ArgumentError, match="a plane is infinite: give bounds"):
@@ -246,6 +248,7 @@ def test_help_tells_the_forms():
 # -- records, evaluators, other ways in ----------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("row_by_row", [False, True], every=2)
 def test_a_plane_without_numbers_is_an_error(row_by_row):
     world = ssduck.World.load(find_scene("kitchen"))
@@ -274,6 +277,7 @@ def test_an_opened_record_has_the_same_grids(tmp_path, row_by_row):
         assert [record.eval(query) for query in queries] == live
 
 
+@pytest.mark.slow
 def test_where_a_thing_was_over_time():
     """Rows of all ticks, each at its own."""
     with Boxes(others=[BALL | {"position": [0.5, 0.5, 10]}]) as boxes:

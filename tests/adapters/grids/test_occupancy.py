@@ -151,6 +151,7 @@ def test_voxels_are_exact():
         assert boxes.eval("SELECT obj FROM sim AS voxelgrid(0.1);").shape == (4, 4, 6)
 
 
+@pytest.mark.slow
 def test_layers_of_voxels_are_ranges_of_heights(kitchen):
     voxels = kitchen.eval(f"{ALL} voxelgrid(0.1);")
     for layer in (2, 5, 9):
@@ -169,6 +170,7 @@ def test_each_group_is_a_grid(kitchen):
     assert 0 < groups["robot"].cells.sum() < whole.cells.sum()
 
 
+@pytest.mark.slow
 def test_a_recorded_tick_has_its_own_grid():
     with Boxes(others=[BALL | {"position": [2, 0, 2]}]) as boxes:
         query = "SELECT obj FROM {} AS map(2.0, 0.1, [[-1, -1], [3, 1]]);"
@@ -189,6 +191,7 @@ def test_a_client_of_ones_own(nested):
         assert value.shape == (4, 4)
 
 
+@pytest.mark.slow
 def test_a_trigger_on_a_map():
     with Boxes(others=[BALL | {"position": [2, 0, 2]}]) as boxes:
         seen = []

@@ -80,6 +80,7 @@ def test_bunches_of_cells_change_nothing(kitchen, monkeypatch):
     assert whole
 
 
+@pytest.mark.slow
 def test_fields_of_view_and_what_is_off():
     with Boxes(([0.3, 0.3, 0.3], [0, 0, 0])) as boxes:  # the host is in nobody's way
         add = boxes.world.add_sensor
@@ -136,6 +137,7 @@ def test_the_kitchens_sensors_see_what_pybullets_rays_reach(kitchen):
     assert (grid.cells.ravel() != seen).mean() < 0.005
 
 
+@pytest.mark.slow
 def test_sensors_of_a_recorded_tick_and_of_groups():
     with Boxes(MAST, others=[BALL | {"position": [1, 0, 0]}]) as boxes:
         boxes.world.add_sensor("lidar", "a", "one", **LIDAR)
@@ -157,6 +159,7 @@ def test_sensors_of_a_recorded_tick_and_of_groups():
 # -- sums over a plane ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_masses_over_planes(kitchen):
     world = kitchen.call_variable("kitchen")
     for axes, (i, j) in {"XY": (0, 1), "xz": (0, 2), "YZ": (1, 2)}.items():

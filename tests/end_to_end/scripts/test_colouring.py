@@ -131,6 +131,7 @@ AS dict;
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("program", [COLOUR_MAP, COLOUR_MAP_XXX, COLOUR_MAP_XXXX])
 def test_eight_regions_have_48_colourings(program):
     with ssduck.Interpreter() as ss:
@@ -217,11 +218,13 @@ def test_if_and_print(ss, program):
     assert ss.eval(ss.compile(program)) == IF_PRINT[program]
 
 
+@pytest.mark.slow
 def test_positive_and_negative_combinations(ss):
     found = len(colourings("abcde", FIVE))
     assert ss.eval(ss.compile(COUNTING)) == [found, 4**5 - found]
 
 
+@pytest.mark.slow
 def test_each_combination_is_logged(ss, capsys):
     expected = colourings("abcde", FIVE)
     assert ss.eval(ss.compile(LOGGING)) == expected
@@ -233,6 +236,7 @@ def test_each_combination_is_logged(ss, capsys):
         assert line == f"log: {number} {' '.join(colours)} {told}"
 
 
+@pytest.mark.slow
 def test_what_is_red_is_printed(ss, capsys):
     expected = colourings("abcde", FIVE)
     assert ss.eval(ss.compile(PRINTING)) == expected

@@ -81,6 +81,7 @@ def on(o1, o2):
     return bool(beside and pos[2] >= middle[2] + half[2])
 
 
+@pytest.mark.slow
 def test_demo_of_queries(kitchen):
     """demo0: a user's `on` takes the place of the relation, with a warning."""
     found = kitchen.eval(
@@ -164,6 +165,7 @@ def test_forms_of_a_subclass_in_the_published_way(program):
         assert ss.eval(program) == FORMS[program]
 
 
+@pytest.mark.slow
 def test_demo_of_forms(kitchen):
     """demo3: who is near the roomba."""
     expr = "roomba = SELECT obj FROM kitchen WHERE id(this)=='roomba_625x' AS value;"

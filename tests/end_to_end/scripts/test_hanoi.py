@@ -54,7 +54,7 @@ def test_published_towers_are_those_after_the_move():
     ] == AFTER
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_towers_by_nested_functions():
     """280,000 rows, and as many calls as there are distinct arguments of them."""
     calls = []
@@ -141,12 +141,13 @@ def test_as_many_results_as_are_wanted(towers):
     assert len({str(path) for path in found}) == 3
 
 
+@pytest.mark.slow
 def test_four_discs(towers):
     (path,) = towers.eval(towers.compile(FOUR_DISCS))
     assert path[::2] == solution(4)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_eight_discs():
     with ssduck.Interpreter() as ss:
         ss.addFunction("move", move)

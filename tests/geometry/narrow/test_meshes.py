@@ -270,6 +270,7 @@ def meshes():
     return [ell(1.0, 2.0, 1.0), frame(), of_trimesh(torus), shell]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", [True, False])
 def test_what_a_mesh_encloses(grid):
     """Points over its corners and edges too, and in the planes of its faces."""

@@ -336,6 +336,7 @@ def test_shares_of_the_parts_of_a_box_add_up(a, seed, at):
     assert share(hull, b) == pytest.approx(whole, abs=1e-8 / min(x, y, z))
 
 
+@pytest.mark.slow
 @given(a=st.sampled_from(["box", "hull"]), b=st.sampled_from(["box", "hull"]), seed=SEEDS)
 @settings(max_examples=100)
 def test_what_two_share_is_in_either(a, b, seed):
@@ -346,6 +347,7 @@ def test_what_two_share_is_in_either(a, b, seed):
         assert common[0] == pytest.approx(common[1], abs=1e-8)
 
 
+@pytest.mark.slow
 @given(b=st.sampled_from(SOLID_KINDS), seed=SEEDS)
 @settings(max_examples=100)
 def test_half_spaces_share_all(b, seed):

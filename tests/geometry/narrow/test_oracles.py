@@ -23,6 +23,7 @@ from tests.support.solids import box, cylinder, mesh_of, narrow, plane
 # -- against oracles -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @sampled("kinds", pairs.COMBINATIONS, every=3, ids=" ".join)
 def test_a_gap_is_what_the_oracle_says(kinds):
     bound = 1e-6 if set(kinds) & pairs.SWEPT else 1e-9
@@ -31,6 +32,7 @@ def test_a_gap_is_what_the_oracle_says(kinds):
         assert error <= bound, (seed, found)
 
 
+@pytest.mark.slow
 @given(kinds=st.sampled_from(pairs.COMBINATIONS), seed=st.integers(0, 2**32))
 @settings(max_examples=150)
 def test_a_gap_is_symmetric(kinds, seed):
@@ -39,6 +41,7 @@ def test_a_gap_is_symmetric(kinds, seed):
     assert one.distance == pytest.approx(other.distance, abs=2e-7)
 
 
+@pytest.mark.slow
 @given(
     kinds=st.sampled_from(pairs.COMBINATIONS),
     seed=st.integers(0, 2**32),
@@ -53,6 +56,7 @@ def test_a_gap_stays_if_the_world_moves(kinds, seed, shift, turn):
     assert pairs.gap(*moved).distance == pytest.approx(pairs.gap(a, b).distance, abs=2e-7)
 
 
+@pytest.mark.slow
 @given(
     kinds=st.sampled_from(pairs.COMBINATIONS),
     seed=st.integers(0, 2**32),

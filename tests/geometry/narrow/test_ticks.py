@@ -80,6 +80,7 @@ def test_an_entity_and_itself():
     assert tick.nearest_points(0, 0) is None
 
 
+@pytest.mark.slow
 def test_many_entities_as_one_by_one():
     random = np.random.default_rng(5)
     kinds = ["sphere", "box", "hull", "cylinder", "mesh"]

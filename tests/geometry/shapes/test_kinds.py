@@ -120,6 +120,7 @@ def test_a_bowl_is_not_its_hull(stage, write):
         assert ss.eval("collides(bowl, ball);") is True
 
 
+@pytest.mark.slow
 def test_links_count(stage, write):
     """A relation holds for the closest of an entity's links."""
     cube = collision('<box size="0.2 0.2 0.2"/>')
@@ -219,6 +220,7 @@ def test_only_pairs_whose_boxes_meet_are_compared(stage, count):
         assert (counter.pairs, counter.calls) == after, f"{query}: asked again in the same tick"
 
 
+@pytest.mark.slow
 @sampled("count", [50, 300, 1000], every=3)
 def test_selectscript_compares_only_pairs_whose_boxes_meet(stage, count):
     world, meeting = crowd(stage, count)
@@ -270,6 +272,7 @@ FAR = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("program", "each"), FAR, every=4)
 def test_few_pairs_of_a_world_with_a_ground(stage, program, each):
     random = np.random.default_rng(5)
@@ -294,6 +297,7 @@ def test_few_pairs_of_a_world_with_a_ground(stage, program, each):
 # -- the registry, and the kitchen ---------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_duckdb_tells_what_functions_do(row):
     ss, _, _ = row
     told = ss.sql(

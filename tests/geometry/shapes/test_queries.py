@@ -189,6 +189,7 @@ def test_a_world_that_goes_without_its_name_is_read(stage, client):
     assert ss.sql("SELECT entity FROM shapes").fetchall() == [(1,)]
 
 
+@pytest.mark.slow
 def test_rows_of_another_tick_are_not_compared(stage):
     stage.box("a", mass=1.0)
     stage.box("b", (0.9, 0, 0))
@@ -234,6 +235,7 @@ def test_of_several_worlds_sql_says_which(stage):
     assert maybe.snapshot.calls.pairs > 0
 
 
+@pytest.mark.slow
 def test_relations_of_two_worlds(stage):
     stage.box("a")
     stage.box("b", (0.9, 0, 0))
@@ -269,6 +271,7 @@ def test_the_next_query_sees_what_was_moved(stage):
             assert ss.eval("collides(a, b);") is (x < 1)
 
 
+@pytest.mark.slow
 def test_forces_of_the_last_step(stage):
     pybullet.setGravity(0, 0, -10, physicsClientId=stage.client)
     stage.add("ground", PLANE)

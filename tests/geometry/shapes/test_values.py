@@ -229,6 +229,7 @@ def test_moving_the_world_changes_nothing(stage, seed, shift, angle):
                 assert value == pytest.approx(same, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_near_is_monotone(stage):
     random = np.random.default_rng(3)
     for n in range(12):

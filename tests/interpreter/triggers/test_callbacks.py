@@ -16,6 +16,7 @@ from tests.support.triggering import HEIGHT, Times, falling, state, until
 # -- what a callback may do ----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_callback_may_query_and_move(ss, sim):
     heights = []
 
@@ -214,6 +215,7 @@ def test_a_queue_whose_callback_removes_its_trigger_and_steps(ss, sim):
     assert sim.time == pytest.approx(2 / 240)
 
 
+@pytest.mark.slow
 def test_closing_does_not_wait_for_ever(ss, sim, monkeypatch):
     monkeypatch.setattr("ssduck.interpreter.triggers.registry.PATIENCE", 0.05)
     go = threading.Event()

@@ -18,6 +18,7 @@ from tests.support.triggering import HEIGHT, Times, falling, state
 # -- when it is evaluated ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_first_result_is_a_change(ss, sim):
     got = []
     ss.add_trigger("low", "SELECT id FROM sim WHERE z(this) < 9 AS list;", 0.1, got.append)
@@ -32,6 +33,7 @@ def test_the_first_result_is_a_change(ss, sim):
     assert (low.interval, low.failures, low.error) == (0.1, 0, None)
 
 
+@pytest.mark.slow
 def test_the_tutorials_spellings(ss, sim):
     got = []
     ss.addTrigger("height", ss.compile(HEIGHT), 1, got.append)

@@ -66,6 +66,7 @@ def test_what_fires(ss, sim, options, results, expected):
     assert repr(got) == repr(expected)  # as NaN is not itself
 
 
+@pytest.mark.slow
 def test_what_holds_is_not_known_while_it_is_paused(ss, sim):
     times = Times(sim)
     ss.add_variable("v", 1)
@@ -89,6 +90,7 @@ def test_debounce_is_simulated_time(ss, sim):
 ROWS = st.lists(st.one_of(st.integers(0, 3), st.lists(st.integers(0, 1), max_size=2)), max_size=6)
 
 
+@pytest.mark.slow
 @given(ROWS, ROWS)
 def test_what_is_added_and_removed_makes_one_of_the_other(before, now):
     def bag(rows):

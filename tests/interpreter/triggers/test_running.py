@@ -70,6 +70,7 @@ def test_wrong_arguments_of_a_run(sim, arguments, said):
     assert sim.time == 0
 
 
+@pytest.mark.slow
 def test_several_worlds_run_in_lockstep(ss, sim, other):
     seen = []
     ss.add_trigger("a", HEIGHT, 0.25, lambda _: seen.append((sim.time, other.time)))
@@ -81,6 +82,7 @@ def test_several_worlds_run_in_lockstep(ss, sim, other):
     assert (sim.time, other.time) == pytest.approx((1.0, 1.0))
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     steps=st.lists(

@@ -46,6 +46,7 @@ def test_queries_and_steps_in_two_threads(ss, sim):
     assert state(ss, "t").evaluations == 301
 
 
+@pytest.mark.slow
 def test_two_threads_that_step(ss, sim):
     """Neither waits for the other's callbacks; all steps are run."""
     ss.add_trigger("t", HEIGHT, 0, lambda _: ss.eval(HEIGHT))
@@ -137,6 +138,7 @@ def test_triggers_keep_nothing_alive(queue):
 # -- what it costs -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_what_it_costs_is_one_statement_an_evaluation(ss, sim, told):
     named = "SELECT z FROM sim WHERE name LIKE 'b%' AS value;"  # numpy does not evaluate it
     ss.add_trigger("t", named, 0.1, lambda _: None)

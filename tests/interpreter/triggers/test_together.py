@@ -288,7 +288,7 @@ def test_other_formulas_need_one_statement_a_tick(ss, boxes, told):
     assert state(ss, "t99").evaluations == RUNS_BEFORE_PLAN + 22
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_each_pair_of_shapes_is_compared_once_a_tick(ss, boxes, told, monkeypatch):
     """Whatever a hundred triggers ask about it with the four others."""
     compared, distance = [], shape_comparisons.convex_distance
@@ -382,6 +382,7 @@ def test_a_number_that_is_not_known(ss, boxes, client, monkeypatch):
     assert "b3" not in got[-1]
 
 
+@pytest.mark.slow
 def test_formulas_of_one_shape_are_evaluated_at_once(ss, boxes, client, monkeypatch):
     """They are evaluated if a row has changed, and else only counted."""
     add_all(ss, "SELECT name, z FROM sim WHERE z(this) < {} AND above(it, this);", 20)

@@ -16,6 +16,7 @@ from tests.support.cases import sampled
 from tests.support.pasts import _step
 
 
+@pytest.mark.slow
 @sampled("table", ["links", "joints", "shapes", "contacts", "sensings"], every=3)
 def test_the_call_that_records_a_table_is_named(falling: ssduck.Interpreter, table: str) -> None:
     falling.record("lab", Recording(tables=("entities",)))

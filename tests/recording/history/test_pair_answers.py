@@ -304,6 +304,7 @@ def test_of_shapes_that_may_carry_one_is_decided_at_most_ticks(
     assert footprints == [1]  # the board stands still
 
 
+@pytest.mark.slow
 def test_only_new_ticks_are_compared() -> None:
     client = pybullet.connect(pybullet.DIRECT)
     ball = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1, physicsClientId=client)
@@ -337,6 +338,7 @@ def test_only_new_ticks_are_compared() -> None:
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_the_answers_are_bounded(heap: ssduck.Interpreter, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = heap.past("sim").record.answer_cache
     cache.clear()

@@ -161,6 +161,7 @@ def test_ticks_that_are_not_kept(falling: ssduck.Interpreter, program: str, told
     assert "line 1, column 15" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpreter) -> None:
     _step(falling, 480)
     falling.flush()
@@ -171,6 +172,7 @@ def test_no_statement_reads_ticks_that_are_not_asked_for(falling: ssduck.Interpr
     assert "BETWEEN" in query
 
 
+@pytest.mark.slow
 def test_raw_sql_compares_shapes_of_the_past(falling: ssduck.Interpreter) -> None:
     _step(falling, 200)
     rows = falling.sql(
@@ -413,6 +415,7 @@ def test_a_handle_in_a_nested_query_goes_with_the_row(falling: ssduck.Interprete
     assert falling.eval(NESTED[0]) == [1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_a_name_that_two_had() -> None:
     client, bodies = _falling(1)
     world = ssduck.World.attach(client, names={0: "board"})
@@ -436,6 +439,7 @@ def test_a_name_that_two_had() -> None:
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_the_present_beside_a_past_that_lacks_it(falling: ssduck.Interpreter) -> None:
     falling.record("lab", Recording(every=3, entities=("ball_0",)))
     _step(falling, 2)
@@ -448,6 +452,7 @@ def test_the_present_beside_a_past_that_lacks_it(falling: ssduck.Interpreter) ->
         assert found == ["board", True, "ball_0", False, "ball_1", True]
 
 
+@pytest.mark.slow
 def test_a_bounded_record_is_exported_in_order(falling: ssduck.Interpreter, tmp_path: Any) -> None:
     falling.record("lab", Recording(ticks=40))
     _step(falling, 170)

@@ -102,6 +102,7 @@ def _singly(ss: ssduck.Interpreter, relation: str, a: str) -> list[object]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("a", ["bin", "cart", "drawer"])
 @pytest.mark.parametrize("relation", PROGRAMS)
 def test_all_ticks_together_have_the_answers_of_each_tick(

@@ -45,6 +45,7 @@ def test_the_last_tick_of_the_history_is_the_present(changed: bool) -> None:
             assert past == live, table
 
 
+@pytest.mark.slow
 def test_what_changed_is_all_there_is_to_store(falling: ssduck.Interpreter) -> None:
     falling.record("lab", Recording(changed=True))
     _step(falling, 50)
@@ -102,6 +103,7 @@ def test_some_entities_are_kept(falling: ssduck.Interpreter) -> None:
     assert falling.sql("SELECT DISTINCT entity FROM shapes_history").fetchall() == [(3,)]
 
 
+@pytest.mark.slow
 def test_a_sensor_brings_what_it_sits_on() -> None:
     with ssduck.load("kitchen") as ss:
         ss.record("kitchen", Recording(entities=("fridge_webcam",)))
@@ -181,6 +183,7 @@ def test_nothing_is_kept_where_nothing_is_asked_for() -> None:
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_a_position_that_is_no_number_is_unknown_in_the_history() -> None:
     client, bodies = _falling()
     world = ssduck.World.attach(client, names={bodies[0]: "lost"})
@@ -212,6 +215,7 @@ def test_a_world_that_is_recorded_lets_its_interpreter_go() -> None:
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_ticks_are_taken_while_another_thread_asks(falling: ssduck.Interpreter) -> None:
     with _stepped(falling.call_variable("lab")):
         for _ in range(30):

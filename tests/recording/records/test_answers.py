@@ -168,6 +168,7 @@ def test_episodes_are_told_and_opened_by_world_and_number(folder):
         assert "still" not in ss
 
 
+@pytest.mark.slow
 def test_a_newer_episode_that_holds_nothing_does_not_hide_an_older_one(tmp_path, client):
     with ssduck.Interpreter(recording=None) as ss:
         live_lab(ss, client, ticks=3)

@@ -156,6 +156,7 @@ def test_files_of_another_version_or_damaged(tmp_path, client, about, told):
         ssduck.open(path)
 
 
+@pytest.mark.slow
 def test_names_that_recorded_runs_have_are_taken(tmp_path, client):
     with ssduck.Interpreter(tmp_path / "run.duckdb") as ss:
         world = ss.add_variable("lab", ssduck.World.attach(client))
@@ -167,6 +168,7 @@ def test_names_that_recorded_runs_have_are_taken(tmp_path, client):
         assert ss.past("lab").ticks == [1, 2]  # it was recorded on
 
 
+@pytest.mark.slow
 def test_what_was_never_closed_is_stored_when_the_interpreter_is(tmp_path, client):
     ss = ssduck.Interpreter()
     world = ss.add_variable("lab", ssduck.World.attach(client))

@@ -62,6 +62,7 @@ def test_link_frames_are_pybullets(client, body):
     assert np.linalg.norm(poses[:, 3:], axis=1) == pytest.approx(np.ones(len(poses)), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_entity_is_where_its_base_is(client, body):
     world = asked(ssduck.World.attach(client), "links")
     columns = POSE + TWIST
@@ -145,6 +146,7 @@ def test_boxes_are_those_of_all_vertices_of_the_files(client, model):
     )
 
 
+@pytest.mark.slow
 def test_boxes_lie_within_pybullets_padded_ones(client, body):
     world = asked(ssduck.World.attach(client), "links")
     boxes = rows(world, "links", LOW + HIGH)
@@ -201,6 +203,7 @@ def test_what_has_no_shapes_is_a_point(client, write):
 # -- joints --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_joints_are_pybullets(client, body):
     world = asked(ssduck.World.attach(client), "joints")
     count = pybullet.getNumJoints(body, client)

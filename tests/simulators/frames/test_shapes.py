@@ -279,6 +279,7 @@ def test_what_pybullet_saves_needs_no_box(client, make):
         assert (own <= told + 0.041).all()
 
 
+@pytest.mark.slow
 def test_many_bodies_are_one_warning(client):
     for _ in range(MAX_NAMED + 3):
         heightfield(client)

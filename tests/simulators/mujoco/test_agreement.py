@@ -54,6 +54,7 @@ SINGLE = (
 )  # fmt: skip
 
 
+@pytest.mark.pairwise
 @pytest.mark.slow
 @pytest.mark.parametrize("source", ["SIM", "links(SIM)"])
 def test_all_relations_of_pairs_agree(worlds, source):
@@ -112,6 +113,7 @@ def test_every_relation_is_compared():
     }
 
 
+@pytest.mark.slow
 def test_all_relations_of_entities_agree(worlds):
     ss, _, _ = worlds
     selected = ", ".join(f"{relation} AS r{n}" for n, relation in enumerate(SINGLE))

@@ -139,6 +139,7 @@ def test_contacts_have_the_forces_that_mujoco_tells(cone):
         assert one == pytest.approx(other, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_contact_forces_carry_the_weights(model, data):
     with ssduck.Interpreter() as ss:
         lab = ss.add_variable("lab", ssduck.World.attach(model, data))
@@ -176,6 +177,7 @@ def test_the_simulation_of_the_user_is_not_touched(model):
     assert worlds[0]["box"].position[2] != worlds[1]["box"].position[2]
 
 
+@pytest.mark.slow
 def test_a_reset_begins_an_episode(model, data, tmp_path):
     heard = []
     with ssduck.Interpreter() as ss:
@@ -467,6 +469,7 @@ def test_a_module_is_no_environment():
         ssduck.World.attach(types)
 
 
+@pytest.mark.slow
 def test_unknown_numbers_of_joints_are_buffered_with_the_other_rows(model, data, tmp_path):
     """A free joint has no position, and that of every tick is NULL wherever its row is."""
     tables = ("links", "joints", "contacts")

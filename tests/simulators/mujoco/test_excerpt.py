@@ -97,6 +97,7 @@ def test_models_that_are_gone_are_told():
             before.excerpt(["ball"])
 
 
+@pytest.mark.slow
 def test_records_have_no_model_of_mujoco(lab, tmp_path):
     """PyBullet runs copies of bodies without joints; of others it says what is missing."""
     world, model, data = lab

@@ -98,6 +98,7 @@ def test_a_model_of_the_users_needs_a_weld():
     assert world.simulator.episode == 0
 
 
+@pytest.mark.slow
 def test_copies_and_saved_worlds_hold_on(yard, tmp_path):
     yard["gripper"].hold(yard["ball"])
     yard["gripper"].drive({"lift": 0.1})
@@ -118,6 +119,7 @@ def test_copies_and_saved_worlds_hold_on(yard, tmp_path):
 # -- collisions, pictures, removal --------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_disabled_body_falls_through_and_keeps_its_shapes(yard):
     known = ids(yard)
     yard.step(50)
@@ -136,6 +138,7 @@ def test_a_disabled_body_falls_through_and_keeps_its_shapes(yard):
     assert ids(yard) == known
 
 
+@pytest.mark.slow
 def test_a_disabled_body_of_explicit_pairs(tmp_path):
     pair = "<contact><pair geom1='a' geom2='b'/></contact>"
     text = (
@@ -190,6 +193,7 @@ def test_a_hidden_body_is_transparent_and_collides(yard):
     assert np.array_equal(model.geom_rgba[geoms], before)
 
 
+@pytest.mark.slow
 def test_a_removed_body_is_gone(yard, tmp_path):
     crate = yard["crate"]
     yard.remove("crate")
@@ -218,6 +222,7 @@ def test_what_is_switched_off_is_on_in_a_new_model():
     assert models[0].geom_contype.tolist() != models[1].geom_contype.tolist()
 
 
+@pytest.mark.slow
 def test_copies_keep_what_is_off_and_files_do_not(yard, tmp_path):
     yard["crate"].enabled = False
     yard["lid"].visible = False

@@ -183,6 +183,7 @@ def test_actuators_with_several_controls(tmp_path):
             world["a"].drive({"ja": 0.1})
 
 
+@pytest.mark.slow
 def test_records_have_several_joints_of_a_link(lab, tmp_path):
     """The kinematics of a past tick need anchors, references and positions of the record."""
     world, model, data = lab

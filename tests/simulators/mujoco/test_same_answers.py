@@ -81,6 +81,7 @@ def stages():
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_contacts_agree(stages):
     """Things at rest: solvers share out a force in their own ways, not its sum."""
     ss = stages
@@ -148,6 +149,7 @@ def heaps():
     pybullet.disconnect(client)
 
 
+@pytest.mark.slow
 def test_sensors_agree(heaps):
     """Rays that graze an edge may see what is behind it in one of the two."""
     ss, seen = heaps, 0

@@ -81,6 +81,7 @@ def content(world):
     }
 
 
+@pytest.mark.slow
 def test_a_saved_world_is_the_same(cell, tmp_path):
     """With each digit of poses, sizes and the state; without the files that it was loaded from."""
     with ssduck.load(cell) as ss:
@@ -142,6 +143,7 @@ FRAMES = """<mujoco model="frames">
 </mujoco>"""
 
 
+@pytest.mark.slow
 def test_frames_and_copies_are_saved(tmp_path):
     (tmp_path / "frames.xml").write_text(FRAMES)
     with ssduck.load(tmp_path / "frames.xml", simulator="mujoco") as ss:
@@ -154,6 +156,7 @@ def test_frames_and_copies_are_saved(tmp_path):
                 assert getattr(found, name) == pytest.approx(expected, abs=1e-12), name
 
 
+@pytest.mark.slow
 def test_a_saved_world_goes_on_alike(cell, tmp_path):
     """What has six digits differs a little: friction, density."""
     with ssduck.load(cell) as ss:
@@ -168,6 +171,7 @@ def test_a_saved_world_goes_on_alike(cell, tmp_path):
             assert not np.array_equal(data.qpos[:2], world.simulator.model.qpos0[:2])
 
 
+@pytest.mark.slow
 def test_an_assumed_world_is_saved_as_it_is(cell, tmp_path):
     with ssduck.load(cell) as ss:
         world = ss["cell"]
@@ -179,6 +183,7 @@ def test_an_assumed_world_is_saved_as_it_is(cell, tmp_path):
         assert next(joint.position for joint in again["world"]["arm"].joints) == 0.2
 
 
+@pytest.mark.slow
 def test_a_moved_fixed_body_is_saved_where_it_is(cell, tmp_path):
     with ssduck.load(cell) as ss:
         ss["cell"]["land"].move([1.0, 2.0, 0.123456789123])

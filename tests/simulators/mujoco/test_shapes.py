@@ -87,6 +87,7 @@ def test_a_height_field_is_a_closed_solid(hills):
     assert enclosed > 3.0 * 1.6 * 0.2  # more than the part below 0
 
 
+@pytest.mark.slow
 def test_the_clearance_of_a_height_field_is_that_of_contacts(hills):
     """MuJoCo's contacts begin at the margin; the nearest prism gives the distance."""
     world, model, data = hills
@@ -135,6 +136,7 @@ def eggs():
         yield ss, model, data
 
 
+@pytest.mark.slow
 def test_ellipsoids_are_ellipsoids(eggs):
     ss, model, _ = eggs
     found = ss.eval("SELECT id, solidVolume(this) AS volume FROM w WHERE isEllipsoid(this);")
@@ -165,6 +167,7 @@ def test_boxes_of_ellipsoids_are_exact(eggs):
             assert (room < 3e-4).all()
 
 
+@pytest.mark.slow
 def test_the_clearance_of_ellipsoids_is_the_distance_that_mujoco_computes(eggs):
     """Of separate shapes, to MuJoCo's tolerance; of overlapping ones MuJoCo's depth is greater."""
     ss, model, data = eggs
@@ -297,6 +300,7 @@ def test_signed_distance_fields_have_boxes_instead():
     assert world.snapshot.tables["shapes"].arrow["exact"].to_pylist() == [False]
 
 
+@pytest.mark.slow
 def test_a_recorded_ellipsoid_stays_one_and_pybullet_copies_a_hull(tmp_path):
     pytest.importorskip("pybullet")
     model = mujoco.MjModel.from_xml_string(

@@ -238,6 +238,7 @@ def test_relations_that_hold_of_a_region():
     assert ss.eval(links) == []
 
 
+@pytest.mark.slow
 def test_recorded_sites_have_the_same_answers(tmp_path):
     ss, model, data = world_of(SITE)
     lab = ss.call_variable("lab")
@@ -266,6 +267,7 @@ def test_sites_move_with_the_question(moved):
     assert ss.eval("position(ajar.arm.grip);") == pytest.approx(turned.site("grip").xpos, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_region_that_changes_and_a_site_that_moves():
     ss, model, data = world_of(SITE)
     lab = ss.call_variable("lab")

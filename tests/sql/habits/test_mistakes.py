@@ -294,6 +294,7 @@ DOUBTS = [
 ]
 
 
+@pytest.mark.slow
 @sampled(("program", "offending", "told", "value"), DOUBTS, every=4)
 def test_doubts_are_told_once_and_are_errors_in_strict_interpreters(
     world, program, offending, told, value
@@ -368,6 +369,7 @@ def test_a_hidden_function_is_still_called(ss):
     ss.eval("clear('id');")
 
 
+@pytest.mark.slow
 def test_names_of_bodies_that_were_there_are_known():
     """At past ticks, and of bodies that were removed since, and in worlds of any name."""
     with ssduck.load("kitchen") as ss:
@@ -386,6 +388,7 @@ def test_names_of_bodies_that_were_there_are_known():
                 assert ss.eval(f"SELECT id FROM {source} WHERE id(this) == 'kan' AS list;") == []
 
 
+@pytest.mark.slow
 def test_all_doors_tell(world, tmp_path):
     """What-if worlds, records, texts of eval, compiled programs."""
     program = "SELECT id FROM kitchen WHERE id(this) == 'tabel' AS list;"

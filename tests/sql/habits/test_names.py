@@ -79,6 +79,7 @@ def test_all_doors_suggest_the_nearest_name(ss, door):
         DOORS[door](ss)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("door", ["program", "raw SQL"])
 def test_records_suggest_it_too(ss, door, tmp_path):
     ss.call_variable("room").step(2)
@@ -168,6 +169,7 @@ def test_names_of_links_and_joints_and_kinds_in_raw_sql(ss, statement, message):
         ss.sql(statement)
 
 
+@pytest.mark.slow
 def test_the_joints_of_a_robot_are_known():
     with ssduck.load("kitchen") as ss:
         ss.strict = True

@@ -34,6 +34,7 @@ def rounded(value):
 # -- clients of others ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [0, 100, 300])
 def test_bodies_of_others_go_on_alike(menagerie, steps):
     """Contacts are carried over, as each link has one shape, and that is a primitive."""

@@ -64,7 +64,7 @@ def test_an_excerpt_of_all_is_the_same_and_stays_so(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("chosen", [None, CLOSED], ids=["all", "some"])
+@sampled("chosen", [CLOSED, None], every=2, ids=["some", "all"])
 def test_relations_agree(kitchen, chosen):
     names = [entity.name for entity in kitchen] if chosen is None else list(chosen)
     copy = kitchen.excerpt(names)
@@ -81,7 +81,7 @@ def test_what_is_closed_in_itself_goes_on_alike(kitchen):
     assert farthest(kitchen, copy, CLOSED) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_after_steps_an_excerpt_begins_alike_and_goes_on_nearly_so(kitchen):
     """Bodies of several shapes find their contacts anew, and no two runs of those agree."""
     kitchen.step(240)
@@ -94,6 +94,7 @@ def test_after_steps_an_excerpt_begins_alike_and_goes_on_nearly_so(kitchen):
         assert copy[entity.name].position == pytest.approx(entity.position, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_it_holds_exactly_what_is_selected(kitchen):
     ss = ssduck.Interpreter()
     ss.add_variable("kitchen", kitchen)
@@ -128,6 +129,7 @@ def test_nothing_selected_is_an_empty_world_of_the_same_settings(client):
     assert empty.step(3).time == pytest.approx(0.03)
 
 
+@pytest.mark.slow
 def test_neither_knows_of_the_other(kitchen):
     copy = kitchen.excerpt(kitchen)
     before = state(kitchen)
@@ -145,6 +147,7 @@ def test_neither_knows_of_the_other(kitchen):
         kitchen.step(1)
 
 
+@pytest.mark.slow
 def test_what_was_switched_off_is_so_there(kitchen):
     kitchen["can"].enabled = False
     kitchen["mixer"].visible = False
@@ -198,6 +201,7 @@ def test_entities_of_other_worlds_and_ticks(kitchen, client, recorded):
         copy.excerpt([can])
 
 
+@pytest.mark.slow
 def test_entities_of_two_worlds(kitchen):
     ss = ssduck.Interpreter()
     ss.add_variable("kitchen", kitchen)
@@ -209,6 +213,7 @@ def test_entities_of_two_worlds(kitchen):
 # -- removing, OpenRAVE's names ------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_copies_after_a_removal(tmp_path):
     """Removing a body changes PyBullet's order of the others, by which it restores states."""
     text = "".join(
@@ -246,6 +251,7 @@ def test_removing(kitchen, client):
         kitchen.what_if().remove("can")
 
 
+@pytest.mark.slow
 def test_cloning_nothing(kitchen):
     assert len(kitchen.CloneSelf(8)) == 0
     clone = kitchen.CloneSelf(1)
@@ -372,6 +378,7 @@ def test_saved_names_are_made_fit(client, write, tmp_path):
     assert loaded['odd "name" \\ \t/..'].joints[0].upper == 1.0
 
 
+@pytest.mark.slow
 def test_a_joint_beyond_its_limit_is_saved_where_it_is(client, write, tmp_path):
     """Solvers leave joints there."""
     text = robot(

@@ -181,6 +181,7 @@ def test_a_convex_shape_that_a_ray_begins_in_is_not_seen(mast):
     assert mast.seen(finder) == ["wall"]
 
 
+@pytest.mark.slow
 def test_looking_through_a_body_is_as_if_it_were_not_there(stage):
     """A heap of shapes; each one in turn is looked through, and then taken away."""
     numbers = np.random.default_rng(7)

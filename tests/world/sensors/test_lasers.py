@@ -85,6 +85,7 @@ def test_a_lidar_measures_a_room(mast, position, orientation):
     assert lidar.ranges == pytest.approx(expected, abs=EXACT)
 
 
+@pytest.mark.slow
 def test_a_lidar_needs_but_a_range(mast):
     lidar = mast.open().add_sensor("lidar", "mast", max_range=5)
     assert lidar.rays == 16 * 360
@@ -133,6 +134,7 @@ def test_every_type_is_complete(kind):
         assert f"`{setting.name}`" in page
 
 
+@pytest.mark.slow
 def test_only_the_simulators_know_pybullet():
     package = ROOT / "ssduck"
     others = [p for p in package.rglob("*.py") if package / "simulators/pybullet" not in p.parents]

@@ -63,6 +63,7 @@ def arm(write):
     world.close()
 
 
+@pytest.mark.slow
 def test_a_sensor_on_a_link_looks_where_the_link_points(arm):
     client = arm._simulator.client
     (handle,) = (
@@ -207,6 +208,7 @@ def test_sensors_come_and_go(mast):
         assert ss.sql("FROM sensings").fetchall() == []
 
 
+@pytest.mark.slow
 def test_what_is_removed_is_perceived_no_more(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     behind = mast.box("behind", [0.5, 9, 9], [4, 0, 0])
@@ -394,6 +396,7 @@ def test_mistakes_are_told(mast, arguments, settings, kind, words):
     assert [e.name for e in world] == before
 
 
+@pytest.mark.slow
 def test_mistakes_of_other_worlds_and_of_others_than_sensors(mast):
     world = mast.open()
     other = Stage()

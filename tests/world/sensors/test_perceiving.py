@@ -17,6 +17,7 @@ from tests.support.sensing import CAMERA, EXACT, LASER, Stage, evaluators
 # -- what perceives what -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_senses_itself_its_body_or_a_sensor(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
@@ -236,6 +237,7 @@ def test_a_reading_stays_what_it_was(mast):
         first.time = 3
 
 
+@pytest.mark.slow
 def test_a_period_passes_before_a_sensor_is_read_again(mast):
     mast.sphere("ball", 0.1, [1, 0, 0])
     world = mast.open()
@@ -291,6 +293,7 @@ def test_in_your_own_client_time_may_pass_unknown(mast):
 # -- what it costs -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sensors_cost_nothing_until_they_are_asked_for(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
@@ -378,6 +381,7 @@ def test_few_rays_wake_no_threads(mast, monkeypatch, rays, threads):
     assert found == [threads]
 
 
+@pytest.mark.slow
 def test_more_rays_than_pybullet_takes_in_one_call(mast):
     mast.box("wall", [0.5, 9, 9], [2, 0, 0])
     world = mast.open()
