@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -142,8 +143,13 @@ def _judgements(
     """Yields what the terms say after each step."""
     replayed = interpreter[world]
     assert isinstance(replayed, ReplayedWorld)
+    # A simulation whose time stands still has several ticks of one time.
+    is_by_time = steps.ticks is None or all(a < b for a, b in pairwise(steps.times))
     for index, time in enumerate(steps.times):
-        replayed.seek(time)
+        if is_by_time or steps.ticks is None:
+            replayed.seek(time)
+        else:
+            replayed.seek_tick(steps.ticks[index])
         if replayed.time != time:
             raise RecordError(
                 f"{replayed.name!r} has no tick at {time:g} s: ticks of the episode are missing"

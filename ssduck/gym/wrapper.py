@@ -9,7 +9,7 @@ from typing import Any, SupportsFloat, TypeAlias
 import gymnasium
 
 from ssduck import validation
-from ssduck.errors import ArgumentError, SimulatorError
+from ssduck.errors import ArgumentError, ProgramWarning, SimulatorError, warn
 from ssduck.formatting import short_repr
 from ssduck.gym.terms import Judge, Judgement, Reward, Terms
 from ssduck.interpreter.interpreter import Interpreter
@@ -28,6 +28,16 @@ INFO = "ssduck"
 _IF_UNKNOWN = (
     "for a value of the environment, give variables={{'{name}': lambda env: env.{name}}}, say"
 )
+_STEP_AFTER_END = (
+    "step: the environment has ended, and a step further belongs to the same episode: call reset; "
+    "for one that resets itself, put gymnasium.wrappers.Autoreset around QueryWrapper"
+)
+# gymnasium's wrapper that resets at the step after the end; gymnasium 0.29 has none.
+_AUTORESET: tuple[type[Any], ...] = tuple(
+    filter(None, [getattr(gymnasium.wrappers, "Autoreset", None)])
+)
+# What `info` has where an environment resets itself at the end.
+_REPLACED = ("final_observation", "final_obs")
 # Returns what only Python knows: the value of a variable, from the environment.
 VariableReader: TypeAlias = Callable[[gymnasium.Env[Any, Any]], Any]
 
@@ -37,7 +47,9 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
 
     A tick is taken at each reset and after each step, and at most one statement gives the values of
     all terms: `info["ssduck"]` has `success`, `failure`, `reward` and `parts`. Terms name entities
-    as `sim.cup`. Their past begins at the last reset.
+    as `sim.cup`. Their past begins at the last reset: by you, or by gymnasium's `Autoreset` within,
+    whose step after an end is the first tick of an episode. Where MuJoCo resets an unstable state,
+    the episode goes on.
 
     Args:
         env: the environment; its unwrapped one has a MuJoCo model with its data, or a PyBullet
@@ -107,6 +119,8 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._steps: EpisodeSteps | None = None
         self._record: ParquetRecording | None = None
         self._is_saved, self._is_closed = True, False
+        # Whether the environment ended at the last step, and was not reset since.
+        self._has_ended = False
         self._interpreter = Interpreter(recording=None, limits=limits, strict=True)
         try:
             self._client = self._attach()
@@ -139,38 +153,47 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         check_open(self._is_closed, "reset")
         self._save()
         observation, info = self.env.reset(seed=seed, options=options)
-        self._begin_episode()
-        self._steps = EpisodeSteps(self._terms.texts, seed, recordable(options))
-        values = self._set_variables()
-        self._steps.add_tick(self._simulation.time, values)
-        if not self._is_checked:
-            self._record_past()
-            self._judge.check()
-            self._is_checked = True
-        if self._folder is not None and self._record is None:
-            self._record = self._interpreter.record_to(self._folder, self._world, self._recording)
-        return observation, info | {INFO: described(self._judge.judgement())}
+        judgement = self._begin_episode(seed, recordable(options))
+        return observation, info | {INFO: described(judgement)}
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Steps the environment, and evaluates the terms."""
         check_open(self._is_closed, "step")
-        taken = action_numbers(action)  # before the environment may change it
-        observation, reward, terminated, truncated, info = self.env.step(action)
         if self._steps is None:
             raise ArgumentError("step: call reset first")
+        taken = action_numbers(action)  # before the environment may change it
+        is_reset = _resets_next(self.env)
+        if is_reset:
+            self._save()
+        elif self._has_ended:
+            self._has_ended = False
+            warn(_STEP_AFTER_END, ProgramWarning)
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        _check_last_state(info)
+        if is_reset:
+            judgement = self._begin_episode(None, None)
+            return observation, reward, terminated, truncated, info | {INFO: described(judgement)}
+        self._has_ended = bool(terminated or truncated)
         simulation = self._simulation
+        run = simulation.snapshot.run
         if self._client is None:
             simulation.tick()
         else:
             steps = len(self._steps.times)
             time = None if self._step_time is None else steps * self._step_time
             simulation.tick(time=time)
+        if simulation.snapshot.run != run:
+            self._steps = None
+            raise SimulatorError(
+                "step: the environment made its simulation anew within an episode, whose past is "
+                "gone: call reset"
+            )
         values = self._set_variables()
         judgement = self._judge.judgement()
         if judgement.reward is not None:
             reward = judgement.reward
         terminated = bool(terminated or judgement.stop)
-        self._steps.add_tick(simulation.time, values)
+        self._steps.add_tick(simulation.tick_number, simulation.time, values)
         self._steps.rewards.append(float(reward))
         self._steps.add_action(taken)
         self._steps.success = judgement.success
@@ -219,8 +242,9 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
         self._interpreter.add_variable(self._world, attached)
         return client
 
-    def _begin_episode(self) -> None:
-        """Takes the first tick after a reset."""
+    def _begin_episode(self, seed: int | None, options: Any) -> Judgement:
+        """Takes the first tick after a reset; returns what the terms say of it."""
+        self._has_ended = False
         if self._client is not None and client_of(self.env.unwrapped) != self._client:
             if self._record is not None:
                 self._record.close()
@@ -229,6 +253,18 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._record_past()
         else:
             self._simulation.begin_episode()
+        self._steps = EpisodeSteps(self._terms.texts, seed, options)
+        values = self._set_variables()
+        if not self._is_checked:
+            self._record_past()
+            self._judge.check()
+            self._is_checked = True
+        if self._folder is not None and self._record is None:
+            self._record = self._interpreter.record_to(self._folder, self._world, self._recording)
+        judgement = self._judge.judgement()
+        simulation = self._simulation
+        self._steps.add_tick(simulation.tick_number, simulation.time, values)
+        return judgement
 
     def _check_first(self) -> None:
         """Checks the terms before the first reset, which may be what sets variables."""
@@ -263,6 +299,29 @@ class QueryWrapper(gymnasium.Wrapper[Any, Any, Any, Any], gymnasium.utils.Record
             self._steps.write(self._folder, self._world, self._record.number)
             self._record.tag(self._steps.tags)
         self._is_saved = True
+
+
+def _resets_next(env: gymnasium.Env[Any, Any]) -> bool:
+    """Checks whether the next step of an environment resets it, by a wrapper of gymnasium's."""
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, _AUTORESET) and env.autoreset:
+            return True
+        env = env.env
+    return False
+
+
+def _check_last_state(info: Mapping[str, Any]) -> None:
+    """Checks that the last state of an episode is there for the terms.
+
+    Raises:
+        SimulatorError: the environment reset itself in the step that ended an episode.
+    """
+    if key := next((key for key in _REPLACED if key in info), None):
+        raise SimulatorError(
+            f"step: the environment resets itself in the step that ends an episode (its info has "
+            f"{key!r}), so that terms do not see the last state: wrap the environment by "
+            "QueryWrapper first, and by what resets it outside"
+        )
 
 
 def check_open(is_closed: bool, method: str) -> None:

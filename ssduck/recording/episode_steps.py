@@ -55,6 +55,14 @@ def _are_times(value: Any) -> bool:
     )
 
 
+def _are_ticks(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and all(type(tick) is int and 0 <= tick < 1 << 53 for tick in value)
+        and all(before < after for before, after in pairwise(value))
+    )
+
+
 def _are_actions(value: Any) -> bool:
     if value is None:
         return True
@@ -68,6 +76,7 @@ _DESCRIPTION = {
     "seed": Value("an integer or null", _is_seed, is_required=False),
     "terms": Value("an object", lambda value: isinstance(value, dict)),
     "times": Value("a list of finite times, in order", _are_times),
+    "ticks": Value("a list of ticks, in order", _are_ticks, is_required=False),
     "variables": Value(
         "an object of lists",
         lambda value: isinstance(value, dict) and all(map(_is_list, value.values())),
@@ -92,6 +101,7 @@ class EpisodeSteps:
         seed: the seed of the reset.
         options: the options of the reset, as values of JSON; None if they are none.
         times: the simulated time of the tick at the reset and after each step, s.
+        ticks: the numbers of these ticks; None if an older ssduck recorded the episode.
         variables: the values of each variable at those ticks.
         rewards: the reward of each step.
         actions: the action of each step, as numbers; None if they are others, or not recorded.
@@ -102,13 +112,16 @@ class EpisodeSteps:
     seed: int | None = None
     options: Any = None
     times: list[float] = field(default_factory=list)
+    ticks: list[int] | None = field(default_factory=list)
     variables: dict[str, list[Any]] = field(default_factory=dict)
     rewards: list[float] = field(default_factory=list)
     actions: list[list[float]] | None = field(default_factory=list)
     success: bool | None = None
 
-    def add_tick(self, time: float, variables: Mapping[str, Any]) -> None:
+    def add_tick(self, number: int, time: float, variables: Mapping[str, Any]) -> None:
         """Adds a tick at a simulated time, s, with the values of the variables."""
+        assert self.ticks is not None
+        self.ticks.append(number)
         self.times.append(time)
         for name, value in variables.items():
             self.variables.setdefault(name, []).append(value)
@@ -139,8 +152,14 @@ class EpisodeSteps:
         """Writes the file of the episode.
 
         Raises:
-            RecordError: it cannot be written, or a link leads it out of the record.
+            RecordError: it cannot be written, its ticks are not those of one episode, or a link
+                leads it out of the record.
         """
+        if not (_are_times(self.times) and _are_ticks(self.ticks)):
+            raise RecordError(
+                f"episode {number} of {world!r}: its ticks or their times fall, so that they are "
+                "not of one episode; nothing is written of its steps"
+            )
         content = {
             "version": VERSION,
             "seed": self.seed,
@@ -149,6 +168,7 @@ class EpisodeSteps:
             "return": self.total,
             "terms": dict(self.terms),
             "times": self.times,
+            "ticks": self.ticks,
             "variables": self.variables,
             "rewards": self.rewards,
             "actions": self.actions,
@@ -179,9 +199,10 @@ class EpisodeSteps:
                 f"{VERSION}: install a newer one"
             )
         times, variables, rewards = content["times"], content["variables"], content["rewards"]
-        actions = content.get("actions")
+        actions, ticks = content.get("actions"), content.get("ticks")
         lengths = {len(times), len(rewards) + 1, *map(len, variables.values())}
         lengths |= set() if actions is None else {len(actions) + 1}
+        lengths |= set() if ticks is None else {len(ticks)}
         if len(lengths) != 1:
             raise RecordError(f"{file} is damaged: its lists have different lengths")
         try:
@@ -198,6 +219,7 @@ class EpisodeSteps:
             content.get("seed"),
             content.get("options"),
             times,
+            ticks,
             variables,
             rewards,
             actions,

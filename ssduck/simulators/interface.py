@@ -357,7 +357,7 @@ class Simulator(Protocol):
     def keeps_time(self) -> bool:
         """Whether an external simulation counts its own time; else the ticks tell it.
 
-        Such a time may fall: the user has reset the simulation, and a new episode begins.
+        Such a time may fall where the user has reset the simulation: a new episode begins.
         """
 
     @property

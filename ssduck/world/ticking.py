@@ -138,8 +138,10 @@ class SteppedSimulation(Observable):
         time: by the client's current time step, unless an argument sets it. MuJoCo keeps the time
         itself. In all other worlds only steps advance time. There neither argument is accepted.
 
-        If the time has fallen since the last tick, or the model is another one, you have reset the
-        simulation: a new episode begins with this tick, in records, too.
+        If MuJoCo's time has fallen since the last tick, or the model is another one, you have reset
+        the simulation: a new episode begins with this tick, in records, too. An unstable state that
+        MuJoCo itself resets begins none, and neither does any fall of the time once you have called
+        `begin_episode`: the time goes on, and a warning says so.
 
         Args:
             *unnamed: none; the two arguments need their names.
@@ -192,7 +194,8 @@ class SteppedSimulation(Observable):
         """Takes a tick that begins a new episode: you have reset the simulation.
 
         `tick` sees a reset by itself where the time of MuJoCo has fallen, or its model is another
-        one. PyBullet has no time; it is 0 again at this tick.
+        one. If you call this at one reset, call it at each: from then on, only this and another
+        model begin an episode. PyBullet has no time; it is 0 again at this tick.
 
         Returns:
             The world itself.

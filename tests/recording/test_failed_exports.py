@@ -79,7 +79,7 @@ def test_steps_that_cannot_be_written_leave_no_episode(
 ) -> None:
     record = recorded(tmp_path / "record", 2)
     for number in range(2):
-        EpisodeSteps({}, times=[0.0]).write(record, "lab", number)
+        EpisodeSteps({}, times=[0.0], ticks=[0]).write(record, "lab", number)
     write, written = EpisodeSteps.write, []
 
     def second_fails(self, folder: Path, world: str, number: int) -> None:

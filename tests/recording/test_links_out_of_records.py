@@ -178,8 +178,8 @@ def with_steps(made: Path, to: Path) -> tuple[Path, EpisodeSteps]:
     """Returns a record whose episode has steps, and these."""
     record = Path(shutil.copytree(made / "folder", to / "record"))
     steps = EpisodeSteps({"reward": "1"}, seed=7, options={"level": [1, None]}, success=False)
-    steps.add_tick(0.5, {"goal": [0.1, 2], "name": "left"})
-    steps.add_tick(0.75, {"goal": [0.1, 3], "name": "right"})
+    steps.add_tick(1, 0.5, {"goal": [0.1, 2], "name": "left"})
+    steps.add_tick(2, 0.75, {"goal": [0.1, 3], "name": "right"})
     steps.rewards.append(0.1)
     steps.add_action([1.0, -0.25])
     steps.write(record, "lab", 0)

@@ -170,6 +170,22 @@ class ReplayedWorld(PastWorld):
             self._take_tick()
         return self
 
+    def seek_tick(self, number: int) -> ReplayedWorld:
+        """Goes to the tick of a number.
+
+        Raises:
+            RecordError: it is not recorded.
+        """
+        with self.lock:
+            self._check_not_pinned()
+            if number not in self._record.ticks.numbers:
+                raise RecordError(
+                    f"{self.name!r} has no tick {number}: ticks of the episode are missing"
+                )
+            self._tick = number
+            self._take_tick()
+        return self
+
     def advance(self, count: int, on_progress: Callable[[int], object] | None = None) -> None:
         """Advances by a number of recorded times, without notifying observers.
 

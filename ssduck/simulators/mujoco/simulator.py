@@ -6,7 +6,6 @@ stated at the subtree's centre of mass in MuJoCo (`cvel`); ssduck moves them to 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, TypeAlias
 
@@ -39,6 +38,7 @@ from ssduck.simulators.mujoco.bodies import (
     numbers_of,
 )
 from ssduck.simulators.mujoco.contacts import GeomOwners, MuJoCoContacts
+from ssduck.simulators.mujoco.episodes import EpisodeClock
 from ssduck.simulators.mujoco.interventions import Switches, hold, holds, take_out
 from ssduck.simulators.mujoco.library import copied_data, mujoco
 from ssduck.simulators.mujoco.link_poses import LinkReader
@@ -76,7 +76,7 @@ class MuJoCoSimulator(PartialSimulator):
         part_names: see above.
         model: the model at the last tick.
         data: the data at the last tick.
-        episode: is incremented when the time has fallen or the model is another one.
+        episode: is incremented when the user has reset the simulation; see `EpisodeClock`.
     """
 
     backend = "mujoco"
@@ -121,7 +121,8 @@ class MuJoCoSimulator(PartialSimulator):
         self._owners: tuple[Any, GeomOwners] | None = None
         self._warned: set[str] = set()
         self._is_closed = False
-        self.episode, self._last_time = 0, float(self.data.time)
+        self.episode = 0
+        self._episodes = EpisodeClock(self.data)
         # Those of the joints at the last tick.
         self._positions = self.data.qpos.copy()
 
@@ -179,12 +180,11 @@ class MuJoCoSimulator(PartialSimulator):
         if self._is_closed:
             raise SimulatorError("the world is closed; load or attach the world again")
         before, (self.model, self.data) = self.model, self._source()
-        time = self.time
-        if self.model is not before or time < self._last_time:
+        is_new = self.model is not before
+        if self._episodes.begins(self.data, self.timestep, is_new=is_new):
             self.episode += 1
-            if self.model is not before:
-                self._switches = Switches(self.model)
-        self._last_time = time
+        if is_new:
+            self._switches = Switches(self.model)
         self._positions = self.data.qpos.copy()
         # The first number is 0 in data whose poses MuJoCo never computed, or reset since.
         if not self._forward and self.data.xquat[0, 0]:
@@ -202,13 +202,13 @@ class MuJoCoSimulator(PartialSimulator):
         model, data = self._source()
         return (
             model is not self.model
-            or float(data.time) != self._last_time
+            or float(data.time) != self._episodes.last
             or not np.array_equal(data.qpos, self._positions, equal_nan=True)
         )
 
     def begin_episode(self) -> None:
-        """Lets the next tick begin an episode, whatever its time."""
-        self._last_time = math.inf
+        """Lets the next tick begin an episode, whatever its time, and no later one by its time."""
+        self._episodes.begin()
 
     def _warn_of_boxes(self, bodies: Sequence[Body]) -> None:
         names = [name for name in inexact(bodies) if name not in self._warned]
@@ -224,8 +224,8 @@ class MuJoCoSimulator(PartialSimulator):
 
     @property
     def time(self) -> float:
-        """Simulated seconds, as MuJoCo counts them."""
-        return float(self.data.time)
+        """Simulated seconds of the episode: MuJoCo's, unless its time fell within the episode."""
+        return float(self.data.time) + self._episodes.offset
 
     @property
     def timestep(self) -> float:
